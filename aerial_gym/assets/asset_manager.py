@@ -34,6 +34,9 @@ _OWNER = "AssetManager"
 class AssetManager:
     """Obstacle states of all environments. Kept assets have the first rows; the others follow, shuffled in each environment."""
 
+    _motion: "ObstacleMotion | None" = None
+    _clearance: "Clearance | None" = None
+
     def __init__(
         self,
         cfg: EnvironmentCfg,
@@ -73,7 +76,19 @@ class AssetManager:
         self._declare(gtd, asset_state)
         self.random = random
         self._asset = torch.zeros(num_envs, self.num_assets, dtype=torch.int32, device=self._device)
-        self.scene = self._build_scene(robot_parts, robot_state, robot_links)
+        shape_index, semantic_id = self._draw_kinds()
+        self.scene = Scene(
+            [shape for a in self._assets for shape in a.shapes],
+            shape_index=shape_index,
+            semantic_id=semantic_id,
+            groups=[(a.count, len(a.shapes)) for a in self._assets],
+            asset_state=self._state,
+            fixed=() if cfg.ground is None else (cfg.ground,),
+            robot=robot_parts,
+            robot_state=robot_state,
+            robot_links=robot_links,
+            lamps=cfg.lamps,
+        )
         obstacles = view_obstacles(
             self._state,
             self._waypoints,
@@ -91,9 +106,15 @@ class AssetManager:
         self._track: TrackPlacement | None = None
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
-        self._motion = self._make_motion() if cfg.moves else None
-        wanted = cfg.clearance > 0.0 and self.num_assets > 0
-        self._clearance = self._make_clearance(cfg.clearance + robot_radius) if wanted else None
+        if cfg.moves:  # local imports, as Warp functions take long to import
+            from aerial_gym.assets.obstacle_motion import ObstacleMotion
+
+            self._motion = ObstacleMotion(obstacles, twists=self._env_actions)
+        if cfg.clearance > 0.0 and self.num_assets > 0:
+            from aerial_gym.assets.clearance import Clearance
+
+            room = cfg.clearance + robot_radius
+            self._clearance = Clearance(self.scene, obstacles, mask=random.mask, room=room)
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
 
@@ -244,35 +265,6 @@ class AssetManager:
         semantic = torch.tensor([a.semantic_id for a in assets], device=device, dtype=torch.int64)[asset]
         own = FIRST_INSTANCE_ID + torch.arange(self.num_assets, device=device)
         return first[asset] + choice, torch.where(semantic >= 0, semantic, own)
-
-    def _build_scene(
-        self, robot_parts: Sequence[PartCfg], robot_state: Tensor | None, robot_links: Sequence[str]
-    ) -> Scene:
-        shape_index, semantic_id = self._draw_kinds()
-        return Scene(
-            [shape for a in self._assets for shape in a.shapes],
-            shape_index=shape_index,
-            semantic_id=semantic_id,
-            groups=[(a.count, len(a.shapes)) for a in self._assets],
-            asset_state=self._state,
-            fixed=() if self.cfg.ground is None else (self.cfg.ground,),
-            robot=robot_parts,
-            robot_state=robot_state,
-            robot_links=robot_links,
-            lamps=self.cfg.lamps,
-        )
-
-    def _make_motion(self) -> "ObstacleMotion":
-        """Return the motion of obstacles; the import is local because Warp functions take long to import."""
-        from aerial_gym.assets.obstacle_motion import ObstacleMotion
-
-        return ObstacleMotion(self._obstacles, twists=self._env_actions)
-
-    def _make_clearance(self, room: float) -> "Clearance":
-        """Return the clearance of start and goal with a margin [m]; the import is local likewise."""
-        from aerial_gym.assets.clearance import Clearance
-
-        return Clearance(self.scene, self._obstacles, mask=self.random.mask, room=room)
 
     def _park_all(self) -> None:
         self._state.zero_()

@@ -43,11 +43,6 @@ class NoObstacles:
     unused: int
 
 
-@wp.func
-def _sphere_center(sphere: wp.vec4, position: wp.vec3, attitude: wp.quat) -> wp.vec3:
-    return position + wp.quat_rotate(attitude, wp.vec3(sphere[0], sphere[1], sphere[2]))
-
-
 @cache
 def _make_sphere_gap(*, meshes: bool) -> wp.Function:
     """Return the function for the distance of spheres to a part; ``meshes``: whether any part is a mesh (many registers)."""
@@ -66,8 +61,9 @@ def _make_sphere_gap(*, meshes: bool) -> wp.Function:
         """Return the least signed distance of the robot's spheres to a part [m], at most ``limit``."""
         nearest = float(limit)
         for c in range(sphere.shape[0]):
-            radius = sphere[c][3]
-            offset = _sphere_center(sphere[c], position, attitude) - origin
+            row = sphere[c]
+            radius = row[3]
+            offset = position + wp.quat_rotate(attitude, wp.vec3(row[0], row[1], row[2])) - origin
             if wp.length(offset) - shape.radius - radius < nearest:
                 nearest = wp.min(nearest, distance_to(shape, wp.quat_rotate_inv(turn, offset)) - radius)
         return nearest

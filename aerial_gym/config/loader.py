@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from contextlib import suppress
 from math import inf
 from pathlib import Path
 from types import NoneType, UnionType
@@ -193,7 +194,8 @@ def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, 
 
 def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
     if hint is float and isinstance(value, str):
-        value = _number_in_text(value)
+        with suppress(ValueError):
+            value = float(value)  # such as ``1e-5``, which YAML 1.1 reads as text
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         try:
             return float(value)
@@ -215,11 +217,3 @@ def format_value(value: object) -> str:
     except (ValueError, RecursionError):  # an integer of thousands of digits, brackets in brackets
         return f"a {type(value).__name__} that is too long to show"
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
-
-
-def _number_in_text(value: str) -> float | str:
-    """Return a number from text such as ``1e-5``, which YAML 1.1 reads as text."""
-    try:
-        return float(value)
-    except ValueError:
-        return value

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from aerial_gym.assets import AssetManager
 from aerial_gym.config.environment import EnvironmentCfg
-from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.physics import Trajectory
@@ -43,6 +42,9 @@ def make_trajectory(
 class CollisionTests:
     """The tests, with all views made at construction."""
 
+    _collision: "CollisionTest | None" = None
+    _between: "SelfCollisionTest | None" = None
+
     def __init__(
         self,
         robot: RobotCfg,
@@ -62,19 +64,38 @@ class CollisionTests:
             trajectory: Record of each step; None where nothing is followed.
         """
         crashes = gtd["crashes"]
-        self._collision: CollisionTest | None = None
         gtd["robot_clearance"].fill_(inf)
-        if assets.scene.num_solid:
-            self._collision = _make_obstacle_test(robot, gtd, assets, pose, links)
+        if assets.scene.num_solid:  # local imports, as their Warp functions take long
+            from aerial_gym.assets.collision import CollisionTest
+
+            self._collision = CollisionTest(
+                assets.scene,
+                robot.collision.link_shapes(BASE),
+                links=() if links is None else links.link_shapes(robot.collision),
+                distance_out=gtd["robot_clearance"],
+                moving=assets.moving,
+                **pose,
+            )
         followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
         if places is not None and places.trajectory is not None:
             followed, dt = (places.trajectory.position, places.trajectory.attitude), dt / places.trajectory.pieces
         self._follows = followed is not None
         if followed is not None and self._collision is not None:
             self._collision.follow(*followed, dt=dt, crashes_out=crashes)
-        self._between: SelfCollisionTest | None = None
         if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
-            self._between = _make_link_test(robot, robot.joints, links, gtd)
+            from aerial_gym.assets.self_collision import SelfCollisionTest
+
+            self._between = SelfCollisionTest(
+                robot.collision,
+                names=robot.link_names,
+                parents=[robot.joints.link_number(joint.parent) for joint in robot.joints.layout],
+                pivots=links.pivots,
+                state=links.state,
+                distance_out=gtd.declare(TensorSpec(
+                    key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
+                    meaning="signed distance of the robot's links to each other, without those that always touch",
+                )),
+            )  # fmt: skip
             self._between.follow(*followed, crashes_out=crashes)
         self.measure()
 
@@ -91,42 +112,3 @@ class CollisionTests:
             self._collision.measure()
         if self._between is not None:
             self._between.measure()
-
-
-def _make_obstacle_test(
-    robot: RobotCfg,
-    gtd: GlobalTensorDictionary,
-    assets: AssetManager,
-    pose: Mapping[str, Tensor],
-    links: LinkTensors | None,
-) -> "CollisionTest":
-    """Return the test with obstacles and ground; imported only where there are any, as its Warp functions take long."""
-    from aerial_gym.assets.collision import CollisionTest
-
-    return CollisionTest(
-        assets.scene,
-        robot.collision.link_shapes(BASE),
-        links=() if links is None else links.link_shapes(robot.collision),
-        distance_out=gtd["robot_clearance"],
-        moving=assets.moving,
-        **pose,
-    )
-
-
-def _make_link_test(
-    robot: RobotCfg, joints: JointsCfg, links: LinkTensors, gtd: GlobalTensorDictionary
-) -> "SelfCollisionTest":
-    """Return the test of links with each other, and declare their distance."""
-    from aerial_gym.assets.self_collision import SelfCollisionTest
-
-    return SelfCollisionTest(
-        robot.collision,
-        names=robot.link_names,
-        parents=[joints.link_number(joint.parent) for joint in joints.layout],
-        pivots=links.pivots,
-        state=links.state,
-        distance_out=gtd.declare(TensorSpec(
-            key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
-            meaning="signed distance of the robot's links to each other, without those that always touch",
-        )),
-    )  # fmt: skip

@@ -150,16 +150,15 @@ class EnvManager:
             self._below = self.asset_manager.make_height_probe(self.gtd["robot_position"], height_out=surface)
         self.asset_manager.set_track_start(self.gtd["robot_position"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
+        twist = {"lin_vel": self.gtd["robot_linvel"], "ang_vel": self.gtd["robot_body_angvel"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
         carriers = {} if links is None else links.carriers({**range_sensors, **imus})
         self.sensor_manager = SensorManager(
             {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,
             scene,
-            position=pose["position"],
-            attitude=pose["attitude"],
-            lin_vel=self.gtd["robot_linvel"],
-            ang_vel=self.gtd["robot_body_angvel"],
+            **pose,
+            **twist,
             num_envs=num_envs,
             device=device,
             dt=self.dt,
@@ -171,8 +170,7 @@ class EnvManager:
             imus,
             self.gtd,
             attitude=pose["attitude"],
-            lin_vel=self.gtd["robot_linvel"],
-            ang_vel=self.gtd["robot_body_angvel"],
+            **twist,
             dt=self.dt,
             gravity=sim.gravity,
             random=self.random,

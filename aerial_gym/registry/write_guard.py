@@ -99,12 +99,8 @@ _IN_PLACE = {
 """Methods behind augmented assignment. PyTorch's own operators take a ``TypeError`` for 'not implemented' and ignore it."""
 
 
-def _in_place_operator(method: str) -> Callable[[Tensor, Any], Tensor]:
-    return lambda self, other: getattr(self, method)(other)
-
-
 for _name, _method in _IN_PLACE.items():
-    setattr(WriteGuardTensor, f"__i{_name}__", _in_place_operator(_method))
+    setattr(WriteGuardTensor, f"__i{_name}__", lambda self, other, method=_method: getattr(self, method)(other))
 
 
 def _plain(value: Any) -> Any:

@@ -77,14 +77,9 @@ def _set_fields(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, dra
     return replace(vehicle, **{name: drawn[id(getattr(vehicle, name))] for name in names})
 
 
-def _scale_thrust(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _scale_maps(maps: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     del cfg
-    return vehicle.with_scaled_maps(thrust=draw, torque=draw)
-
-
-def _scale_torque(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    del cfg
-    return vehicle.with_scaled_maps(torque=draw)
+    return vehicle.with_scaled_maps(**dict.fromkeys(maps, draw))
 
 
 def _turn_axes(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
@@ -123,10 +118,18 @@ QUANTITIES: dict[str, Quantity] = {
         meaning="factors on the mass's second moments along the body axes: stays that of a body",
     ),
     "rotor.thrust_map": Quantity(
-        unit="-", width="rotor", apply=_scale_thrust, how=("scale",), meaning="thrust and drag torque of a speed"
+        unit="-",
+        width="rotor",
+        apply=partial(_scale_maps, ("thrust", "torque")),
+        how=("scale",),
+        meaning="thrust and drag torque of a speed",
     ),
     "rotor.torque_map": Quantity(
-        unit="-", width="rotor", apply=_scale_torque, how=("scale",), meaning="drag torque of a speed alone"
+        unit="-",
+        width="rotor",
+        apply=partial(_scale_maps, ("torque",)),
+        how=("scale",),
+        meaning="drag torque of a speed alone",
     ),
     "rotor.time_constant": _quantity_of_fields(
         "s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"

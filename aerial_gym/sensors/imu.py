@@ -313,14 +313,8 @@ class Imu:
         if errors is not None:
             check_tensor("errors", errors, (envs, WIDTH), device=device)
             motion.errors = wp.from_torch(errors.view(envs, -1, 3), dtype=wp.vec3)
-        inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
-        launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
-        self._measure_command = ReusableLaunch(_measure, inputs=inputs, **launch)
-        self._reset_command = ReusableLaunch(_reset, inputs=[self._mask, *inputs], **launch)
-
-    def _make_outputs(self) -> ImuOutputs:
         pairs = {"bias": self.bias, "fresh": self._fresh, "line": self._line, "measurement": self.measurement}
-        return make_struct(
+        outputs = make_struct(
             ImuOutputs,
             sample=self._sample,
             point_vel=self._point_vel,
@@ -332,6 +326,10 @@ class Imu:
             force_sum=self._force_sum,
             **{name: rows.unflatten(-1, (2, 3)) for name, rows in pairs.items()},
         )
+        inputs = [motion, unit, random_arrays(self._random), number, outputs]
+        launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
+        self._measure_command = ReusableLaunch(_measure, inputs=inputs, **launch)
+        self._reset_command = ReusableLaunch(_reset, inputs=[self._mask, *inputs], **launch)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""

@@ -141,7 +141,10 @@ def write_mjcf(
             SubElement(
                 world, "geom", name="ground", type="plane", size="0 0 1", pos=format_numbers((0.0, 0.0, floor.height))
             )
-        _set_friction(root, floor.friction)
+        friction = format_numbers(
+            (floor.friction, 0.0, 0.0)
+        )  # none of torsion; the larger value of two in contact counts
+        SubElement(SubElement(root, "default"), "geom", friction=friction, condim="3")
     SubElement(option, "flag", flags)
     bodies = [_add_body(world, tree, 0, links, env)]
     for k, joint in enumerate(tree.joints):
@@ -232,11 +235,6 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
         fullinertia=format_numbers((xx, yy, zz, xy, xz, yz)),
     )
     return body
-
-
-def _set_friction(root: Element, friction: float) -> None:
-    """Set the friction of all shapes, without torsional friction; MuJoCo takes the larger value of two in contact."""
-    SubElement(SubElement(root, "default"), "geom", friction=format_numbers((friction, 0.0, 0.0)), condim="3")
 
 
 LEAST_IMPEDANCE = 1e-4

@@ -106,10 +106,11 @@ def check_robot(
         for rotor, given in zip(limiting, authority.tolist(), strict=True)
     )
     problems = (*_hover_problems(hover, low, high, wrench, held, weight), *_problems_of_coupling(matrix))
-    names = _controllers_with_gains() if controllers is None else tuple(controllers)
+    if controllers is None:
+        controllers = [n for n in CONTROLLERS.names() if (c := CONTROLLERS.get(n)).law in LAWS and c.gains is None]
     steps = []
-    for number, controller in enumerate(names if not problems else ()):
-        progress(controller, number / len(names))
+    for number, controller in enumerate(controllers if not problems else ()):
+        progress(controller, number / len(controllers))
         steps.append(largest_stable_step(robot, CONTROLLERS.get(controller), name=controller, gravity=gravity))
     turn = authority[3:] / vehicle.inertia[0].diagonal()
     return RobotReport(
@@ -135,10 +136,6 @@ def check_robot(
             *_step_warnings(steps),
         ),
     )
-
-
-def _controllers_with_gains() -> tuple[str, ...]:
-    return tuple(n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law in LAWS and CONTROLLERS.get(n).gains is None)
 
 
 def _hover_problems(

@@ -95,7 +95,9 @@ def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: fl
             source=f"{where}: all links, joints welded at zero, by the parallel axis theorem",
         ),
         collision=make_collision(vehicle.shapes, where),
-        joints=_joints_cfg(vehicle, where),
+        joints=JointsCfg(layout=vehicle.joints, source=f"{where}: its joints but those of rotors; {ENDS}")
+        if vehicle.joints
+        else None,
         control=ControlCfg(buoyancy=weight.force, source=weight.source) if weight.force else ControlCfg(),
         effects=effects,
         effects_source="; ".join(filter(None, (vehicle.effects_source, weight.source))),
@@ -104,12 +106,6 @@ def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: fl
     return Imported(
         robot, tuple(dict.fromkeys((*vehicle.losses, *vehicle.notes))), assumed=tuple(dict.fromkeys(vehicle.assumed))
     )
-
-
-def _joints_cfg(vehicle: FileVehicle, where: str) -> JointsCfg | None:
-    if not vehicle.joints:
-        return None
-    return JointsCfg(layout=vehicle.joints, source=f"{where}: its joints but those of rotors; {ENDS}")
 
 
 def _read_file(path: Path, hints: RotorHints) -> tuple[str, FileVehicle]:

@@ -252,7 +252,7 @@ def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Wei
 def _collision_shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionShape]:
     """Return the collision shapes of all links, each on its link; none of a file without geometry."""
     if all(link == BASE for link in on.values()):
-        return _all_shapes(path, {})
+        return [part_collision_shape(part) for part in _geometry_parts(path, {})]
     results = []
     for start in range(0, len(names), FIRST_INSTANCE_ID):  # semantic ids tell the links apart
         some = names[start : start + FIRST_INSTANCE_ID]
@@ -261,10 +261,6 @@ def _collision_shapes(path: Path, names: list[str], on: dict[str, str]) -> list[
             if part.semantic_id is not None:
                 results.append(replace(part_collision_shape(part), link=on[some[part.semantic_id]]))
     return results
-
-
-def _all_shapes(path: Path, ids: dict[str, int]) -> list[CollisionShape]:
-    return [part_collision_shape(part) for part in _geometry_parts(path, ids)]
 
 
 def _geometry_parts(path: Path, ids: dict[str, int]) -> tuple[PartCfg, ...]:

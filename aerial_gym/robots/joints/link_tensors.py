@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.collision import CollisionCfg
 from aerial_gym.config.imu import ImuCfg
-from aerial_gym.config.joint import JointCfg, JointsCfg
+from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
@@ -36,9 +36,14 @@ class LinkTensors:
 
     def carriers(self, mounted: Mapping[str, RobotSensor[RangeSensorCfg] | RobotSensor[ImuCfg]]) -> dict[str, Carrier]:
         """Return the carrier link of each sensor by name, without sensors on the base."""
-        return {
-            name: self._link_carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE
-        }
+        carriers = {}
+        for name, each in mounted.items():
+            if each.link != BASE:
+                k = self.names.index(each.link)
+                position, attitude, lin_vel, _ = self.state[:, k].split((3, 4, 3, 3), dim=-1)
+                motion = {"position": position, "attitude": attitude, "lin_vel": lin_vel}
+                carriers[name] = Carrier(number=k, **motion, ang_vel=self.ang_vel[:, k])
+        return carriers
 
     def link_shapes(self, collision: CollisionCfg) -> "list[LinkGeometry]":
         """Return the collision shapes of each link except the base."""
@@ -60,20 +65,14 @@ class LinkTensors:
 
         return LinkPlaces(cfg, state, self, trajectory)
 
-    def _link_carrier(self, number: int) -> Carrier:
-        position, attitude, lin_vel, _ = self.state[:, number].split((3, 4, 3, 3), dim=-1)
-        return Carrier(
-            number=number, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=self.ang_vel[:, number]
-        )
-
 
 def declare_links(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> LinkTensors:
     """Declare the links of a robot that bends."""
     gtd.define_size("L", len(cfg.link_names))
-    names = ", ".join(cfg.link_names)
+    names, origin = ", ".join(cfg.link_names), (0.0, 0.0, 0.0)
     return LinkTensors(
         names=cfg.link_names,
-        pivots=((0.0, 0.0, 0.0), *(_joint_pivot(joint) for joint in cfg.layout)),
+        pivots=(origin, *(origin if joint.kind == "prismatic" else joint.position for joint in cfg.layout)),
         state=gtd.declare(TensorSpec(
             key="robot_link_state_tensor", shape=("E", "L", 13), unit="m, -, m/s, rad/s", frame="world", owner="robot",
             meaning=f"p, q xyzw, v, w of the frames of {names}, each the body's in the reference pose",
@@ -83,7 +82,3 @@ def declare_links(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> LinkTensors:
             meaning="angular velocity of each link in its own axes",
         )),
     )  # fmt: skip
-
-
-def _joint_pivot(joint: JointCfg) -> Vec3:
-    return (0.0, 0.0, 0.0) if joint.kind == "prismatic" else joint.position
