@@ -81,7 +81,7 @@ class Comparison:
         return max((Agreement(*each) for each in zip(self._names, *numbers, strict=True)), key=_share_of_limit)
 
 
-def rows_not_finite(width: int, entries: Sequence[int]) -> Tensor:
+def inputs_not_finite(width: int, entries: Sequence[int]) -> Tensor:
     """Return zero inputs (3 K, O), each with one of K entries set to NaN, infinity or minus infinity."""
     places = torch.nn.functional.one_hot(torch.tensor(entries), width).bool()
     return torch.cat([torch.where(places, value, 0.0) for value in (nan, inf, -inf)])

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.export import c99
-from aerial_gym.export.agreement import Comparison, rows_not_finite
+from aerial_gym.export.agreement import Comparison, inputs_not_finite
 from aerial_gym.export.finite import finite_rows, nan_unless
 from aerial_gym.export.formats import onnx_bytes, onnx_session, torchscript_bytes
 from aerial_gym.export.pilot import compile_library
@@ -92,6 +92,6 @@ def compare_encoder(encoder: Encoder, file: Path) -> Comparison:
     images = torch.rand(CHECKED, rows, columns, generator=torch.Generator().manual_seed(0))
     result.add(deepcopy(encoder).double()(images.double()), encoder(images), run(images))
     pixels = rows * columns
-    bad = rows_not_finite(pixels, (0, pixels // 2, pixels - 1)).unflatten(-1, (rows, columns))
+    bad = inputs_not_finite(pixels, (0, pixels // 2, pixels - 1)).unflatten(-1, (rows, columns))
     result.add_not_finite(run(bad))
     return result

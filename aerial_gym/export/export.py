@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
-from aerial_gym.export.agreement import Agreement, Comparison, rows_not_finite
+from aerial_gym.export.agreement import Agreement, Comparison, inputs_not_finite
 from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
@@ -156,7 +156,7 @@ def compare_policy(flown: DeployablePolicy, layout: Layout, file: Path) -> Compa
         )
         result.add(*(torch.cat(output, dim=-1) for output in outputs))
         torch_memory, file_memory = [output[2:] for output in outputs[:2]], outputs[2][2]
-    bad = rows_not_finite(layout.num_observations, range(layout.num_observations))
+    bad = inputs_not_finite(layout.num_observations, range(layout.num_observations))
     images = [random_image(image, len(bad), generator) for image in layout.images]
     result.add_not_finite(torch.cat(step(bad, torch.zeros(len(bad), layout.memory), *images), dim=-1))
     return result

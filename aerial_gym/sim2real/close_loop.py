@@ -20,7 +20,7 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_uncertainty_ranges
 from aerial_gym.sim2real.report.report import write_report
-from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.report.run_folder import atomic_run_folder, check_out_dir, write_record
 from aerial_gym.sim2real.report.verdict_json import verdict_json
 from aerial_gym.sim2real.wording import text
 
@@ -106,7 +106,7 @@ def close_loop(
             "criteria": vars(judged.selection.criteria),
             "tolerances": vars(judged.declared.tolerances),
         }
-        with whole_folder(Path(out_dir)) as folder:
+        with atomic_run_folder(Path(out_dir)) as folder:
             write_json(folder / "verdict.json", verdict_json(verdict))
             (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8", errors="surrogateescape")
             write_report(folder, judged)

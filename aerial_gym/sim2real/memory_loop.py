@@ -45,7 +45,7 @@ def judge_flights(
     finder = FailureFinder(robot, tolerances=off)
     seen = [failure for flight in flights if (failure := finder.find_first_failure(flight)) is not None]
     told = seen if failures else []
-    learnt, judging = (_intact_parts(role, part, told) for role, part in (("train", train), ("test", test)))
+    learnt, judging = (_flights_until_failure(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
     selection = select_effects_of_setup(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
@@ -54,7 +54,7 @@ def judge_flights(
     return result_with_failures(judged, told, len(flights)) if failures else result_with_suspicions(judged, seen)
 
 
-def _intact_parts(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
+def _flights_until_failure(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
     """Return the flights up to their failures; raise ``DataError`` if none is left."""
     left = cut_at_failures(flights, failures)
     if flights and not left:

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
-from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.report.run_folder import atomic_run_folder, check_out_dir, write_record
 from aerial_gym.sim2real.wording import text
 
 
@@ -109,7 +109,7 @@ def replay(
             progress("writing the report", 0.9)
             config = {"command": "replay", "robot": str(robot), "flights": [str(path) for path in flights]}
             config |= {"mapping": mapping and str(mapping), "bandwidth_hz": bandwidth, "seed": seed}
-            with whole_folder(Path(out_dir)) as folder:
+            with atomic_run_folder(Path(out_dir)) as folder:
                 _write_report(folder, result)
                 write_record(folder, config, digests)
     progress("done", 1.0)

@@ -83,18 +83,18 @@ def find_residual_excess(
     """
     _, params = models
     flights = [*train.flights, *test.flights]
-    within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
+    within = model_with_best_deviations(params, selection.final.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.left_out.tolerated
     rms = np.minimum(channel_rms(left), [channel.value for channel in after.residual])  # deviations may only lower it
     not_judged = KINEMATIC if can_judge_forces(flights) else (*KINEMATIC, "specific_force")
     judged = np.array([channel.kind not in not_judged for channel in test.channels])
-    suspected = judged & material_excess(rms, floor, tolerated)
+    suspected = judged & is_material_excess(rms, floor, tolerated)
     seen, own = train.residuals(within), selection.own_offsets.size > 0.0
 
     def about_offsets(parts: list[Array]) -> Array:
         return channel_rms([part - own * part.mean(axis=0) for part in parts])
 
-    fitted = ~material_excess(about_offsets(seen), floor, tolerated)
+    fitted = ~is_material_excess(about_offsets(seen), floor, tolerated)
     about = np.where(own, about_offsets(left), rms)
     within_flights = whole = np.zeros(rms.size)
     if suspected.any():
@@ -102,7 +102,9 @@ def find_residual_excess(
 
     def excess_channels(floor: Array | None) -> Flags:
         cases = ((about, within_flights), (rms, whole))
-        excess = [material_excess(rms, floor, tolerated) & (excess_power(rms, floor) > limit) for rms, limit in cases]
+        excess = [
+            is_material_excess(rms, floor, tolerated) & (excess_power(rms, floor) > limit) for rms, limit in cases
+        ]
         return suspected & np.any(excess, axis=0)
 
     remaining, wind = excess_channels(floor), random_wind_in_file(train.robot)
@@ -119,11 +121,11 @@ def find_residual_excess(
         if structure.kind == "none":  # test flights may cover another range, where the structure differs
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
         level = floor  # of the noise, random wind included
-        asked = ResidualCriterion(remaining=remaining, enough=lambda rms: ~material_excess(rms, level, tolerated))
+        asked = ResidualCriterion(remaining=remaining, enough=lambda rms: ~is_material_excess(rms, level, tolerated))
         could = effects_left_open(train, test, models, selection, asked)
     names = [channel.name for channel in test.channels]
-    open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
-    offsets = open_channels & own & ~material_excess(about, floor, tolerated)
+    open_channels = suspected & is_material_excess(rms, floor, tolerated) & ~remaining
+    offsets = open_channels & own & ~is_material_excess(about, floor, tolerated)
     return ResidualExcess(
         within=within, left=left, channels=channel_names(names, remaining),
         left_open=channel_names(names, open_channels & ~offsets), of_flights=channel_names(names, offsets),
@@ -136,14 +138,14 @@ def channel_rms(parts: Sequence[Array]) -> Array:
     return np.sqrt(np.mean(np.square(np.concatenate(parts)), axis=0))
 
 
-def with_best_deviations(params: ModelParams, fit: ModelFit, weight: Array) -> ModelParams:
+def model_with_best_deviations(params: ModelParams, fit: ModelFit, weight: Array) -> ModelParams:
     """Return a model with the deviations within the tolerances that fit the training flights best beside its own effects."""
     own = fit.num_effect_params
     step = best_step(fit, weight, np.arange(own, fit.low.size))
     return replace(params, deviation=step[own:])
 
 
-def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> Flags:
+def is_material_excess(rms: Array, floor: Array | None, tolerated: Array) -> Flags:
     """Return whether the residual of each channel exceeds noise and tolerances, (C,); False if no floor is known.
 
     Args:

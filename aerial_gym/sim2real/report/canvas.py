@@ -94,8 +94,8 @@ class Panel:
         """Return the panel as SVG, with a horizontal axis that covers ``x_values``."""
         left, top, wide, high = self.place
         y_values = np.concatenate([np.array(self.levels), *(mark.y for mark in self.marks)])
-        x_low, x_high = _limits(x_values)
-        y_low, y_high = _limits(np.log10(y_values[y_values > 0.0]) if self.log else y_values)
+        x_low, x_high = _axis_limits(x_values)
+        y_low, y_high = _axis_limits(np.log10(y_values[y_values > 0.0]) if self.log else y_values)
         if any(mark.filled for mark in self.marks) and not self.log:
             y_low = max(y_low, min(0.0, float(y_values.min())))  # bars stand on the frame
 
@@ -110,7 +110,7 @@ class Panel:
         ends = np.array([left, left + wide])
         parts += [_stroke_path(ends, upright(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"') for y in self.levels]
         x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_low, x_high)
-        y_ticks = _decades(y_low, y_high) if self.log else ticks(y_low, y_high)
+        y_ticks = _logarithmic_ticks(y_low, y_high) if self.log else ticks(y_low, y_high)
         bottom, out = top + high, 3 * POINT
         x_at, y_at = to_pixels(x_ticks), upright(y_ticks)
         x_ends = np.concatenate((np.repeat(x_at, 2), np.tile([left - out, left], y_at.size)))
@@ -220,7 +220,7 @@ def ticks(low: float, high: float) -> Array:
     return step * np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
 
 
-def _decades(low: float, high: float) -> Array:
+def _logarithmic_ticks(low: float, high: float) -> Array:
     """Return the tick values of a logarithmic axis from log10 limits: powers of ten, or 1, 2 and 5 times one."""
     powers = np.arange(np.ceil(low), np.floor(high) + 1.0)
     if powers.size > 1:
@@ -229,7 +229,7 @@ def _decades(low: float, high: float) -> Array:
     return ticks[(ticks >= 10.0**low) & (ticks <= 10.0**high)]
 
 
-def _limits(values: Array) -> tuple[float, float]:
+def _axis_limits(values: Array) -> tuple[float, float]:
     """Return the axis limits with margins."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)

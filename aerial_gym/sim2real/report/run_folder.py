@@ -25,7 +25,7 @@ def check_out_dir(out_dir: Path) -> None:
 
 
 @contextmanager
-def whole_folder(out_dir: Path) -> Iterator[Path]:
+def atomic_run_folder(out_dir: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files move to ``out_dir`` on success and vanish on failure.
 
     They replace the files of an earlier run according to its record; other files in ``out_dir`` stay.
@@ -42,7 +42,7 @@ def whole_folder(out_dir: Path) -> Iterator[Path]:
         with storage_errors(out_dir, only_full=True):
             yield partial
             new = sorted(path.name for path in partial.iterdir())
-            _list_files(partial / RECORD, new)
+            _add_file_names(partial / RECORD, new)
             old = _files_in_record(out_dir / RECORD)
             out_dir.mkdir(exist_ok=True)
             for name in new:
@@ -53,7 +53,7 @@ def whole_folder(out_dir: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _list_files(record: Path, names: list[str]) -> None:
+def _add_file_names(record: Path, names: list[str]) -> None:
     """Add the file names of a run to its record."""
     content = json.loads(record.read_text(encoding="utf-8")) if record.exists() else {}
     record.write_text(json.dumps(content | {"files": sorted({*names, RECORD})}, indent=1) + "\n", encoding="utf-8")

@@ -10,7 +10,7 @@ from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.logs.flights import file_digests
-from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.report.run_folder import atomic_run_folder, check_out_dir, write_record
 from aerial_gym.sim2real.wording import render_findings, text
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Study:
 def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: Sequence[str | Path]) -> None:
     """Write report.md, figures, result.json and the robot or rotor file; the folder appears only on success."""
     check_out_dir(out_dir)
-    with whole_folder(out_dir) as folder:
+    with atomic_run_folder(out_dir) as folder:
         for name, figure in study.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight")
         (folder / "report.md").write_text(study.markdown(), encoding="utf-8", errors="surrogateescape")

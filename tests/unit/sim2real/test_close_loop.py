@@ -30,7 +30,7 @@ from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import all_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.flights import load_train_and_test
-from aerial_gym.sim2real.report.run_folder import whole_folder
+from aerial_gym.sim2real.report.run_folder import atomic_run_folder
 from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -317,7 +317,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     out = tmp_path / "out"
 
     def run(text: str, *, fail: bool) -> None:
-        with whole_folder(out) as partial:
+        with atomic_run_folder(out) as partial:
             (partial / "run.json").write_text(json.dumps({"run": text}))
             (partial / f"{text}.txt").write_text(text)
             if fail:
@@ -343,14 +343,14 @@ def test_a_record_that_was_changed_deletes_nothing_else(files: object, tmp_path:
     (tmp_path / "kept.txt").write_text("")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "run.json").write_text(json.dumps({"files": files}))
-    with whole_folder(tmp_path / "out") as partial:
+    with atomic_run_folder(tmp_path / "out") as partial:
         (partial / "run.json").write_text("{}")
     assert (tmp_path / "kept.txt").exists()
 
 
 def test_a_full_disk_ends_a_run_with_a_sentence_and_leaves_what_was(tmp_path: Path) -> None:
     def run() -> None:
-        with whole_folder(tmp_path / "out") as partial:
+        with atomic_run_folder(tmp_path / "out") as partial:
             (partial / "run.json").write_text("{}")
             raise OSError(errno.ENOSPC, "No space left on device")
 

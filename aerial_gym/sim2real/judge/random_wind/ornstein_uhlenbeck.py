@@ -172,12 +172,12 @@ def p_values_of_rivals(series: WindSeries, fit: ProcessFit) -> dict[str, float]:
     """Return a p-value for each other process: the probability that gusts resemble it as closely by chance."""
     innovations, whiten = compute_innovations(series, fit)
     return {
-        "memory": p_value_of_memory(innovations),
-        "line": p_value_of_line(innovations),
-        "shape": p_value_of_shape(innovations),
-        "axes": p_value_of_unequal(series, fit, "axes"),
-        "flights": p_value_of_unequal(series, fit, "flights"),
-        **{name: p_value_of_following(whiten(x), innovations) for name, x in series.features.items()},
+        "memory": p_value_of_autocorrelation(innovations),
+        "line": p_value_of_spectral_line(innovations),
+        "shape": p_value_of_kurtosis(innovations),
+        "axes": p_value_of_unequal_std(series, fit, "axes"),
+        "flights": p_value_of_unequal_std(series, fit, "flights"),
+        **{name: p_value_of_features(whiten(x), innovations) for name, x in series.features.items()},
     }
 
 
@@ -201,7 +201,7 @@ def compute_innovations(
     return innovations, whiten
 
 
-def p_value_of_memory(innovations: Sequence[Array]) -> float:
+def p_value_of_autocorrelation(innovations: Sequence[Array]) -> float:
     """Return the p-value of the autocorrelation over ``LAGS`` lags, summed over all series.
 
     The sum is tested, as the statistic of one series of a hundred rows exceeds a chi² too often.
@@ -219,7 +219,7 @@ def p_value_of_memory(innovations: Sequence[Array]) -> float:
     return chi_square_tail((total**2 / variance).sum(), LAGS - 2)
 
 
-def p_value_of_line(innovations: Sequence[Array]) -> float:
+def p_value_of_spectral_line(innovations: Sequence[Array]) -> float:
     """Return the p-value of the highest line of the summed spectrum; twice each sum is chi² with 2 S degrees of freedom.
 
     Source: Fisher (1929), Tests of significance in harmonic analysis, for many series of known variance.
@@ -231,13 +231,13 @@ def p_value_of_line(innovations: Sequence[Array]) -> float:
     return float(-np.expm1(len(lines) * np.log1p(-min(highest, 1.0 - 1e-16))))
 
 
-def p_value_of_shape(innovations: Sequence[Array]) -> float:
+def p_value_of_kurtosis(innovations: Sequence[Array]) -> float:
     """Return the p-value of the excess kurtosis, which has the variance 24 / n for n normal numbers."""
     both = np.concatenate([(part / part.std(axis=0)).ravel() for part in innovations])
     return 2.0 * normal_tail(abs(np.mean(both**4) - 3.0) / np.sqrt(24.0 / both.size))
 
 
-def p_value_of_unequal(series: WindSeries, fit: ProcessFit, between: str) -> float:
+def p_value_of_unequal_std(series: WindSeries, fit: ProcessFit, between: str) -> float:
     """Return the p-value of the likelihood ratio of a separate std for each axis, or each flight, over a common one."""
     if between == "axes":
         parts = [(series, (axis,)) for axis in range(3)]
@@ -256,7 +256,7 @@ def p_value_of_unequal(series: WindSeries, fit: ProcessFit, between: str) -> flo
     return chi_square_tail(2.0 * gained, len(parts) - 1)
 
 
-def p_value_of_following(features: list[list[Array]], innovations: Sequence[Array]) -> float:
+def p_value_of_features(features: list[list[Array]], innovations: Sequence[Array]) -> float:
     """Return the p-value of the variance that features explain, with coefficients for each axis shared by all flights."""
     explained, freedom = 0.0, 0
     for axis in range(3):

@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 from aerial_gym.sim2real.judge.doubt import ResidualSums
-from aerial_gym.sim2real.judge.residual_excess import material_excess, with_best_deviations
+from aerial_gym.sim2real.judge.residual_excess import is_material_excess, model_with_best_deviations
 from aerial_gym.sim2real.judge.whiteness import (
     WHITE,
     octave_ranges,
@@ -37,7 +37,7 @@ def test_the_model_that_is_judged_has_the_parameters_of_the_robot_file() -> None
     jacobian = rng.standard_normal((500, 2, 7))
     residual = jacobian @ np.array([0.5, -0.3, 0.2, 1.0, 0.0, -1.0, 2.0]) + 0.1 * rng.standard_normal((500, 2))
     weight, written = np.array([2.0, 0.5]), ModelParams(effects={"rotor_drag": np.array([0.21, 0.2, 0.19])})
-    result = with_best_deviations(written, linear_fit(residual, jacobian, num_effect_params=3), weight)
+    result = model_with_best_deviations(written, linear_fit(residual, jacobian, num_effect_params=3), weight)
     assert result.effects is written.effects
     root = np.sqrt(weight)[None, :, None]
     columns, values = (jacobian[:, :, 3:] * root).reshape(-1, 4), (residual * root[:, :, 0]).reshape(-1)
@@ -48,8 +48,8 @@ def test_the_model_that_is_judged_has_the_parameters_of_the_robot_file() -> None
 def test_what_remains_is_material_above_noise_and_tolerances() -> None:
     floor, tolerated = np.array([0.02, 0.02, 0.02]), np.array([0.02, 0.02, 0.2])
     rms = np.array([0.024, 0.06, 0.06])  # near the floor; above both; hidden by the tolerances
-    assert material_excess(rms, floor, tolerated).tolist() == [False, True, False]
-    assert material_excess(rms, None, tolerated).tolist() == [False, False, False]
+    assert is_material_excess(rms, floor, tolerated).tolist() == [False, True, False]
+    assert is_material_excess(rms, None, tolerated).tolist() == [False, False, False]
 
 
 ROWS, CHANNELS, PARAMETERS = 12, 2, 3

@@ -236,7 +236,7 @@ def test_a_weight_at_a_hub_and_a_propeller_of_more_drag_tie_until_the_vehicle_is
     results = judge_pairs(5, ratio)
     both = ("payload_mass + com_offset", "weak_motor 3 + torque_ratio")
     assert (results.verdict, results.candidates) == ("ambiguous", both)
-    assert results.experiments_for_causes[0] == Finding("weigh_vehicle")
+    assert results.tell_apart[0] == Finding("weigh_vehicle")
     weighed = judge_pairs(5, ratio, added_mass=0.0)
     assert (weighed.verdict, weighed.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
     heavy = judge_pairs(5, ratio, added_mass=0.1 * MASS)

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     axis_covariances,
     fit_process,
     log_likelihoods,
-    p_value_of_memory,
+    p_value_of_autocorrelation,
     p_value_of_noise,
     p_values_of_rivals,
     process_covariance,
@@ -186,10 +186,10 @@ def test_noise_has_no_memory_as_often_as_stated() -> None:
     p_values = []
     for _ in range(600):
         parts = [rng.standard_normal((170, 3)) for _ in range(4)]
-        p_values.append(p_value_of_memory([part - part.mean(axis=0) for part in parts]))
+        p_values.append(p_value_of_autocorrelation([part - part.mean(axis=0) for part in parts]))
     assert np.mean(np.array(p_values) < 0.01) < 0.035
     late = [np.roll(part, 3, axis=0) for part in parts]
-    assert p_value_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
+    assert p_value_of_autocorrelation([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
 
 
 def test_gusts_beside_a_verdict_are_a_candidate_of_it() -> None:
