@@ -81,22 +81,12 @@ class CloseLoopCmd:
 
         with progress_bar() as progress:
             verdict = close_loop(
-                self.robot,
-                self.train,
-                self.test,
-                self.out,
-                mapping=self.mapping,
-                bandwidth=self.bandwidth_hz,
-                seed=self.seed,
-                criteria=Criteria(material=self.material),
+                self.robot, self.train, self.test, self.out, mapping=self.mapping, bandwidth=self.bandwidth_hz,
+                seed=self.seed, criteria=Criteria(material=self.material),
                 tolerances=None if self.tolerances is None else load(Tolerances, self.tolerances),
-                effects=self.effects,
-                failures=self.failures,
-                joints=self.joints,
-                learn_residual=self.learn_residual,
-                ranges=self.ranges,
-                progress=progress,
-            )
+                effects=self.effects, failures=self.failures, joints=self.joints, learn_residual=self.learn_residual,
+                ranges=self.ranges, progress=progress,
+            )  # fmt: skip
         if self.json:
             from aerial_gym.sim2real.report.verdict_json import verdict_json
 

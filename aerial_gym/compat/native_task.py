@@ -65,15 +65,9 @@ class NativeTask(gymnasium.Env):
                 setattr(self.task_config, name, value)
         cfg, given = translate_task(self.task_config, self.task_name), TABLE.values(self.task_config)
         self.sim_env = SimBuilder().build_env(
-            cfg.sim,
-            str(cfg.env),
-            cfg.robot,
-            cfg.controller,
-            given.get("device", "auto"),
-            num_envs=cfg.num_envs,
-            seed=int(given.get("seed", 0)),
-            randomize=cfg.randomize,
-        )
+            cfg.sim, str(cfg.env), cfg.robot, cfg.controller, given.get("device", "auto"),
+            num_envs=cfg.num_envs, seed=int(given.get("seed", 0)), randomize=cfg.randomize,
+        )  # fmt: skip
         self.task = Task(cfg, self.sim_env.env)
         self._pre_reset = bool(given.get("return_state_before_reset", False))
         self.num_envs, self.device = self.task.num_envs, self.task.device

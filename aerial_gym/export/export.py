@@ -176,12 +176,9 @@ ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}
 
 
 def _write_onnx(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
-    file, (inputs, outputs), batch = (
-        out / f"{layout.name}.onnx",
-        flown.input_and_output_names,
-        {0: torch.export.Dim("rows")},
-    )
-    dynamic = (batch, (batch,) * (len(inputs) - 1)) if len(inputs) > 1 else (batch,)
+    file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.input_and_output_names
+    batch, others = {0: torch.export.Dim("rows")}, len(inputs) - 1
+    dynamic = (batch, (batch,) * others) if others else (batch,)
     write_atomic(file, onnx_bytes(flown, flown.example_inputs(), inputs, outputs, dynamic))
     return file
 

@@ -92,14 +92,13 @@ def judge_on_test_flights(
     became = error_outcomes(tested, models, both, least=least) if corrects else ()
     manoeuvre, fly_next = recommend_manoeuvres(declared, result, unexplained.open_to)
     spectra = whiteness_of_channels(tested.times, unexplained.left, declared.channels, declared.bandwidth)
+    floors_with_gusts = noise_floors_with_gusts(floors, unexplained)
     verdict = Verdict(
         verdict=made.kind, open_points=made.findings, effects=(*effects, *gusts), candidates=made.candidates,
         not_testable=untestable_effects(result, declared.stated, unexplained), manoeuvre=manoeuvre, fly_next=fly_next,
         inclusion=result.chosen.inclusion, sets=result.chosen.sets, structure=unexplained.structure,
         before=before, after=after, outcomes=became,
-        flights=errors_by_flight(
-            tested, models, both, noise_floors_with_gusts(floors, unexplained), least=least, seed=seed
-        ),
+        flights=errors_by_flight(tested, models, both, floors_with_gusts, least=least, seed=seed),
         unexplained=unexplained.channels, not_shown=unexplained.left_open, learned=learned,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         notes=verdict_notes(declared, result, model, unexplained, effects, named),

@@ -149,21 +149,10 @@ def effects_left_open(
     names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
     skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
-    frozen = selection.final.fit.frozen
-    libraries = [
-        build_library(
-            flights,
-            declared,
-            final,
-            selection.effect_names,
-            selection.weights.weight,
-            frozen=frozen,
-            skipped=skipped,
-            by_channel=True,
-        )
-        for flights in (train, test)
-    ]
-    return sufficient_effects(libraries[0], libraries[1], selection.weights, asked, selection.criteria.significance)
+    known, weight, frozen = selection.effect_names, selection.weights.weight, selection.final.fit.frozen
+    more = {"frozen": frozen, "skipped": skipped, "by_channel": True}
+    trained, tested = (build_library(flights, declared, final, known, weight, **more) for flights in (train, test))
+    return sufficient_effects(trained, tested, selection.weights, asked, selection.criteria.significance)
 
 
 def sufficient_effects(

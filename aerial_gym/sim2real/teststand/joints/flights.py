@@ -144,17 +144,11 @@ def study_flown_joints(
 
 
 def _tables_with_angles(joints: Sequence[LogJointFit]) -> tuple[ReportTable, ...]:
-    rows = tuple(
-        (
-            joint.name,
-            ", ".join(joint.changed) or "nothing",
-            joint.chosen,
-            interval_text(joint.declared),
-            interval_text(joint.laws[joint.chosen].error),
-            change_text(joint.declared.value, joint.laws[joint.chosen].error.value),
-        )
-        for joint in joints
-    )
+    rows = []
+    for joint in joints:
+        before, after = joint.declared, joint.laws[joint.chosen].error
+        numbers = interval_text(before), interval_text(after), change_text(before.value, after.value)
+        rows.append((joint.name, ", ".join(joint.changed) or "nothing", joint.chosen, *numbers))
     head = ("joint", "differs", "law", "declared, error [N m]", "fitted, held-out error [N m]", "change")
     return ReportTable("Joints", head, rows), *(_table_of_laws(joint) for joint in joints)
 
@@ -169,17 +163,11 @@ def _table_of_laws(joint: LogJointFit) -> ReportTable:
 
 
 def _tables_without_angles(study: FlightJointStudy) -> tuple[ReportTable, ...]:
-    numbers = [
-        (
-            joint.name,
-            name,
-            f"{joint.declared[name]:.4g}",
-            interval_text(value),
-            "yes" if name in joint.changed else "no",
-        )
-        for joint in study.joints
-        for name, value in joint.params.items()
-    ]
+    numbers = []
+    for joint in study.joints:
+        for name, value in joint.params.items():
+            declared, differs = f"{joint.declared[name]:.4g}", "yes" if name in joint.changed else "no"
+            numbers.append((joint.name, name, declared, interval_text(value), differs))
     errors = [
         (name, interval_text(before), interval_text(after), change_text(before.value, after.value))
         for name, (before, after) in study.channels.items()
