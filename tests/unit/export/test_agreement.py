@@ -138,7 +138,7 @@ def _swap_columns(weight: Tensor) -> None:
 
 
 def _no_normalizer(policy: Policy) -> None:
-    policy.body.normalizers["observations"].set(torch.zeros(13), torch.ones(13))
+    policy.body.normalizers["observations"].set_statistics(torch.zeros(13), torch.ones(13))
 
 
 def _other_limit(policy: Policy) -> None:
