@@ -17,8 +17,8 @@ from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
 from tests.builders import simulation
 from tests.physics.vehicles import BATTERY
-from tests.unit.interop.rows.test_row_update import check_transport
-from tests.unit.robots.test_secondary_states import check_derived, compute_states, motions
+from tests.unit.interop.rows.test_function import check_transport
+from tests.unit.robots.test_initial_state import check_derived, compute_states, motions
 from tests.unit.task.hover import camera_task, rich
 from tests.unit.task.navigation import make_cfg
 

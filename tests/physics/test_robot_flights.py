@@ -25,8 +25,8 @@ from benchmarks.control.control_flights import (
     misfit_reason,
     robot_controllers,
     robots_by_dynamics,
-    time_to_settle_and_overshoot,
     target_robot,
+    time_to_settle_and_overshoot,
 )
 from tests.repetitions import frequent_values
 

@@ -1,4 +1,4 @@
-"""Parameters of several effects in one row, and their minimum within bounds."""
+"""Parameters of several effects in one row, their minimum within bounds, and offsets of flights."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,11 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from aerial_gym.robots import ROBOTS
+from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
 from aerial_gym.sim2real.identify.least_squares import box_minimum
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step, leave_out_steps
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, block_moments
 from aerial_gym.sim2real.identify.least_squares.parameters import (
     is_number,
     parameter_bounds,
@@ -87,3 +90,82 @@ def test_nothing_pulls_further_inward(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_no_minimum_of_numbers_that_are_none() -> None:
     a, b, low, high = problem(0)
     assert np.isnan(minimise_in_bounds(a, np.where(np.arange(b.size) == 3, np.nan, b), low, high)).all()
+
+
+def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    rows = (7, 12, 30)
+    return [rng.standard_normal((n, 2)) for n in rows], [rng.standard_normal((n, 2, 3)) for n in rows]
+
+
+def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() -> None:
+    """``J^T (1 / w + s² 1 1^T)^-1 r`` by the inverse itself, channel by channel; the second channel has no offset."""
+    residuals, jacobians = flights(np.random.default_rng(1))
+    offsets = FlightOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
+    for r, j, out, along in zip(
+        residuals, jacobians, *map(offsets.remove_offsets, (residuals, jacobians)), strict=True
+    ):
+        for channel, (size, weight) in enumerate(zip(offsets.size, offsets.weight, strict=True)):
+            inverse = np.linalg.inv(np.eye(len(r)) / weight + size**2)
+            result = weight * along[:, channel].T @ out[:, channel]
+            np.testing.assert_allclose(result, j[:, channel].T @ inverse @ r[:, channel], rtol=1e-10)
+            square = weight * out[:, channel] @ out[:, channel]
+            np.testing.assert_allclose(square, r[:, channel] @ inverse @ r[:, channel], rtol=1e-10)
+    np.testing.assert_array_equal(offsets.remove_offsets(residuals)[0][:, 1], residuals[0][:, 1])
+
+
+def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
+    residuals, jacobians = flights(np.random.default_rng(2))
+    size, weight = 0.4, 3.0
+    offsets = FlightOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]), most=np.ones(2))
+    product, gradient, constant = np.zeros((6, 6)), np.zeros(6), 0.0
+    for place, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
+        for channel in range(2):
+            columns = np.column_stack((j[:, channel], np.zeros((len(r), 3))))
+            columns[:, 3 + place] = size * (channel == 0)
+            product += weight * columns.T @ columns
+            gradient += weight * columns.T @ r[:, channel]
+            constant -= 0.5 * weight * r[:, channel] @ r[:, channel]
+    kept = NormalEquations(product=product, gradient=gradient, constant=constant).integrate_out(
+        np.arange(3, 6), np.arange(3)
+    )
+    pairs = list(zip(offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians), strict=True))
+    product_kept = sum(weight * np.einsum("rck,rcl->kl", j, j) for _, j in pairs)
+    gradient_kept = sum(weight * np.einsum("rck,rc->k", j, r) for r, j in pairs)
+    np.testing.assert_allclose(kept.product, product_kept, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(kept.gradient, gradient_kept, rtol=1e-10, atol=1e-12)
+
+    left = -0.5 * sum(weight * np.square(r).sum() for r, _ in pairs)
+    np.testing.assert_allclose(kept.constant, left + offsets.log_likelihood([len(r) for r in residuals]), rtol=1e-12)
+
+
+def test_without_offsets_nothing_changes() -> None:
+    residuals, _ = flights(np.random.default_rng(3))
+    offsets = FlightOffsets(size=np.zeros(2), weight=np.ones(2), most=np.ones(2))
+    assert not offsets.has_offsets
+    for before, after in zip(residuals, offsets.remove_offsets(residuals), strict=True):
+        assert after is before
+
+
+OWN, TOLERANCES = 3, 2
+
+
+def fit_of_noise() -> ModelFit:
+    rng = np.random.default_rng(0)
+    times = [np.arange(rows) / 50.0 for rows in (310, 120, 250)]
+    residuals = [rng.normal(size=(time.size, 2)) for time in times]
+    jacobians = [rng.normal(size=(time.size, 2, OWN + TOLERANCES)) for time in times]
+    return ModelFit(
+        effects=("rotor_drag",), params=ModelParams(effects={"rotor_drag": np.zeros(3)}),
+        moments=block_moments(times, residuals, jacobians, length=1.0), low=np.full(OWN + TOLERANCES, -0.02),
+        high=np.full(OWN + TOLERANCES, 5.0), num_effect_params=OWN,
+    )  # fmt: skip
+
+
+def test_each_flight_is_left_out_of_its_own_step() -> None:
+    fit, weight = fit_of_noise(), np.array([1.0, 4.0])
+    label = 10 * fit.moments.flight
+    result = leave_out_steps(fit, weight, fit.free_params, label)
+    for flight in range(3):
+        expected = best_step(fit, weight, fit.free_params, np.flatnonzero(fit.moments.flight != flight))
+        own = result[fit.moments.flight == flight]
+        np.testing.assert_allclose(own, np.tile(expected, (len(own), 1)), atol=1e-12)
