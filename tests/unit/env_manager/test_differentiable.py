@@ -68,7 +68,7 @@ def test_kernels_have_the_gradients_of_torch_operations(robot: str) -> None:
     torch.testing.assert_close(result, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
     for env, in_kernels in ((single, True), (exact, False)):
         backend = env.robot_manager.differentiable
-        assert (backend._in_rows(0.01) is not None) == in_kernels
+        assert (backend._substep_kernel(0.01) is not None) == in_kernels
 
 
 def test_what_remembers_runs_as_torch_operations() -> None:
@@ -76,7 +76,7 @@ def test_what_remembers_runs_as_torch_operations() -> None:
     single, exact = (build(dtype=dtype, robot_name=robot) for dtype in (torch.float32, F64))
     result, expected = flight_gradient(single), flight_gradient(exact)
     torch.testing.assert_close(result, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
-    assert single.robot_manager.differentiable._in_rows(0.01) is None
+    assert single.robot_manager.differentiable._substep_kernel(0.01) is None
 
 
 def test_the_dictionary_shows_what_is_traced() -> None:

@@ -96,7 +96,7 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
         assert gradient[1].abs().max() > 0.0
     env.step(later)
     backend = env.robot_manager.differentiable
-    (gradient,) = torch.autograd.grad(backend._inner._crept.sum(), first)
+    (gradient,) = torch.autograd.grad(backend._crept.sum(), first)
     assert gradient[0].tolist() == [0.0] * 4
     assert gradient[1].abs().max() > 0.0
     for cut in (env.detach, env.settle, env.reset):
@@ -104,7 +104,7 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
         assert env.gradient_tensors["dof_position"].requires_grad
         cut()
         assert not env.gradient_tensors["dof_position"].requires_grad
-        assert not backend._inner._crept.requires_grad
+        assert not backend._crept.requires_grad
 
 
 def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:

@@ -256,7 +256,7 @@ def test_gradients_in_float64_flow_through_it_and_are_those_of_differences() -> 
     for i, inverse in enumerate(allocation.inverse.numpy()):
         result = effectiveness(env, i)[2:] @ inverse[:, 2:]
         torch.testing.assert_close(result, np.eye(4), atol=2e-5, rtol=0)
-    vehicle = env.robot_manager.backend._inner._model.vehicle
+    vehicle = env.robot_manager.backend._model.vehicle
     rows = allocation.compute_rows(vehicle)["allocation"]
     torch.testing.assert_close(rows, allocation.inverse, rtol=1e-12, atol=1e-12)
 

@@ -182,8 +182,8 @@ def test_a_controller_that_holds_nothing_is_refused() -> None:
 def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_rest(monkeypatch) -> None:
     robot, controller = ROBOTS.get("tilt_tricopter"), CONTROLLERS.get("lee_attitude_control")
     assert largest_stable_step(robot, controller, name="it").at_least
-    servo = flights.make_tail(robot, 0.1, 9.81)
-    monkeypatch.setattr(flights, "make_tail", lambda *_: replace(servo, heading=-servo.heading))
+    servo = flights.make_tail_servo(robot, 0.1, 9.81)
+    monkeypatch.setattr(flights, "make_tail_servo", lambda *_: replace(servo, heading=-servo.heading))
     monkeypatch.setattr(flights, "STEP_RANGE", (0.05, 0.1))
     result = largest_stable_step(robot, controller, name="it")
     assert (result.largest_s, result.refused) == (None, None)

@@ -49,7 +49,7 @@ def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(tmp_p
     hidden = [SAME | {"stiffness": 0.8}, SAME | {"damping": 0.008, "rest": 0.05}, SAME, SAME]
     ride = make_ride(flight(hidden, 3, seconds=3.4, noise=0.0), tmp_path / "f.csv")
     fit = JointFitter(robot(), [ride], BAND)
-    true = np.array([hidden[k][name] for k, name in fit.owners])
+    true = np.array([hidden[k][name] for k, name in fit.parameter_owners])
     felt = fit.simulation.run(fit.joint_laws(np.stack((true, fit.declared))), torch.ones(2).double())[0][0]
     edge = num_edge_rows(ride.rate, BAND)
     left = (felt - ride.felt[None, fit.simulation.warm :])[:, edge:-edge]
