@@ -21,8 +21,7 @@ SUCCESS_RADIUS_M = 0.1
 bar of the position task."""
 
 
-FINAL_SPAN_S = 1.0
-"""The final error is the mean distance over this last part of an episode [s]."""
+FINAL_SPAN_S = 1.0  # The final error is the mean distance over this last part of an episode [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +78,7 @@ class Evaluation:
 @torch.no_grad()
 @usual_settings
 def evaluate(
-    policy: Pilot,
-    task: Task,
-    *,
-    success_radius: float | None = None,
-    on_step: Callable[[int, int], None] | None = None,
+    policy: Pilot, task: Task, *, success_radius: float | None = None, on_step: Callable[[int, int], None] | None = None
 ) -> Evaluation:
     """Return the figures of one episode in every environment of ``task``, which is reset first.
 

@@ -21,8 +21,7 @@ from aerial_gym.task import Task
 FINAL = "final_observation" if gymnasium.__version__.startswith("0.") else "final_obs"
 """Key of the last observations of episodes that ended."""
 
-Array = Tensor | NDArray[Any]
-"""A torch tensor or a NumPy array."""
+Array = Tensor | NDArray[Any]  # A torch tensor or a NumPy array
 
 
 class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):

@@ -99,8 +99,7 @@ class Ranks:
         return [] if objects is None else objects[1:]
 
 
-ALONE = Ranks()
-"""A training in one process."""
+ALONE = Ranks()  # A training in one process
 
 
 def torchrun_rank() -> int:

@@ -81,11 +81,7 @@ class Curriculum:
 
     def state(self) -> dict[str, int]:
         """Return level and counts of a saved state; waits for the device."""
-        return {
-            "level": int(self.level),
-            "finished": int(self._finished),
-            "succeeded": int(self._succeeded),
-        }
+        return {"level": int(self.level), "finished": int(self._finished), "succeeded": int(self._succeeded)}
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state beside level and difficulty, by name."""

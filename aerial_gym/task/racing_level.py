@@ -25,13 +25,11 @@ from aerial_gym.errors import ConfigError
 BORDER = 0.5
 """Least distance of gates and poles of a track that is drawn to its safety limits [m]. Source: envs/randomize.py there."""
 
-VEHICLE = "cf21B_500"
-"""The vehicle there that is ``racing_task``'s."""
+VEHICLE = "cf21B_500"  # The vehicle there that is `racing_task`'s
 
 NO_SPREAD = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
-Range = tuple[Vec3, Vec3]
-"""Lowest and highest offset."""
+Range = tuple[Vec3, Vec3]  # Lowest and highest offset
 
 
 def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:

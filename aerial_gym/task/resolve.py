@@ -15,8 +15,7 @@ from aerial_gym.task.terms.observations import tensor_term
 from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind_term, check_params
 from aerial_gym.task.values import Values
 
-Observed = list[tuple[BoundTerm, ObservationCfg, int]]
-"""Terms of a group with their widths."""
+Observed = list[tuple[BoundTerm, ObservationCfg, int]]  # Terms of a group with their widths
 
 UNTRACED = (
     *("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force"),
@@ -24,8 +23,7 @@ UNTRACED = (
 )
 """Quantities computed from the motion without gradients, besides all sensor data."""
 
-SENSORS = "SensorManager"
-"""Owner of that."""
+SENSORS = "SensorManager"  # Owner of that
 
 
 def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, Any]]:

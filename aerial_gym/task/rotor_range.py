@@ -19,15 +19,13 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.task.terms.actions import ROTOR_RANGE
 
-PLACE_DIGITS = 6
-"""Decimals of rotor directions [rad] for comparison: beyond float32 precision."""
+PLACE_DIGITS = 6  # Decimals of rotor directions [rad] for comparison: beyond float32 precision
 
 FOUR = ((1.0, -1.0, -1.0, -1.0), (1.0, -1.0, 1.0, 1.0), (1.0, 1.0, 1.0, -1.0), (1.0, 1.0, -1.0, 1.0))
 """Effect of each rotor of a quadrotor, clockwise from the nose: lift, and torque about x, y and z; the first one turns
 counterclockwise, as that of every quadrotor that comes with the package."""
 
-POSSIBLE = 1e-6
-"""Relative error of a lift or torque that rotors can give."""
+POSSIBLE = 1e-6  # Relative error of a lift or torque that rotors can give
 
 
 def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) -> TaskCfg:

@@ -33,10 +33,8 @@ class Values(Mapping[str, Tensor]):
         with these values, the reader's name, and the numbers by name.
         """
         self.gtd, self._makers, self.graph = gtd, makers, graph
-        self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)
-        """Buffers of the task."""
-        self.updates: dict[str, BoundTerm] = {}
-        """Updates of buffers after a step, by name, in the order of computation."""
+        self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)  # Buffers of the task
+        self.updates: dict[str, BoundTerm] = {}  # Updates of buffers after a step, by name, in the order of computation
         self.measured: set[str] = set()
         """Buffers with a row for each environment that makers gave: kernels measure what they hold."""
 

@@ -9,17 +9,10 @@ from torch import Tensor
 from aerial_gym.task import Task
 from aerial_gym.workloads.measure import WorkloadError
 
-STEPS_PER_BATCH = 10
-"""Task steps per timed batch."""
-
-CHECKED_STEPS = 32
-"""Task steps, not timed, that are looked at before and after each repeat."""
-
-ACTION_SIZE = 0.05
-"""Largest entry of an action, in the units of the controller."""
-
-MAX_TERMINATED = 0.05
-"""Largest share of steps that may end in a crash: beyond it, resets are timed and not flight."""
+STEPS_PER_BATCH = 10  # Task steps per timed batch
+CHECKED_STEPS = 32  # Task steps, not timed, that are looked at before and after each repeat
+ACTION_SIZE = 0.05  # Largest entry of an action, in the units of the controller
+MAX_TERMINATED = 0.05  # Largest share of steps that may end in a crash: beyond it, resets are timed and not flight
 
 
 class Episodes:

@@ -15,8 +15,7 @@ import torch
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import record_graph
 
-WARM_UP_CALLS = 3
-"""Calls before a capture: kernels are compiled and buffers made, which a graph cannot hold."""
+WARM_UP_CALLS = 3  # Calls before a capture: kernels are compiled and buffers made, which a graph cannot hold
 
 
 class WorkloadError(AerialGymError):

@@ -26,8 +26,7 @@ from aerial_gym.workloads.renderers.runs import (
 from aerial_gym.workloads.scene_meshes import DISTINCT, SceneMeshes
 from aerial_gym.workloads.scenes import RenderScene
 
-MESHES = ("merged", "shared_mesh")
-"""Renderers that come with us: triangle meshes, cast by Warp."""
+MESHES = ("merged", "shared_mesh")  # Renderers that come with us: triangle meshes, cast by Warp
 
 
 def renderer_names(asked: tuple[str, ...]) -> list[str]:

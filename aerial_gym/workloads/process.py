@@ -6,8 +6,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-TIMEOUT_S = 900.0
-"""Longest time of one measurement, compilation included [s]."""
+TIMEOUT_S = 900.0  # Longest time of one measurement, compilation included [s]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 

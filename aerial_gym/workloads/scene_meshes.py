@@ -21,8 +21,7 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
 from aerial_gym.sensors.rays import make_tiles
 from aerial_gym.workloads.scenes import RenderScene
 
-DISTINCT = 64
-"""Environments that are really built."""
+DISTINCT = 64  # Environments that are really built
 
 
 @wp.kernel(enable_backward=False)

@@ -12,11 +12,8 @@ from aerial_gym.workloads.measure import make_batch
 SPAN_S = 0.02
 """About how long a part is run for one figure [s]; short, so that robots do not fly far without being reset."""
 
-MAX_CALLS = 50
-"""Calls of a part in one figure, at most."""
-
-MIXING_STEPS = 10
-"""Task steps before each figure, after a reset with episodes of all ages."""
+MAX_CALLS = 50  # Calls of a part in one figure, at most
+MIXING_STEPS = 10  # Task steps before each figure, after a reset with episodes of all ages
 
 
 def time_parts(task: Task, actions: torch.Tensor, *, repeats: int) -> dict[str, float]:

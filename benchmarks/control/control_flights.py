@@ -27,21 +27,13 @@ from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.tail_servo import tail_servo
 
-GRAVITY = 9.81
-"""That of every registered sim [m/s²]."""
-
-STEP, IN_WIND, AT_LIMITS, DRAWN = 0, 1, 2, slice(3, 19)
-"""Environments."""
+GRAVITY = 9.81  # That of every registered sim [m/s²]
+STEP, IN_WIND, AT_LIMITS, DRAWN = 0, 1, 2, slice(3, 19)  # Environments
 
 SPAN = 10.0
-SAMPLE = 0.02
-"""Time between two looks at the state [s]."""
-
-FAR_BELOW = -1000.0
-"""Height of the ground [m]: a robot with ground effect flies as if there were none."""
-
-SETTLED = 0.02
-"""Share of the step."""
+SAMPLE = 0.02  # Time between two looks at the state [s]
+FAR_BELOW = -1000.0  # Height of the ground [m]: a robot with ground effect flies as if there were none
+SETTLED = 0.02  # Share of the step
 
 WIND, PUSH = 3.0, 0.1
 """Wind along x [m/s], and what it pushes a resting vehicle with, as a share of the weight. None of the robots that fly in air

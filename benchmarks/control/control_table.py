@@ -43,20 +43,14 @@ from benchmarks.markdown import insert_between_marks, table
 
 BEGIN, END = "<!-- tables: begin, by python -m benchmarks.control.control_table -->", "<!-- tables: end -->"
 
-LOST = 10.0
-"""Error after 10 s in steps, from which on a vehicle is called lost."""
-
-NEGLIGIBLE = 1e-3
-"""Error in ``UNITS`` below which no figure is given."""
+LOST = 10.0  # Error after 10 s in steps, from which on a vehicle is called lost
+NEGLIGIBLE = 1e-3  # Error in `UNITS` below which no figure is given
 
 HELD = ("position", "pose", "velocity", "steering")
 """Laws of position and velocity: their error in wind remains unless they have an integral."""
 
-COMPARED_SIMS = tuple(sim for sim in SIMS if sim != "base_sim_headless")
-"""All but the second name of base_sim."""
-
-COARSEST = "base_sim"
-"""The sim with the longest time step."""
+COMPARED_SIMS = tuple(sim for sim in SIMS if sim != "base_sim_headless")  # All but the second name of base_sim
+COARSEST = "base_sim"  # The sim with the longest time step
 
 
 @dataclass(frozen=True)

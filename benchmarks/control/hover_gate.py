@@ -38,26 +38,16 @@ from aerial_gym.robots import ROBOTS
 from benchmarks.control.control_flights import robots_by_dynamics
 
 GRAVITY = 9.81
-EACH = 8
-"""Vehicles of a group."""
-
-DTS = (0.01, 0.01, 0.01, 0.004)
-"""Time steps [s] that are drawn from; registered sims have these."""
-
-LONGEST = 0.05
-"""Dead time [s]."""
-
-FACTORS = (0.7, 1.4)
-"""Range of the factors on mass and rotor lag of a registered robot."""
+EACH = 8  # Vehicles of a group
+DTS = (0.01, 0.01, 0.01, 0.004)  # Time steps [s] that are drawn from; registered sims have these
+LONGEST = 0.05  # Dead time [s]
+FACTORS = (0.7, 1.4)  # Range of the factors on mass and rotor lag of a registered robot
 
 SIZES = (0.0, 0.01, 0.1, 0.2)
 """Disturbances of the flights of each vehicle [m, rad, m/s, rad/s], each component drawn up to them."""
 
-LAST = 50
-"""Looks at the end of a flight: a second."""
-
-LOOK = 0.02
-"""Time between two looks at a flight [s]."""
+LAST = 50  # Looks at the end of a flight: a second
+LOOK = 0.02  # Time between two looks at a flight [s]
 
 DRAWN_EFFECTS = (
     *(None, None, None, "motor_time_constant", "motor_asymmetry", "payload_mass", "thrust_coefficient", "com_offset"),

@@ -24,11 +24,8 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.workloads.flight import make_flight
 
 DT = 0.002
-LEAST = 1e-5
-"""Of mass [kg] and principal moments [kg m²] of links that have none here: MuJoCo takes no such links."""
-
-LINEAR, DAMPING = 0.3, 0.018
-"""Of every joint there [N m/rad], [N m s/rad]: Morphy's in hover."""
+LEAST = 1e-5  # Of mass [kg] and principal moments [kg m²] of links that have none here: MuJoCo takes no such links
+LINEAR, DAMPING = 0.3, 0.018  # Of every joint there [N m/rad], [N m s/rad]: Morphy's in hover
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +72,7 @@ def _step_rates(run: Callable[[], object], steps: int, seconds: float, *, cuda: 
     return {"steps_per_s": statistics.median(rates), "steps_per_s_min": min(rates), "steps_per_s_max": max(rates)}
 
 
-EngineRun = tuple[str, int, Callable[[], object]]
-"""Hardware, steps of a call, and the call."""
+EngineRun = tuple[str, int, Callable[[], object]]  # Hardware, steps of a call, and the call
 
 
 def _package_case(robot: str, num_envs: int, substeps: int, device: torch.device) -> EngineRun:

@@ -20,8 +20,7 @@ from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
 
 SNAKES = tuple(f"snakey{rods}{mode}" for mode in ("", "_position", "_effort") for rods in ("", "5", "6"))
-SPAN, LARGEST_THRUST = 0.25, 15.0
-"""Between draws [s], and [N]."""
+SPAN, LARGEST_THRUST = 0.25, 15.0  # Between draws [s], and [N]
 
 
 def fly(

@@ -18,14 +18,9 @@ from torch import Tensor
 from aerial_gym import task_registry
 from aerial_gym.rl_training import load_policy
 
-SEED = 1_000_003
-"""Of the starts: that of ``aerial-gym evaluate``."""
-
-SHOWN = 12
-"""Ways that are drawn."""
-
-FASTEST = 0.98
-"""Share of the speeds that the scale of colours covers."""
+SEED = 1_000_003  # Of the starts: that of `aerial-gym evaluate`
+SHOWN = 12  # Ways that are drawn
+FASTEST = 0.98  # Share of the speeds that the scale of colours covers
 
 
 @dataclass(frozen=True, kw_only=True)

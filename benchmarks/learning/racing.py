@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-RUNS = 20
-"""Of a level. Source: README of github learnsyslab/lsy_drone_racing."""
+RUNS = 20  # Of a level. Source: README of github learnsyslab/lsy_drone_racing.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,7 @@ import numpy as np
 
 COLUMNS = 3
 
-FAR = 2.0
-"""Spans of all but the outermost returns of a panel, from which on one lies far from them."""
+FAR = 2.0  # Spans of all but the outermost returns of a panel, from which on one lies far from them
 
 
 def run_curve(folder: Path) -> tuple[list[float], list[float]]:

@@ -21,8 +21,7 @@ from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 FREQ_HZ = 500
 FUSED_STEPS = 100
-CLIMB = 1.02
-"""Commanded thrust in weights: a slow climb, so that no drone rests on the floor."""
+CLIMB = 1.02  # Commanded thrust in weights: a slow climb, so that no drone rests on the floor
 
 
 def main() -> None:

@@ -15,8 +15,7 @@ from hyperdrone import dynamics
 from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 20
-HOVER = 0.58
-"""Motor command near hover of the model crazyflie, tried out."""
+HOVER = 0.58  # Motor command near hover of the model crazyflie, tried out
 
 
 def main() -> None:

@@ -14,8 +14,7 @@ import numpy as np
 from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 20
-HOVER = 0.58
-"""Motor command near hover of its default quadrotor, tried out."""
+HOVER = 0.58  # Motor command near hover of its default quadrotor, tried out
 
 
 def main() -> None:

@@ -16,8 +16,7 @@ STEPS = 50
 DT_S = 0.002
 ARM = 0.13
 MASS = 0.25
-CLIMB = 1.01
-"""Thrust in weights."""
+CLIMB = 1.01  # Thrust in weights
 
 
 def main() -> None:

@@ -16,8 +16,7 @@ from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 5
 DT_S = 0.01
-CLIMB = 1.01
-"""Commanded thrust in weights."""
+CLIMB = 1.01  # Commanded thrust in weights
 
 
 def main() -> None:

@@ -10,11 +10,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-STRETCH_S = 20.0
-"""Longest simulated time between two restarts [s]."""
-
-MAX_DISTANCE = 1000.0
-"""Distance from the start beyond which a vehicle no longer flies [m]."""
+STRETCH_S = 20.0  # Longest simulated time between two restarts [s]
+MAX_DISTANCE = 1000.0  # Distance from the start beyond which a vehicle no longer flies [m]
 
 
 @dataclass(frozen=True, kw_only=True)

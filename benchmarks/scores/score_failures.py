@@ -35,8 +35,7 @@ SIZES = {"motor_failure": (0.0, 0.95), "weak_motor": (0.3, 0.95), "brown_out": (
 """Ranges of ``scale``."""
 
 RATE_HZ = 200
-SOON_S = 10.0
-"""After its onset a failure should be named by then [s]."""
+SOON_S = 10.0  # After its onset a failure should be named by then [s]
 
 FLIGHT_S = 14.0
 QUIET_S = 60.0

@@ -34,8 +34,7 @@ from benchmarks.markdown import table, table_row
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
 LOOK_S = LOOK_BLOCKS * BLOCK_S
-SOON_S = 10.0
-"""Time after its onset within which a fault should be reported [s]."""
+SOON_S = 10.0  # Time after its onset within which a fault should be reported [s]
 
 FAULT_HEADS = (
     *("fault", "flights", "found", f"of these within {SOON_S:g} s", "reported after: median, largest [s]"),

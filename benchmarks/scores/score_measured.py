@@ -22,8 +22,7 @@ import tyro
 
 from benchmarks.scores.processes import run_in_processes
 
-Files = Callable[[Path, Path], list[Path]]
-"""Function from the folder of all data, and a folder to write to, to logs."""
+Files = Callable[[Path, Path], list[Path]]  # Function from the folder of all data, and a folder to write to, to logs
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,11 +31,8 @@ from benchmarks.scores.processes import run_in_processes
 from benchmarks.scores.score_table import result_tables, right_line
 from benchmarks.undeclared import EFFECTS, LOGGED, TRACKED, UNKNOWN, make_case
 
-CLASSIC = tuple(EFFECTS)[:6]
-"""Scored where no --effects are given."""
-
-BANDWIDTH_HZ = 10.0
-"""Residuals are compared below it: the default of ``close-loop``, whose page is not drawn here."""
+CLASSIC = tuple(EFFECTS)[:6]  # Scored where no --effects are given
+BANDWIDTH_HZ = 10.0  # Residuals are compared below it: the default of `close-loop`, whose page is not drawn here
 
 HOVER = ("", "com_offset", "thrust_coefficient", "payload_mass", "weak_motor", "rotor_drag")
 """Hidden effects of cases whose training flights only hover, none among them; test flights move."""

@@ -17,8 +17,7 @@ from aerial_gym.interop.streams import record_graph
 
 STEPS, REPEATS, WARM_UP = 10, 60, 5
 NUM_OBSTACLES = 35
-SPEED = 4.0
-"""Standard deviation of the commanded velocity along each axis [m/s]."""
+SPEED = 4.0  # Standard deviation of the commanded velocity along each axis [m/s]
 
 
 def build(robot: str, num_envs: int, device: str) -> EnvManager:

@@ -18,8 +18,7 @@ import torch
 from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.task import task_registry
 
-ADAPTERS = {"rl_games": "TaskVecEnv", "sample_factory": "TaskBatchedEnv"}
-"""Class that a library steps, in its adapter."""
+ADAPTERS = {"rl_games": "TaskVecEnv", "sample_factory": "TaskBatchedEnv"}  # Class that a library steps, in its adapter
 
 WARM_UP_STEPS = 64
 

@@ -15,20 +15,11 @@ from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly_refere
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
-POLICY_RATE = 100
-"""Decisions of the policy in a second, as in its training [Hz]."""
-
-STAY_S = 4.0
-"""Time at a setpoint [s], the last second of which is judged."""
-
-SETPOINTS = 5
-"""Of a flight, the start included."""
-
-HEIGHT = 3.0
-"""Of the middle of the setpoints [m]."""
-
-LOST_M = 1.5
-"""Distance at which an episode of the training ends [m]."""
+POLICY_RATE = 100  # Decisions of the policy in a second, as in its training [Hz]
+STAY_S = 4.0  # Time at a setpoint [s], the last second of which is judged
+SETPOINTS = 5  # Of a flight, the start included
+HEIGHT = 3.0  # Of the middle of the setpoints [m]
+LOST_M = 1.5  # Distance at which an episode of the training ends [m]
 
 
 def draw_setpoints(flights: int, *, seed: int) -> Array:

@@ -33,11 +33,8 @@ from benchmarks.undeclared.trajectories import (
 )
 from benchmarks.undeclared.vehicle import DECLARED, PlantVehicle
 
-SETTLE_S = 2.0
-"""Hover before a log starts [s], in which the integrals of the autopilot find their values."""
-
-LOWEST_ROOM = 0.05
-"""Least distance of a log from ground and ceiling, which have no contact [m]."""
+SETTLE_S = 2.0  # Hover before a log starts [s], in which the integrals of the autopilot find their values
+LOWEST_ROOM = 0.05  # Least distance of a log from ground and ceiling, which have no contact [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +65,7 @@ NEAR = {
 }
 """Family, lowest height [m] and scale of flights near the ground or a ceiling; some stay away for comparison."""
 
-CEILING_ROOM = 0.03
-"""Further from a ceiling than from the ground [m]: a ceiling attracts, and the autopilot must win."""
+CEILING_ROOM = 0.03  # Further from a ceiling than from the ground [m]: a ceiling attracts, and the autopilot must win
 
 HEIGHTS = {"train": (0.8, 12.0, 3.0, 25.0), "test": (1.5, 8.0, 20.0)}
 """Lowest heights of flights that tell a wind that grows with height [m]."""

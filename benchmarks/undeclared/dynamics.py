@@ -14,8 +14,7 @@ from benchmarks.undeclared.vehicle import GRAVITY, Array, PlantVehicle
 POS, VEL, ROT, RATE, ROTOR = slice(0, 3), slice(3, 6), slice(6, 15), slice(15, 18), slice(18, 22)
 STATE_SIZE = 22
 
-_HAT = np.zeros((3, 9))
-"""Maps w to the nine numbers of [w]x, the matrix with ``[w]x a = w x a``."""
+_HAT = np.zeros((3, 9))  # Maps w to the nine numbers of [w]x, the matrix with `[w]x a = w x a`
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _HAT[_i, 3 * _k + _j], _HAT[_i, 3 * _j + _k] = 1.0, -1.0
 

@@ -13,14 +13,9 @@ from benchmarks.undeclared.vehicle import NEUTRAL, ROTOR_RADIUS, Array, PlantVeh
 
 CABLE, CABLE_RATE = slice(22, 25), slice(25, 28)
 
-LARGEST_GAIN = 2.0
-"""Largest ratio of thrust near a surface to thrust far from it: the formulas diverge at the surface."""
-
-SETTLING = 50
-"""Rounds in which soft arms find where they rest; with one joint in each arm the first one is exact."""
-
-LOWEST_SHEAR = 0.1
-"""Height below which the wind no longer changes [m]."""
+LARGEST_GAIN = 2.0  # Largest ratio of thrust near a surface to thrust far from it: the formulas diverge at the surface
+SETTLING = 50  # Rounds in which soft arms find where they rest; with one joint in each arm the first one is exact
+LOWEST_SHEAR = 0.1  # Height below which the wind no longer changes [m]
 
 
 def near_surface(strength: float, distance: Array) -> Array:

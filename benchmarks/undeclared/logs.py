@@ -93,10 +93,7 @@ def robot_document(vehicle: PlantVehicle, *, radius: bool = False) -> dict[str, 
             **({"radius": ROTOR_RADIUS} if radius else {}),
             "source": SOURCE,
         },
-        "mounts": {
-            "layout": [{"position": r, "axis": a, "spin": int(spin)} for r, a, spin in hubs],
-            "source": SOURCE,
-        },
+        "mounts": {"layout": [{"position": r, "axis": a, "spin": int(spin)} for r, a, spin in hubs], "source": SOURCE},
         "collision": {"spheres": [{"center": [0.0, 0.0, 0.0], "radius": 0.2}], "source": SOURCE},
         "effects": {"rotor_drag": drag} if np.any(vehicle.linear_drag) else {},
     }

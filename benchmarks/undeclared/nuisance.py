@@ -35,8 +35,7 @@ TRACKED = PlantNuisance(attitude=0.01, acc_of_flight=0.05)
 LOGGED = replace(TRACKED, delay=0.003, acc_scale=0.005, imu_place=0.005)
 """And as loggers write it: filters and telemetry take time, an accelerometer has a scale and a place."""
 
-LATE = ("rotor", "acc", "rate", "rotation", "velocity")
-"""What is late by itself; the position is with the rotation."""
+LATE = ("rotor", "acc", "rate", "rotation", "velocity")  # What is late by itself; the position is with the rotation
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,11 +16,8 @@ from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, Battery, PlantSu
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
-CONTROL_RATE = 400
-"""Rate of the autopilot, and the highest rate of a log [Hz]."""
-
-SUBSTEPS = 5
-"""Runge-Kutta steps per autopilot tick: the plant runs at 2000 Hz."""
+CONTROL_RATE = 400  # Rate of the autopilot, and the highest rate of a log [Hz]
+SUBSTEPS = 5  # Runge-Kutta steps per autopilot tick: the plant runs at 2000 Hz
 
 
 class PlantPilot(Protocol):
@@ -82,12 +79,7 @@ def fly_references(
     rows = states[:, :, :STATE_SIZE].reshape(-1, STATE_SIZE)
     position = plant.origin_position(rows).reshape(num_samples, num_flights, 3)
     return PlantRecord(
-        measured=measured,
-        command=command,
-        state=states,
-        position=position,
-        voltage=voltage,
-        surroundings=surroundings,
+        measured=measured, command=command, state=states, position=position, voltage=voltage, surroundings=surroundings
     )
 
 

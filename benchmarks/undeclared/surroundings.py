@@ -11,14 +11,9 @@ from benchmarks.undeclared.failures import Failures
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
-CEILING_HEIGHT = 14.0
-"""Height of the ceiling, where there is one [m]."""
-
-NOMINAL_VOLTAGE = 16.0
-"""Voltage at which a commanded rotor speed is reached exactly, whatever ``battery_gain`` [V]."""
-
-VOLTAGE_NOISE = 0.02
-"""Standard deviation of one sample of the logged voltage, where it moves [V]."""
+CEILING_HEIGHT = 14.0  # Height of the ceiling, where there is one [m]
+NOMINAL_VOLTAGE = 16.0  # Voltage at which a commanded rotor speed is reached exactly, whatever `battery_gain` [V]
+VOLTAGE_NOISE = 0.02  # Standard deviation of one sample of the logged voltage, where it moves [V]
 
 FULL_VOLTAGE, VOLTAGE_PER_CHARGE, RESISTANCE, EFFICIENCY = 16.7, 2.0 / 3700.0, 0.03, 0.6
 """Open circuit of 4 full lithium-polymer cells [V]; fall per charge, 2 V over 80 % of 1.3 Ah [V/C]; of pack and leads

@@ -12,14 +12,9 @@ from scipy.interpolate import make_interp_spline
 
 from benchmarks.undeclared.vehicle import Array
 
-MAX_ACCELERATION = 6.5
-"""Largest acceleration of a reference [m/s²]: 33 degrees of tilt in level flight."""
-
-MAX_YAW_RATE = 2.0
-"""Largest yaw rate of a reference [rad/s]."""
-
-LOWEST_HEIGHT = 5.0
-"""Lowest point of a reference [m], where none is asked for: far from any ground effect."""
+MAX_ACCELERATION = 6.5  # Largest acceleration of a reference [m/s²]: 33 degrees of tilt in level flight
+MAX_YAW_RATE = 2.0  # Largest yaw rate of a reference [rad/s]
+LOWEST_HEIGHT = 5.0  # Lowest point of a reference [m], where none is asked for: far from any ground effect
 
 
 @dataclass(frozen=True, kw_only=True)

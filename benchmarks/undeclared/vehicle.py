@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Magnitude of gravity [m/s²], along world -z."""
-
-ROTOR_RADIUS = 0.0635
-"""Of the propellers [m]: 5 inch in diameter."""
+GRAVITY = 9.81  # Magnitude of gravity [m/s²], along world -z
+ROTOR_RADIUS = 0.0635  # Of the propellers [m]: 5 inch in diameter
 
 SOURCE = "invented for this benchmark: a 0.75 kg X quadrotor with 5 inch propellers on 4 cells; no real vehicle"
 
@@ -31,7 +28,6 @@ class Extra:
     delay: float = 0.0  # Of the command on its way to the rotors [s]; a multiple of the plant's step
     battery_gain: float = 0.0  # Relative rotor speed per relative voltage [-]
     rotor_inertia: float = 0.0  # Of one rotor about its axis [kg m²]
-
     slung: tuple[float, float, float] = (0.0, 1.0, 0.0)  # Mass [kg], length of the cable [m], damping [N s/m]
 
     joint_spring: tuple[float, float, float] = (0.0, 1.0, 0.0)

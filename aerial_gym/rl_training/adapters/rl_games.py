@@ -27,8 +27,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard_writer
 from aerial_gym.task import Task
 
-OFF = 10**12
-"""A count that is never reached: switches a feature of the library off."""
+OFF = 10**12  # A count that is never reached: switches a feature of the library off
 
 
 class TaskVecEnv(IVecEnv):

@@ -45,11 +45,8 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard_writer
 from aerial_gym.task import Task
 
-OFF = 10**15
-"""A count that is never reached: switches a feature of the library off."""
-
-NO_LIMIT = 1e9
-"""A value that clips nothing."""
+OFF = 10**15  # A count that is never reached: switches a feature of the library off
+NO_LIMIT = 1e9  # A value that clips nothing
 
 
 class TaskBatchedEnv(gymnasium.Env):

@@ -1,19 +1,20 @@
-"""Reconstruction errors of images from a few numbers: encoder, principal components, and the mean image alone.
+"""Errors and picture of images, reconstructed from a few numbers: by encoder, principal components, or the mean image.
 
 Letters: N images, H x W pixels, P = H W, L latents.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from aerial_gym.config.storage import storage_errors
 from aerial_gym.rl_training.encoder.scenes import ImageSet
 from aerial_gym.sensors.encoder.file import Autoencoder, Encoder
 
-NEAR_M = 3.0
-"""Distance below which a pixel is near [m]: the path of 1.5 s at 2 m/s."""
+NEAR_M = 3.0  # Distance below which a pixel is near [m]: the path of 1.5 s at 2 m/s
 
 MOST_EXACT = 4096
 """Pixels up to which principal components come from the covariance itself; beyond, from a randomised decomposition."""
@@ -22,22 +23,16 @@ ACTIVE = 0.01
 """Variance of a latent's mean above which it tells images apart. Source: Burda, Grosse, Salakhutdinov (2016), Importance
 Weighted Autoencoders, section 5.2."""
 
-AT_ONCE = 1024
-"""Images that are encoded at once."""
-
-Reconstruction = Callable[[Tensor], Tensor]
-"""Function from images (N, H, W) to their reconstruction, (N, H, W)."""
+AT_ONCE = 1024  # Images that are encoded at once
+Reconstruction = Callable[[Tensor], Tensor]  # Function from images (N, H, W) to their reconstruction, (N, H, W)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageErrors:
     """Pixel errors over all images [m]."""
 
-    rms_m: float
-    """Root of the mean squared error [m]."""
-
-    mean_m: float
-    """Mean absolute error [m]."""
+    rms_m: float  # Root of the mean squared error [m]
+    mean_m: float  # Mean absolute error [m]
 
     near_rms_m: float | None
     """Root of the mean squared error of pixels that are nearer than ``NEAR_M`` [m]; None if there is none."""
@@ -93,3 +88,25 @@ def count_active_latents(encoder: Encoder, images: Tensor) -> int:
     """Return the number of latents with a variance above ``ACTIVE`` over images (N, H, W)."""
     means = torch.cat([encoder(part) for part in images.split(AT_ONCE)])
     return int((means.var(0) > ACTIVE).sum())
+
+
+def draw_reconstructions(rows: Mapping[str, Tensor], path: Path, *, largest: float) -> None:
+    """Write images of shares of a largest distance [m], (N, H, W) of each row by its title, near ones dark."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    count = len(next(iter(rows.values())))
+    _, height, width = next(iter(rows.values())).shape
+    figure = Figure(figsize=(1.9 * count + 0.8, 2.1 * len(rows) * height / width + 0.6), dpi=100, layout="constrained")
+    axes = figure.subplots(len(rows), count, squeeze=False)
+    shown = None
+    for line, (title, images) in zip(axes, rows.items(), strict=True):
+        for place, image in zip(line, images, strict=True):
+            shown = place.imshow(image.cpu().numpy() * largest, vmin=0.0, vmax=largest, cmap="viridis")
+            place.set_xticks([])
+            place.set_yticks([])
+        line[0].set_ylabel(title, fontsize=9)
+    if shown is not None:
+        figure.colorbar(shown, ax=axes, label="m", shrink=0.8)
+    with storage_errors(path):
+        FigureCanvasAgg(figure).print_figure(path)

@@ -12,8 +12,7 @@ from aerial_gym.rl_training.encoder.scenes import ImageSet
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.sensors.encoder.file import Autoencoder, negative_evidence
 
-END_SHARE = 0.01
-"""Share of the learning rate that is left at the end."""
+END_SHARE = 0.01  # Share of the learning rate that is left at the end
 
 
 class EncoderFit:
@@ -26,20 +25,13 @@ class EncoderFit:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(cfg.seed)
             network = Autoencoder(cfg.network(rows=rows, columns=columns))
-        self.network = network.to(images.seen.device)
-        """The autoencoder."""
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=cfg.learning_rate)
-        """Adam."""
-        self.epochs = 0
-        """Epochs that are done."""
+        self.network = network.to(images.seen.device)  # The autoencoder
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=cfg.learning_rate)  # Adam
+        self.epochs = 0  # Epochs that are done
 
     def state(self) -> dict[str, Any]:
         """Return the content of a checkpoint."""
-        return {
-            "epochs": self.epochs,
-            "network": self.network.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-        }
+        return {"epochs": self.epochs, "network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Resume from the content of a checkpoint."""

@@ -21,8 +21,7 @@ from aerial_gym.sensors import ray_table
 from aerial_gym.sensors.encoder.collision import collision_distance
 from aerial_gym.sensors.encoder.file import normalize_image
 
-SIDE_BY_SIDE = 512
-"""Environments that are rendered at once."""
+SIDE_BY_SIDE = 512  # Environments that are rendered at once
 
 POSES = InitialStateCfg(
     position_ratio_low=(0.03, 0.05, 0.05),
@@ -32,22 +31,16 @@ POSES = InitialStateCfg(
 )
 """Anywhere in the bounds, any heading, tilted by up to 20 degrees; the environment keeps its clearance about it."""
 
-ProgressReport = Callable[[str, float], None]
-"""Receives a description of the work and the share that is done."""
+ProgressReport = Callable[[str, float], None]  # Receives a description of the work and the share that is done
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSet:
     """Images of one sensor, each a share of its largest distance."""
 
-    seen: Tensor
-    """Sensor images, (N, H, W)."""
-
-    target: Tensor
-    """Images to be reconstructed, (N, H, W)."""
-
-    env: Tensor
-    """Number of the environment in the settings, (N,)."""
+    seen: Tensor  # Sensor images, (N, H, W)
+    target: Tensor  # Images to be reconstructed, (N, H, W)
+    env: Tensor  # Number of the environment in the settings, (N,)
 
     def __len__(self) -> int:
         return len(self.seen)

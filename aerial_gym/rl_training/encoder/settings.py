@@ -6,8 +6,7 @@ from aerial_gym.config.checks import require_count, require_positive
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors.encoder.file import AutoencoderCfg
 
-TARGETS = ("distance", "collision")
-"""Targets of an encoder: the sensor's image, or its collision distances."""
+TARGETS = ("distance", "collision")  # Targets of an encoder: the sensor's image, or its collision distances
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,13 +2,13 @@
 
 ::
 
-    config.yaml       the settings, from which it can be repeated
-    versions.json     versions and machine of every session
-    curve.csv         loss and error on other scenes after each epoch
-    checkpoint.pth the state after an epoch, for --resume
-    encoder.pt the encoder for tasks (``--encoder``)
-    result.json figures on test images, with those of the baselines
-    images.png some test images and their reconstructions
+    config.yaml     the settings, from which it can be repeated
+    versions.json   versions and machine of every session
+    curve.csv       loss and error on other scenes after each epoch
+    checkpoint.pth  the state after an epoch, for --resume
+    encoder.pt      the encoder for tasks (``--encoder``)
+    result.json     figures on test images, with those of the baselines
+    images.png      some test images and their reconstructions
 """
 
 import csv
@@ -17,11 +17,11 @@ import json
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.range_sensor import RangeSensorCfg
@@ -29,15 +29,16 @@ from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.encoder.figures import (
+    AT_ONCE,
     ImageErrors,
     count_active_latents,
+    draw_reconstructions,
     image_errors,
     reconstruct_by_components,
     reconstruct_by_encoder,
     reconstruct_by_mean,
 )
 from aerial_gym.rl_training.encoder.fit import EncoderFit
-from aerial_gym.rl_training.encoder.picture import draw_reconstructions
 from aerial_gym.rl_training.encoder.scenes import ImageSet, ProgressReport, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.rl_training.run import checkpoint
@@ -45,42 +46,25 @@ from aerial_gym.rl_training.run.interruption import interruptible
 from aerial_gym.rl_training.run.run_folder import append_session
 from aerial_gym.sensors.encoder.file import Encoder, encoder_image
 
-SAVE_EVERY_S = 5.0
-"""Time between checkpoints [s]."""
-
-SHOWN = 6
-"""Images in the picture."""
-
-ENCODER, MEAN = "encoder", "mean_image"
-"""Names of reconstructions, besides ``pca_<latents>``."""
+SAVE_EVERY_S = 5.0  # Time between checkpoints [s]
+SHOWN = 6  # Images in the picture
+ENCODER, MEAN = "encoder", "mean_image"  # Names of reconstructions, besides `pca_<latents>`
 
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderResult:
     """Result of a training session, with reconstruction errors on test images."""
 
-    encoder: str | None
-    """The file; None if it was interrupted before the end."""
-
-    robot: str
-    """Robot whose sensor it was trained for."""
-
-    epochs: int
-    """Epochs in all sessions."""
-
-    interrupted: bool
-    """Whether the user ended it."""
-
-    time_s: float
-    """Length of this session, rendering and figures included [s]."""
-
-    active_latents: int | None
-    """Number of latents with variance over images."""
-
-    errors: Mapping[str, ImageErrors]
+    encoder: str | None  # The file; None if it was interrupted before the end
+    robot: str  # Robot whose sensor it was trained for
+    epochs: int  # Epochs in all sessions
+    interrupted: bool  # Whether the user ended it
+    time_s: float  # Length of this session, rendering and figures included [s]
+    active_latents: int | None = None  # Number of latents with variance over images
+    errors: Mapping[str, ImageErrors] = field(default_factory=dict)
     """Errors on test images by reconstruction: ``encoder``, ``pca_64``, ``mean_image``."""
 
-    errors_by_env: Mapping[str, ImageErrors]
+    errors_by_env: Mapping[str, ImageErrors] = field(default_factory=dict)
     """Errors of the encoder by environment."""
 
 
@@ -131,23 +115,18 @@ def train_encoder(
     append_session(folder.path, seed=cfg.seed, device=str(device))
     train = render_images(cfg, cfg.train_images, seed=cfg.seed, device=device, tell=tell)
     test = render_images(cfg, cfg.test_images, seed=cfg.seed + 1, device=device, tell=tell)
-    fit = EncoderFit(cfg, train)
-    curve = _load_checkpoint(fit, folder) if resume else []
-    interrupted = _fit_epochs(fit, cfg, folder, curve, test, largest=sensor.max_range, tell=tell)
-    result = EncoderResult(
-        encoder=None if interrupted else str(folder.encoder),
-        robot=cfg.robot,
-        epochs=fit.epochs,
-        interrupted=interrupted,
-        time_s=time.perf_counter() - started,
-        active_latents=None,
-        errors={},
-        errors_by_env={},
-    )
+    session = _Session(cfg, folder, EncoderFit(cfg, train), train, test, sensor)
+    if resume:
+        session.load()
+    interrupted = session.fit_epochs(tell)
+    figures: dict[str, Any] = {}
     if not interrupted:
         tell("measuring", 0.0)
-        result = _write_results(result, fit, cfg, folder, train, test, sensor)
-        result = replace(result, time_s=time.perf_counter() - started)
+        figures = session.write_encoder()
+    result = EncoderResult(
+        encoder=None if interrupted else str(folder.encoder), robot=cfg.robot, epochs=session.fit.epochs,
+        interrupted=interrupted, time_s=time.perf_counter() - started, **figures,
+    )  # fmt: skip
     write_atomic(folder.result, json.dumps(asdict(result), indent=1) + "\n")
     return result
 
@@ -165,101 +144,86 @@ def _resume_settings(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> Enco
     return replace(own, device=given.device)
 
 
-def _load_checkpoint(fit: EncoderFit, folder: EncoderFolder) -> list[list[float]]:
-    """Load the checkpoint, if the training was ended after its first; return the curve so far."""
-    if not folder.checkpoint.exists():
-        return []
-    payload = checkpoint.load(folder.checkpoint)
-    try:
-        fit.load(payload["fit"])
-        return [list(row) for row in payload["curve"]]
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ConfigError(f"{folder.checkpoint}: is of other settings ({error}). Start anew in another --out") from None
+@dataclass
+class _Session:
+    """One session of a training."""
 
+    cfg: EncoderTrainingCfg
+    folder: EncoderFolder
+    fit: EncoderFit
+    train: ImageSet
+    test: ImageSet
+    sensor: RangeSensorCfg
+    curve: list[list[float]] = field(default_factory=list)  # Rows of curve.csv
 
-def _fit_epochs(
-    fit: EncoderFit,
-    cfg: EncoderTrainingCfg,
-    folder: EncoderFolder,
-    curve: list[list[float]],
-    test: ImageSet,
-    *,
-    largest: float,
-    tell: ProgressReport,
-) -> bool:
-    """Pass over the images until all epochs are done or somebody ends it; return whether somebody did."""
-    saved = time.perf_counter()
-    with interruptible() as interruption, suppress(KeyboardInterrupt):
-        while fit.epochs < cfg.epochs:
-            tell("learning", fit.epochs / cfg.epochs)
-            loss = fit.run_epoch()
-            if not abs(loss) < float("inf"):
-                raise TrainingError(
-                    f"loss = {loss} after {fit.epochs} epochs: the training diverged. Lower learning_rate"
-                )
-            curve.append(
-                [
-                    fit.epochs,
-                    loss,
-                    image_errors(_network_reconstructions(fit, test), test.target, largest=largest).rms_m,
-                ]
-            )
-            if time.perf_counter() - saved >= SAVE_EVERY_S or fit.epochs >= cfg.epochs:
-                with interruption.defer():
-                    _save_checkpoint(fit, folder, curve)
-                saved = time.perf_counter()
-    return fit.epochs < cfg.epochs or interruption.asked
+    def load(self) -> None:
+        """Load the checkpoint, if the training was ended after its first."""
+        file = self.folder.checkpoint
+        if not file.exists():
+            return
+        payload = checkpoint.load(file)
+        try:
+            self.fit.load(payload["fit"])
+            self.curve = [list(row) for row in payload["curve"]]
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise ConfigError(f"{file}: is of other settings ({error}). Start anew in another --out") from None
 
+    def fit_epochs(self, tell: ProgressReport) -> bool:
+        """Pass over the images until all epochs are done or somebody ends it; return whether somebody did."""
+        fit, epochs, saved = self.fit, self.cfg.epochs, time.perf_counter()
+        with interruptible() as interruption, suppress(KeyboardInterrupt):
+            while fit.epochs < epochs:
+                tell("learning", fit.epochs / epochs)
+                loss = fit.run_epoch()
+                if not abs(loss) < float("inf"):
+                    fault = f"loss = {loss} after {fit.epochs} epochs: the training diverged"
+                    raise TrainingError(f"{fault}. Lower learning_rate")
+                self.curve.append([fit.epochs, loss, self._test_error()])
+                if time.perf_counter() - saved >= SAVE_EVERY_S or fit.epochs >= epochs:
+                    with interruption.defer():
+                        self._save()
+                    saved = time.perf_counter()
+        return fit.epochs < epochs or interruption.asked
 
-def _network_reconstructions(fit: EncoderFit, images: ImageSet) -> Tensor:
-    """Return the reconstruction of images from the means of their latents, by the present network."""
-    network = fit.network
-    with torch.no_grad():
-        return torch.cat([network.decode(network.encode(part)[0]) for part in images.seen.split(1024)])
+    @torch.no_grad()
+    def _test_error(self) -> float:
+        """Return the error of test images, reconstructed from the means of their latents [m]."""
+        network = self.fit.network
+        told = torch.cat([network.decode(network.encode(part)[0]) for part in self.test.seen.split(AT_ONCE)])
+        return image_errors(told, self.test.target, largest=self.sensor.max_range).rms_m
 
+    def _save(self) -> None:
+        checkpoint.save(self.folder.checkpoint, {"fit": self.fit.state(), "curve": self.curve})
+        text = io.StringIO()
+        csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *self.curve])
+        write_atomic(self.folder.curve, text.getvalue())
 
-def _save_checkpoint(fit: EncoderFit, folder: EncoderFolder, curve: list[list[float]]) -> None:
-    checkpoint.save(folder.checkpoint, {"fit": fit.state(), "curve": curve})
-    text = io.StringIO()
-    csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *curve])
-    write_atomic(folder.curve, text.getvalue())
-
-
-def _write_results(
-    result: EncoderResult,
-    fit: EncoderFit,
-    cfg: EncoderTrainingCfg,
-    folder: EncoderFolder,
-    train: ImageSet,
-    test: ImageSet,
-    sensor: RangeSensorCfg,
-) -> EncoderResult:
-    """Write the encoder, compare it with the baselines, and draw the picture."""
-    trained = {
-        "robot": cfg.robot, "envs": list(cfg.envs), "target": cfg.target, "seed": cfg.seed, "epochs": fit.epochs,
-        "train_images": cfg.train_images,
-    }  # fmt: skip
-    encoder = Encoder(fit.network, encoder_image(sensor), trained=trained)
-    encoder.save(folder.encoder)
-    components = f"pca_{cfg.latents}"
-    telling = {
-        ENCODER: reconstruct_by_encoder(encoder, fit.network),
-        components: reconstruct_by_components(train, cfg.latents),
-        MEAN: reconstruct_by_mean(train),
-    }
-    told = {name: each(test.seen) for name, each in telling.items()}
-    largest = sensor.max_range
-    rows = torch.linspace(0, len(test) - 1, min(SHOWN, len(test))).long().to(test.seen.device)
-    shown = {"seen": test.seen[rows]} | ({"target": test.target[rows]} if cfg.target != "distance" else {})
-    draw_reconstructions(
-        shown | {name: told[name][rows] for name in (ENCODER, components)}, folder.picture, largest=largest
-    )
-    return replace(
-        result,
-        active_latents=count_active_latents(encoder, test.seen),
-        errors={name: image_errors(each, test.target, largest=largest) for name, each in told.items()},
-        errors_by_env={
-            env: image_errors(told[ENCODER][test.env == i], test.target[test.env == i], largest=largest)
-            for i, env in enumerate(cfg.envs)
-        },
-    )
+    def write_encoder(self) -> dict[str, Any]:
+        """Write the encoder, draw the picture, and return the results of a comparison with the baselines."""
+        cfg, test, largest = self.cfg, self.test, self.sensor.max_range
+        trained = {
+            "robot": cfg.robot, "envs": list(cfg.envs), "target": cfg.target, "seed": cfg.seed,
+            "epochs": self.fit.epochs, "train_images": cfg.train_images,
+        }  # fmt: skip
+        encoder = Encoder(self.fit.network, encoder_image(self.sensor), trained=trained)
+        encoder.save(self.folder.encoder)
+        components = f"pca_{cfg.latents}"
+        told = {
+            ENCODER: reconstruct_by_encoder(encoder, self.fit.network)(test.seen),
+            components: reconstruct_by_components(self.train, cfg.latents)(test.seen),
+            MEAN: reconstruct_by_mean(self.train)(test.seen),
+        }
+        rows = torch.linspace(0, len(test) - 1, min(SHOWN, len(test))).long().to(test.seen.device)
+        shown = {"seen": test.seen} | ({"target": test.target} if cfg.target != "distance" else {})
+        shown |= {name: told[name] for name in (ENCODER, components)}
+        picture = {name: images[rows] for name, images in shown.items()}
+        draw_reconstructions(picture, self.folder.picture, largest=largest)
+        of_env = {env: test.env == i for i, env in enumerate(cfg.envs)}
+        return {
+            "active_latents": count_active_latents(encoder, test.seen),
+            "errors": {name: image_errors(each, test.target, largest=largest) for name, each in told.items()},
+            "errors_by_env": {
+                env: image_errors(told[ENCODER][rows], test.target[rows], largest=largest)
+                for env, rows in of_env.items()
+            },
+        }

@@ -9,8 +9,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-BETAS, EPSILON = (0.9, 0.999), 1e-8
-"""Kingma, Ba (2015), Adam: a method for stochastic optimization, algorithm 1."""
+BETAS, EPSILON = (0.9, 0.999), 1e-8  # Kingma, Ba (2015), Adam: a method for stochastic optimization, algorithm 1
 
 PIECE = 4096
 """Weights that one block of a GPU moves: one tensor of 100,000 would be work for two of its multiprocessors."""
@@ -23,8 +22,7 @@ class FlatAdam:
         """Move all weights of ``network`` into one tensor, of which they become views."""
         self._parameters = [p for p in network.parameters() if p.requires_grad]
         self._max_norm, self._betas = max_norm, betas
-        self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])
-        """(P,)."""
+        self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])  # (P,)
         self._bind_weights(self.weights)
         self._mean, self._square = torch.zeros_like(self.weights), torch.zeros_like(self.weights)
         self._steps = torch.zeros((), device=self.weights.device)

@@ -39,28 +39,18 @@ BETAS = (0.7, 0.95)
 class Window:
     """Samples of a window, (T, E, ...); rewards, last observations and means keep their gradients."""
 
-    observation: Mapping[str, Tensor]
-    """By key, before each step, without gradients."""
-
-    final: Mapping[str, Tensor]
-    """After each step and before a reset, by key."""
+    observation: Mapping[str, Tensor]  # By key, before each step, without gradients
+    final: Mapping[str, Tensor]  # After each step and before a reset, by key
 
     last: Mapping[str, Tensor]
     """After the last step and its resets, by key, (E, ...), without gradients: where the next window begins."""
 
-    mean: Tensor
-    """Of the actions, (T, E, U)."""
-
+    mean: Tensor  # Of the actions, (T, E, U)
     reward: Tensor
-    terminated: Tensor
-    """Bool."""
-
-    ended: Tensor
-    """By termination or truncation, bool."""
-
+    terminated: Tensor  # Bool
+    ended: Tensor  # By termination or truncation, bool
     episode_return: Tensor
-    episode_length: Tensor
-    """Of the episodes so far; counted where they end."""
+    episode_length: Tensor  # Of the episodes so far; counted where they end
 
 
 def window_return(reward: Tensor, value: Tensor, terminated: Tensor, ended: Tensor, *, discount: float) -> Tensor:
@@ -98,8 +88,7 @@ class Apg(Learner):
         check_differentiable(task, cfg)
         self._apg = apg = cfg.section(ApgCfg)
         self.captures = apg.capture
-        self.target = deepcopy(network).requires_grad_(False)
-        """Its critic judges the ends of windows."""
+        self.target = deepcopy(network).requires_grad_(False)  # Its critic judges the ends of windows
         self.target.scale = network.scale
         self._critics = (_critic_modules(network), _critic_modules(self.target))
         self._actor_adam = FlatAdam(network.actor, max_norm=apg.max_grad_norm, betas=BETAS)

@@ -26,8 +26,7 @@ from aerial_gym.task import Task
 WIDTHS = (16, 32, 64)
 """Widths of the hidden layers for which a tile of samples fits: 128 asks for 308 kB of shared memory, an H200 has 232."""
 
-MOST_INPUTS = 64
-"""Entries of a network's input, likewise."""
+MOST_INPUTS = 64  # Entries of a network's input, likewise
 
 MOST_ACTIONS = 16
 
@@ -35,11 +34,8 @@ FORWARD_TILE, GRADIENT_TILE = {"tile": 64, "num_warps": 4}, {"tile": 32, "num_wa
 """Samples that a block takes at a time, and its warps. Of tiles of 32 and 64 with 4 and 8 warps the fastest on an H200: 92 us
 for the gradient of 32,768 samples, two hidden layers of 64; 96 to 240 us with others."""
 
-BLOCKS_EACH = 2
-"""Blocks of the gradient for each multiprocessor: 92 us, with one 100 us."""
-
-POLICY, CRITIC = "policy", "critic"
-"""Input of each network as one vector."""
+BLOCKS_EACH = 2  # Blocks of the gradient for each multiprocessor: 92 us, with one 100 us
+POLICY, CRITIC = "policy", "critic"  # Input of each network as one vector
 
 PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
 """Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""

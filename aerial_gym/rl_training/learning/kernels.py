@@ -9,8 +9,7 @@ Letters: N samples, O entries of a network's input, H width of the hidden layers
 import triton  # pyright: ignore[reportMissingImports]
 import triton.language as tl  # pyright: ignore[reportMissingImports]
 
-ELU, RELU, TANH = 0, 1, 2
-"""Activations."""
+ELU, RELU, TANH = 0, 1, 2  # Activations
 
 
 @triton.jit

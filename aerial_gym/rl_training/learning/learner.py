@@ -22,11 +22,9 @@ SUMS: tuple[str, ...] = ("env_steps", "episodes", "episode_return", "episode_len
 class Learner:
     """Base of the learners. ``iterate`` never waits and works on fixed tensors."""
 
-    GAUGES: ClassVar[tuple[str, ...]]
-    """Names of the numbers of the last update."""
+    GAUGES: ClassVar[tuple[str, ...]]  # Names of the numbers of the last update
 
-    captures = True
-    """Whether ``iterate`` is held in a CUDA graph on a GPU."""
+    captures = True  # Whether `iterate` is held in a CUDA graph on a GPU
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
         """Take settings, a task without a graph of its own, a network on its device, and the processes of the training."""
@@ -38,10 +36,8 @@ class Learner:
         self._observation: dict[str, Tensor] = {}
         self.time_share = torch.zeros((), dtype=torch.float64, device=device)
         """Share of the time that is used, written by the host; 0 where steps alone limit the training."""
-        self.sums = torch.zeros(len(SUMS), dtype=torch.float64, device=device)
-        """``SUMS`` since the start."""
-        self.gauges = torch.zeros(len(self.GAUGES), dtype=torch.float64, device=device)
-        """``GAUGES`` of the last update."""
+        self.sums = torch.zeros(len(SUMS), dtype=torch.float64, device=device)  # `SUMS` since the start
+        self.gauges = torch.zeros(len(self.GAUGES), dtype=torch.float64, device=device)  # `GAUGES` of the last update
 
     def restart_episodes(self) -> None:
         """Restart every episode, at random ages."""

@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-BOUND = 1.1
-"""Means of actions beyond it are pulled back, as in rl-games; the simulation clamps actions at 1."""
+BOUND = 1.1  # Means of actions beyond it are pulled back, as in rl-games; the simulation clamps actions at 1
 
 
 def generalized_advantages(

@@ -32,11 +32,8 @@ RATE_STEP = 1.5
 """Factor by which the learning rate adapts to the divergence: up below half of the threshold, down above twice of it, as in
 rl-games."""
 
-LOWEST_RATE = 1e-6
-"""Least learning rate, as in rl-games."""
-
-TINY = 1e-8
-"""Keeps advantages that are all alike from being divided by 0."""
+LOWEST_RATE = 1e-6  # Least learning rate, as in rl-games
+TINY = 1e-8  # Keeps advantages that are all alike from being divided by 0
 
 
 def clipped_objective(log_ratio: Tensor, advantage: Tensor, *, clip_range: float) -> Tensor:
@@ -65,47 +62,33 @@ def adapt_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest: T
 class RolloutSegment:
     """One segment of every environment, (T, E, ...); the memory is that of its start."""
 
-    observation: Mapping[str, Tensor]
-    """By key, (T + 1, E, ...): the last one is where the next segment begins."""
+    observation: Mapping[str, Tensor]  # By key, (T + 1, E, ...): the last one is where the next segment begins
 
     final: Mapping[str, Tensor]
     """After each step and before a reset, (T, E, ...), by key; the image of a row that ended is the one before."""
 
-    begins: Tensor
-    """Whether an episode begins with the observation, bool, (T + 1, E)."""
-
-    memory: Tensor
-    """Memory before the first step, (E, M)."""
-
-    acting: Tensor
-    """Memory of the policy after the last step, (E, M')."""
-
+    begins: Tensor  # Whether an episode begins with the observation, bool, (T + 1, E)
+    memory: Tensor  # Memory before the first step, (E, M)
+    acting: Tensor  # Memory of the policy after the last step, (E, M')
     action: Tensor
-    mean: Tensor
-    """Of the distribution that the action was drawn from."""
-
+    mean: Tensor  # Of the distribution that the action was drawn from
     reward: Tensor
-    terminated: Tensor
-    """Bool."""
-
+    terminated: Tensor  # Bool
     episode_return: Tensor
-    episode_length: Tensor
-    """Of the episodes so far; counted where they end."""
+    episode_length: Tensor  # Of the episodes so far; counted where they end
 
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
     """Samples of an update."""
 
-    prepared: Mapping[str, Tensor]
-    """Observations as the networks take them, by key, (T, E, ...)."""
+    prepared: Mapping[str, Tensor]  # Observations as the networks take them, by key, (T, E, ...)
 
     in_time: Mapping[str, Tensor]
     """``begins``, ``action``, ``mean``, ``log_prob``, ``advantage``, and normalised ``value`` (before learning) and ``target``
     (what it is to become), (T, E, ...)."""
 
-    memory: Tensor
-    """Memory before the first step, (E, M)."""
+    memory: Tensor  # Memory before the first step, (E, M)
 
     def select(self, environments: Tensor) -> "Samples":
         """Return the samples of selected environments, int64 (E',)."""

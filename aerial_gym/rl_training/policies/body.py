@@ -16,11 +16,8 @@ from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.recurrent import unroll_memory
 from aerial_gym.sensors.encoder.file import ACTIVATIONS, convolutions
 
-IMAGE_CHANNELS = (16, 32, 64, 64)
-"""Channels of the image convolutions, each with stride 2."""
-
-IMAGE_FEATURES = 128
-"""Number of features of an image."""
+IMAGE_CHANNELS = (16, 32, 64, 64)  # Channels of the image convolutions, each with stride 2
+IMAGE_FEATURES = 128  # Number of features of an image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +115,7 @@ class ImageNetwork(nn.Module):
 
     def __init__(self, shape: tuple[int, ...], network: nn.Module) -> None:
         super().__init__()
-        self.shape, self.network = shape, network
-        """(C, H, W) of an image, and the network that takes floats of it."""
+        self.shape, self.network = shape, network  # (C, H, W) of an image, and the network that takes floats of it
 
     def forward(self, images: Tensor) -> Tensor:
         """Return features (..., F) of images (..., C, H, W)."""

@@ -14,11 +14,8 @@ from torch import Tensor
 class Gaussian:
     """``N(mean, exp(log_std)²)`` of every entry."""
 
-    mean: Tensor
-    """(..., U)."""
-
-    log_std: Tensor
-    """(U,)."""
+    mean: Tensor  # (..., U)
+    log_std: Tensor  # (U,)
 
     def sample(self, noise: Tensor) -> Tensor:
         """Return actions (..., U) made of standard normal noise."""

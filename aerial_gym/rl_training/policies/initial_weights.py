@@ -11,11 +11,8 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 
-FIRST_LAYER = ".layers.0.weight"
-"""End of the name of a first layer (H, O)."""
-
-NORMALISED = (".mean", ".var")
-"""Suffixes of the names of normaliser statistics, (O,)."""
+FIRST_LAYER = ".layers.0.weight"  # End of the name of a first layer (H, O)
+NORMALISED = (".mean", ".var")  # Suffixes of the names of normaliser statistics, (O,)
 
 
 def load_initial_weights(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:

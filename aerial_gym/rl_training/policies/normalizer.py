@@ -10,11 +10,8 @@ from torch import Tensor, nn
 
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 
-EPSILON = 1e-5
-"""Added to the variance, as rl-games and Sample Factory do (``RunningMeanStd``, ``RunningMeanStdInPlace``)."""
-
-LIMIT = 5.0
-"""Normalised numbers are clamped to this, as both libraries do."""
+EPSILON = 1e-5  # Added to the variance, as rl-games and Sample Factory do (`RunningMeanStd`, `RunningMeanStdInPlace`)
+LIMIT = 5.0  # Normalised numbers are clamped to this, as both libraries do
 
 OUTLIER = 100.0
 """Standard deviations beyond which a return is taken for a fault. Where returns really grow so far at once, the spread follows

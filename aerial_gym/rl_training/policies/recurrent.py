@@ -12,8 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
 
-SIZES = (16, 32, 64)
-"""Numbers of memory for which the weights stay in registers."""
+SIZES = (16, 32, 64)  # Numbers of memory for which the weights stay in registers
 
 TILE, WARPS = 16, 4
 """Environments that a block takes through all steps, the least that Triton multiplies, and its warps."""

@@ -38,8 +38,7 @@ class CheckpointKeeper:
     ) -> None:
         """Take the other parts of a checkpoint, the checkpoint to resume from, if any, and all processes."""
         self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
-        self.ready = resumed is None
-        """Whether there is a state to save: not before a resumed state is restored."""
+        self.ready = resumed is None  # Whether there is a state to save: not before a resumed state is restored
         self._saved_at, self._interval = time.perf_counter(), min(FIRST_INTERVAL_S, cfg.checkpoint_every_s)
 
     @property

@@ -22,25 +22,17 @@ from aerial_gym.rl_training.settings import TrainingCfg
 CURVE_COLUMNS = ("time_s", "env_steps", "reward_per_step", "episode_return", "episode_length", "env_steps_per_s")
 """Columns of ``curve.csv``: time [s] in all sessions, steps in all sessions, means over the episodes that ended since."""
 
-LINE_INTERVAL_S = 10.0
-"""Least time between two lines on a stderr that is no terminal [s]."""
-
-REPORT_INTERVAL_S = 1.0
-"""Least time between two lines of the learning curve [s]."""
+LINE_INTERVAL_S = 10.0  # Least time between two lines on a stderr that is no terminal [s]
+REPORT_INTERVAL_S = 1.0  # Least time between two lines of the learning curve [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """Numbers of a trainer after an update."""
 
-    env_steps: int
-    """Environment steps in all sessions."""
-
-    episode_return: float | None
-    """Mean return of recent episodes; None before the first has ended."""
-
-    episode_length: float | None
-    """Mean length of them [steps]."""
+    env_steps: int  # Environment steps in all sessions
+    episode_return: float | None  # Mean return of recent episodes; None before the first has ended
+    episode_length: float | None  # Mean length of them [steps]
 
 
 class Progress:
@@ -64,8 +56,7 @@ class Progress:
         self._first_steps: int | None = None
         self._first_time = self._last_line = 0.0
         self.env_steps, self.steps_per_s, self.share = 0, 0.0, 0.0
-        self.time_share = 0.0
-        """Share of ``max_time_s`` at the last update; 0 without that limit."""
+        self.time_share = 0.0  # Share of `max_time_s` at the last update; 0 without that limit
         self.last: Report | None = None
         self.non_finite = 0
         lines = _read_curve_lines(curve_file, resumed_steps)

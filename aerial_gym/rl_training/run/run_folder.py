@@ -35,11 +35,8 @@ from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 
-VERSIONS = "versions.json"
-"""File with a line for every session: a folder without it holds no started training."""
-
-KEPT_CHECKPOINTS = 2
-"""The last one, and the one before it in case the disk damages the last."""
+VERSIONS = "versions.json"  # File with a line for every session: a folder without it holds no started training
+KEPT_CHECKPOINTS = 2  # The last one, and the one before it in case the disk damages the last
 
 _log = logging.getLogger(__name__)
 

@@ -13,8 +13,7 @@ from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import attach_listener
 
-STEP = "global_step"
-"""Horizontal axis of scalars: their TensorBoard step, for some of rl-games an epoch or a time."""
+STEP = "global_step"  # Horizontal axis of scalars: their TensorBoard step, for some of rl-games an epoch or a time
 
 
 def require_wandb() -> None:

@@ -24,14 +24,9 @@ from aerial_gym.task import Task
 
 AnyLearner = TypeVar("AnyLearner", bound=Learner)
 
-LOOK_EVERY = 8
-"""Iterations on a GPU between two reads by the host, whose numbers are one read old."""
-
-OWN_STATE = ("learner", "generator", "task")
-"""Keys of a state that differ between processes; all others are common."""
-
-RECENT_EPISODES = 100
-"""Episodes over which returns and lengths are averaged, at least, as far as there are as many."""
+LOOK_EVERY = 8  # Iterations on a GPU between two reads by the host, whose numbers are one read old
+OWN_STATE = ("learner", "generator", "task")  # Keys of a state that differ between processes; all others are common
+RECENT_EPISODES = 100  # Episodes over which returns and lengths are averaged, at least, as far as there are as many
 
 
 class NativeTraining(Generic[AnyLearner]):
@@ -52,12 +47,9 @@ class NativeTraining(Generic[AnyLearner]):
             joined=self._ranks.joined,
             capture=learner.captures,
         )
-        self.env_steps = 0
-        """Environment steps in all sessions and processes; the host counts them by itself."""
-        self.iterations = 0
-        """Iterations of this session."""
-        self.known: dict[str, float] = {}
-        """Gauges of the learner at the last read."""
+        self.env_steps = 0  # Environment steps in all sessions and processes; the host counts them by itself
+        self.iterations = 0  # Iterations of this session
+        self.known: dict[str, float] = {}  # Gauges of the learner at the last read
         self._numbers = _HostNumbers(self.learner)
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 

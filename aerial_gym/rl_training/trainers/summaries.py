@@ -14,8 +14,7 @@ from typing import Any
 from aerial_gym.config.storage import storage_message
 from aerial_gym.errors import StorageError
 
-Listener = Callable[[dict[str, float], int], None]
-"""Takes scalars by name and their step."""
+Listener = Callable[[dict[str, float], int], None]  # Takes scalars by name and their step
 
 _listeners: list[Listener] = []
 

@@ -13,8 +13,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.registry import Registry
 from aerial_gym.task.values import Values
 
-TARGET = "target_position"
-"""Buffer of the point to fly to [m], world, (E, 3), which most generators have."""
+TARGET = "target_position"  # Buffer of the point to fly to [m], world, (E, 3), which most generators have
 
 
 class Command:

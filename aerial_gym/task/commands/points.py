@@ -69,13 +69,7 @@ class PointSequence(Command):
     """Points one after the other: the next one as soon as the robot is near, from the first one at every reset."""
 
     def __init__(
-        self,
-        values: Values,
-        env: EnvManager,
-        *,
-        points: tuple[Vec3, ...],
-        radius: float,
-        loop: bool = False,
+        self, values: Values, env: EnvManager, *, points: tuple[Vec3, ...], radius: float, loop: bool = False
     ) -> None:
         """Take the points.
 
@@ -139,8 +133,7 @@ def _check_points(name: str, points: Sequence[Vec3]) -> None:
         raise ConfigError(f"command {name}: {points!r}: needs at least one point of finite coordinates")
 
 
-STATES = "vec_root_tensor"
-"""Key of the GTD: states of the robot and, behind it, of the assets."""
+STATES = "vec_root_tensor"  # Key of the GTD: states of the robot and, behind it, of the assets
 
 
 @COMMANDS.generator("asset")
@@ -172,8 +165,7 @@ class AssetPoint(Command):
         return {TARGET: state[:, :3] + state.new_tensor(self._offset), "target_velocity": state[:, 7:10]}
 
 
-LOAD_PARAMS = "effect_slung_payload"
-"""Key of the GTD: mass, length and damping of the load."""
+LOAD_PARAMS = "effect_slung_payload"  # Key of the GTD: mass, length and damping of the load
 
 
 @COMMANDS.generator("load_point")

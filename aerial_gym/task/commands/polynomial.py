@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 
 DEGREE = 7
 
-MOST_POINTS = 10
-"""Of a track: each adds to the length of a kernel."""
+MOST_POINTS = 10  # Of a track: each adds to the length of a kernel
 
 
 def minimum_snap_weights(num_points: int) -> Array:

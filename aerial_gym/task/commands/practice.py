@@ -8,8 +8,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.task.commands.command import Command
 from aerial_gym.task.kernels.practice import PracticeStarts
 
-FIRST_GATE = "first_gate"
-"""Buffer of the gate with which an episode begins, int32, (E,)."""
+FIRST_GATE = "first_gate"  # Buffer of the gate with which an episode begins, int32, (E,)
 
 
 class PracticeCommand(Command):

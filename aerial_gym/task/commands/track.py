@@ -18,8 +18,7 @@ from aerial_gym.task.commands.practice import FIRST_GATE, PracticeCommand
 from aerial_gym.task.terms.observations import rows_at_index
 from aerial_gym.task.values import Values
 
-GATE_KEYS = ("gate_position", "gate_orientation")
-"""Keys of the GTD: where the gates are."""
+GATE_KEYS = ("gate_position", "gate_orientation")  # Keys of the GTD: where the gates are
 
 SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
 """Buffers of seen gates and poles with their poses."""

@@ -21,11 +21,8 @@ from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.actions import ROTOR_RANGE, Action, affine, direct
 from aerial_gym.task.values import Values
 
-LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered_command", "policy_action"
-"""Buffers."""
-
-NOISE = "command_noise"
-"""Buffer of the command noise, drawn in every step."""
+LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered_command", "policy_action"  # Buffers
+NOISE = "command_noise"  # Buffer of the command noise, drawn in every step
 
 
 def declare_delay(cfg: ActionCfg, values: Values) -> None:
@@ -75,8 +72,7 @@ class ActionConverter:
             writes[POLICY_ACTION] = values.own[POLICY_ACTION]
         given = torch.zeros(random.num_envs, num_actions, device=random.mask.device)
         self._check_transform(cfg.transform, given, num_commands)
-        self.rows = None
-        """The kernel; None where nothing is between."""
+        self.rows = None  # The kernel; None where nothing is between
         if writes or self._noise is not None or self.transform is not direct:
             reads |= {"action": given} | writes
             self.rows = StepKernel(

@@ -41,8 +41,7 @@ class Faults:
             ranges += [steps_range(cfg.begin_steps), steps_range(cfg.duration_steps)]
             shares += [(0.0, 1.0), *[(-cfg.size, cfg.size)] * width]
         self._draws: list[UniformDraws] = []
-        self.reads: dict[str, Tensor] = {}
-        """Inputs of ``apply_fault``."""
+        self.reads: dict[str, Tensor] = {}  # Inputs of `apply_fault`
         if not ranges:
             return
         steps = values.declare(STEPS, (len(ranges),), unit="steps", meaning="when faults begin, how long they last")

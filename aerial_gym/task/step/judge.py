@@ -4,7 +4,7 @@ Letters: E environments, T terms of the reward, K terminations.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,17 +19,10 @@ from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
 
-FINAL = "final_"
-"""In front of the name of a group: its observation before the reset."""
-
-TIME_OUT = "time_out"
-"""Name under which an end by the length of the episode is counted."""
-
-GATE_PASSED = "gate_passed"
-"""Flag of commands with gates, also in ``info``."""
-
-SUMS, TALLIES, ARRIVED = "episode_sums", "ended_tallies", "arrived"
-"""Buffers that persist between steps."""
+FINAL = "final_"  # In front of the name of a group: its observation before the reset
+TIME_OUT = "time_out"  # Name under which an end by the length of the episode is counted
+GATE_PASSED = "gate_passed"  # Flag of commands with gates, also in `info`
+SUMS, TALLIES, ARRIVED = "episode_sums", "ended_tallies", "arrived"  # Buffers that persist between steps
 
 FLAGS = ("terminated", "truncated", "crash", "success", "timeout", "bad")
 """Truth values of a step, side by side: every tensor that a kernel takes or gives costs the host some microseconds."""
@@ -67,15 +60,12 @@ class Judge:
         ends = {"crash": cfg.crash_reward, "success": cfg.success_reward}
         self.reward_names = (*rewards, *(name for name, end in ends.items() if end is not None))
         """Columns of ``reward_terms``: the rewards in order, then those of ends."""
-        self.end_names = (*terminations, TIME_OUT)
-        """Names of the conditions that end episodes."""
+        self.end_names = (*terminations, TIME_OUT)  # Names of the conditions that end episodes
         by_difficulty = [each.difficulty_weight for _, each in rewards.values()]
         by_difficulty += [end.difficulty_value for end in ends.values() if end is not None]
         count, kinds = len(self.reward_names), len(self.end_names)
         values.declare(SUMS, (1 + count,), meaning="return of the present episode, in total and by term")
-        meaning = (
-            "over ended episodes: sums of the return by term, number of episodes, and counts by condition of the end"
-        )
+        meaning = "over ended episodes: return by term, their number, and counts by condition of the end"
         self._tallies = values.declare(TALLIES, (count + 1 + kinds,), meaning=meaning)
         if any(each.when == "counts" for _, each in terminations.values()):
             values.declare(ARRIVED, dtype=torch.bool, meaning="a success that counts was there in this episode")
@@ -155,16 +145,12 @@ class Judge:
         finite, observed, _ = self._observer.observe(values, None)
         ends = self._episode_ends(values)
         terms, reward = self._reward_terms(values, ends)
-        bits = (
-            values["non_finite"]
-            + NonFinite.REWARD.value * (~reward.isfinite()).int()
-            + NonFinite.OBSERVATION.value * (~finite).int()
-        )
+        bits = values["non_finite"] + NonFinite.REWARD.value * (~reward.isfinite()).int()
+        bits = bits + NonFinite.OBSERVATION.value * (~finite).int()
         bad = bits != 0
         ends = self._crash_non_finite(ends, bad)
-        terms, reward = self._replace_non_finite_rewards(
-            terms, reward, bad, _end_reward(self._cfg.crash_reward, values)
-        )
+        crash_reward = _end_reward(self._cfg.crash_reward, values)
+        terms, reward = self._replace_non_finite_rewards(terms, reward, bad, crash_reward)
         ended = ends.terminated | ends.truncated
         sums = values[SUMS] + torch.cat([reward.unsqueeze(-1), terms], dim=-1)
         counts = torch.stack([ended, *(cause & ended for cause in ends.causes)], dim=-1).to(sums.dtype)
@@ -227,14 +213,9 @@ class Judge:
     @staticmethod
     def _crash_non_finite(ends: EpisodeEnds, bad: Tensor) -> EpisodeEnds:
         """Return the ends, with a crash in rows with NaN or infinite values."""
-        return EpisodeEnds(
-            crash=ends.crash | bad,
-            success=ends.success & ~bad,
-            terminated=ends.terminated | bad,
-            truncated=ends.truncated & ~bad,
-            arrived=ends.arrived,
-            causes=ends.causes,
-        )
+        good = ~bad
+        ends = replace(ends, success=ends.success & good, truncated=ends.truncated & good)
+        return replace(ends, crash=ends.crash | bad, terminated=ends.terminated | bad)
 
     def _reward_terms(self, values: Mapping[str, Tensor], ends: EpisodeEnds) -> tuple[Tensor, Tensor]:
         """Return the terms, (E, T), and their sum, (E,)."""
@@ -246,9 +227,8 @@ class Judge:
                 weighed[name] = self._apply_reward_weight(plain[name], cfg, values)
         for name, (_, cfg) in self._rewards.items():
             if cfg.times:
-                factor = weighed[cfg.times[0]]
-                for other in cfg.times[1:]:
-                    factor = factor + weighed[other]
+                first, *more = (weighed[each] for each in cfg.times)
+                factor = sum(more, start=first)
                 weighed[name] = factor * self._apply_reward_weight(plain[name], cfg, values)
         result = {name: weighed[name] for name in self._rewards}
         for name, when, end in (
@@ -261,10 +241,7 @@ class Judge:
                 result = {each: torch.where(when, 0.0, value) for each, value in result.items()}
             result[name] = torch.where(when, _end_reward(end, values), no_reward)
         columns = [result[name] for name in self.reward_names]
-        total = columns[0]
-        for column in columns[1:]:
-            total = total + column
-        return torch.stack(columns, dim=-1), total
+        return torch.stack(columns, dim=-1), sum(columns[1:], start=columns[0])
 
     @staticmethod
     def _apply_reward_weight(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:

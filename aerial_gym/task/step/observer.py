@@ -86,8 +86,7 @@ class Observer:
     ) -> None:
         """Take the terms of each group in order with their widths; ``values`` receives their delay lines."""
         self._faults = Faults([term for terms in groups.values() for term in terms], faults or {}, values, random)
-        self.groups: dict[str, list[ObservationEntry]] = {}
-        """Entries in order."""
+        self.groups: dict[str, list[ObservationEntry]] = {}  # Entries in order
         noise: dict[int, tuple[float, float]] = {}
         ranges: list[tuple[int, int]] = []
         column = 0
@@ -121,8 +120,7 @@ class Observer:
         if ranges:
             self._delays = UniformDraws(delays, ranges, purpose=Purpose.OBSERVATION_DELAY, random=random, whole=True)
         entries = [entry for group in self.groups.values() for entry in group]
-        self.terms = [entry.term for entry in entries]
-        """Of all groups."""
+        self.terms = [entry.term for entry in entries]  # Of all groups
         self.writes = {name: values[name] for entry in entries for name in (*entry.past, *entry.held)}
         """Buffers of delay lines and held values."""
         self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self._faults.reads | self.writes

@@ -28,8 +28,7 @@ class RowKernel(Generic[Result]):
         self._function, self._what = function, label
         self._rows: RowFunction | None = None
         self._single = True
-        self.reason: str | None = None
-        """Reason for running as torch operations, or None."""
+        self.reason: str | None = None  # Reason for running as torch operations, or None
 
     def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
         """Return the function's results; the first are also written into ``out``, which may be inputs."""
@@ -90,8 +89,7 @@ class StepKernel:
         """
         self._graph, self._keeps = graph, tuple(writes if keeps is None else keeps)
         self.what, self._function, self._reads, self._writes = label, function, dict(reads), tuple(writes)
-        self.apart: tuple[BoundTerm, ...] = ()
-        """The terms that run before the kernel."""
+        self.apart: tuple[BoundTerm, ...] = ()  # The terms that run before the kernel
         self._names, self._results = tuple(self._reads), ()
         self._out = tuple(writes.values())
         self._kernels: DifferentiableRows | None = None

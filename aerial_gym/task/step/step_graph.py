@@ -14,8 +14,7 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import record_graph
 from aerial_gym.task.step.row_kernels import StepKernel
 
-WARM_UP_STEPS = 3
-"""Steps before the recording, in which kernels are compiled and memory is taken."""
+WARM_UP_STEPS = 3  # Steps before the recording, in which kernels are compiled and memory is taken
 
 Result = TypeVar("Result")
 

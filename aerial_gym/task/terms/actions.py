@@ -56,8 +56,7 @@ ACTIONS = ActionRegistry("action")
 ROTOR_RANGE = "rotor_range"
 """Name of an ``affine``, or ``four_places``, with the numbers of the robot's rotors (``task.rotor_range``)."""
 
-NEGLIGIBLE = 1e-12
-"""Share of a thrust below which a root has no gradient of use."""
+NEGLIGIBLE = 1e-12  # Share of a thrust below which a root has no gradient of use
 
 
 @ACTIONS.transform()

@@ -59,8 +59,7 @@ BUFFERS = BufferRegistry("task buffer")
 """Buffers by the name under which terms read them."""
 
 
-STEP_TIME = "step_time"
-"""Buffer of the time of a step [s], one number."""
+STEP_TIME = "step_time"  # Buffer of the time of a step [s], one number
 
 
 @BUFFERS.buffer(unit="m")

@@ -11,8 +11,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 WAY_AROUND = 0.6
 """Radius of the way round a gate [m]: half the diagonal of a frame of 0.72 m is 0.51 m, and a vehicle needs room."""
 
-WAY_STRAIGHT = 0.4
-"""Length of the way along the axis of a gate [m]: the edge of its opening."""
+WAY_STRAIGHT = 0.4  # Length of the way along the axis of a gate [m]: the edge of its opening
 
 AT_AXIS = 0.1
 """Distance below which there is no direction to an axis [m]: in an opening of 0.4 m a vehicle of 0.14 m has 0.13 m about it."""

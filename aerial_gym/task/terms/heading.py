@@ -11,8 +11,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse, quat_yaw, wrap_angle
 from aerial_gym.task.terms.observations import OBSERVATIONS, TINY
 from aerial_gym.task.terms.rewards import REWARDS, bell, dip
 
-LEAST_CLOSING_SPEED = 1e-3
-"""A speed [m/s] below which nothing comes nearer: a wall at 1 cm is 10 s away."""
+LEAST_CLOSING_SPEED = 1e-3  # A speed [m/s] below which nothing comes nearer: a wall at 1 cm is 10 s away
 
 
 def heading_difference(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
@@ -73,13 +72,7 @@ def flight_to_target(
 
 @REWARDS.term()
 def slow_at_target(
-    target_position: Tensor,
-    robot_position: Tensor,
-    robot_linvel: Tensor,
-    *,
-    radius: float,
-    height: float,
-    width: float,
+    target_position: Tensor, robot_position: Tensor, robot_linvel: Tensor, *, radius: float, height: float, width: float
 ) -> Tensor:
     """Return ``height exp(-width v²)``, v the speed [m/s], closer to the target than a radius [m], else 0, (E,)."""
     return _reward_near_target(target_position, robot_position, radius, bell(robot_linvel.norm(dim=-1), height, width))

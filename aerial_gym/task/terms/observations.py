@@ -17,17 +17,10 @@ OBSERVATIONS = TermRegistry("observation term")
 CELLS = "nearest_in_{rows}x{columns}_cells"
 """Buffer of the smallest distance in each cell of the first range sensor's image, a share of ``LARGEST``, (E, rows columns)."""
 
-LARGEST = "largest_distance"
-"""Buffer of the largest distance that this sensor measures [m], one number."""
-
-LATENTS = "image_latents"
-"""Buffer of the latents of that image by the task's encoder, (E, L)."""
-
-LEAST_SHARE = 1e-3
-"""Share of the largest distance below which distances are not resolved: 1 cm of 10 m."""
-
-TINY = 1e-6
-"""A distance [m] below which there is no direction."""
+LARGEST = "largest_distance"  # Buffer of the largest distance that this sensor measures [m], one number
+LATENTS = "image_latents"  # Buffer of the latents of that image by the task's encoder, (E, L)
+LEAST_SHARE = 1e-3  # Share of the largest distance below which distances are not resolved: 1 cm of 10 m
+TINY = 1e-6  # A distance [m] below which there is no direction
 
 
 @OBSERVATIONS.term(width=3)

@@ -96,12 +96,7 @@ def distance_rounded(
 
 @REWARDS.term()
 def progress(
-    target_position: Tensor,
-    robot_position: Tensor,
-    previous_distance: Tensor,
-    *,
-    closer: float,
-    further: float,
+    target_position: Tensor, robot_position: Tensor, previous_distance: Tensor, *, closer: float, further: float
 ) -> Tensor:
     """Return the decrease of the target distance in this step [m], times ``closer`` if > 0, else ``further``, (E,)."""
     gained = previous_distance - _point_distance(target_position, robot_position)

@@ -18,8 +18,7 @@ from aerial_gym.registry import Registry
 
 Function = TypeVar("Function", bound=Callable[..., Tensor])
 
-ACTION = -1
-"""Width of a term that has as many entries as a command to the controller."""
+ACTION = -1  # Width of a term that has as many entries as a command to the controller
 
 
 @dataclass(frozen=True, kw_only=True)

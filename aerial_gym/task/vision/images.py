@@ -28,8 +28,7 @@ class TaskImages:
 
     def __init__(self, cfgs: Mapping[str, ImageCfg], values: Values, sensors: SensorManager) -> None:
         """Declare the images and make their launches; raise ``UnknownNameError`` if the robot has no such image."""
-        self.frames: dict[str, Tensor] = {}
-        """Observed images by name, overwritten by every step."""
+        self.frames: dict[str, Tensor] = {}  # Observed images by name, overwritten by every step
         begun = values.find("begun", "images")
         all_rows, none = torch.ones_like(begun), torch.zeros_like(begun)
         self._kept_alive: list[Tensor] = [begun, all_rows, none]

@@ -22,11 +22,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-CALLS = 4
-"""Calls in one CUDA graph, and between two looks at the clock."""
-
-WARM_UP_CALLS = 3
-"""Calls before a capture, which must find every kernel compiled."""
+CALLS = 4  # Calls in one CUDA graph, and between two looks at the clock
+WARM_UP_CALLS = 3  # Calls before a capture, which must find every kernel compiled
 
 
 def main() -> None:

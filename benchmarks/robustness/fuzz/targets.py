@@ -109,12 +109,8 @@ def targets(folder: Path) -> tuple[Target, ...]:
         return Target(name=name, suffix=".yaml", inputs=inputs, ways=TREE, use=use)
 
     return (
-        yaml("robot", robots, lambda path: _fly_one_step(_build_simulation(robot_name=load_robot(path)))),
-        yaml(
-            "environment",
-            files("environments"),
-            lambda path: _fly_one_step(_build_simulation(env_name=load_environment(path))),
-        ),
+        yaml("robot", robots, lambda path: _fly_one_step(robot_name=load_robot(path))),
+        yaml("environment", files("environments"), lambda path: _fly_one_step(env_name=load_environment(path))),
         yaml("task", files("tasks"), _fly_task),
         yaml("settings", files("training"), load_settings),
         yaml("sensor", files("sensors"), load_any_sensor),

@@ -105,7 +105,7 @@ def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.Monkey
             raise KeyboardInterrupt
         return {**fake_row(job), **({"error": "DataError: x", "right": False} if len(made) == 2 else {})}
 
-    monkeypatch.setattr(score_undeclared, "score", score_job)
+    monkeypatch.setattr(score_undeclared, "score_case", score_job)
     with pytest.raises(KeyboardInterrupt):
         list(run_jobs(jobs, processes=1, out=tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == [f"{jobs[0].key}.json"]
@@ -129,7 +129,7 @@ def test_tables_count_the_rows() -> None:
 
 
 def test_the_command_prints_and_writes(tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr(score_undeclared, "score", fake_row)
+    monkeypatch.setattr(score_undeclared, "score_case", fake_row)
     page = tmp_path / "page.md"
     monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--write", str(page)])
     assert tyro.cli(ScoreCmd).run() == 0

@@ -248,7 +248,7 @@ def test_faults_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigError, match="TaskCfg.faults.gps: no observation has it"):
         make(1, faults={"gps": LOST})
     for fault, changes, message in (
-        (LOST, {"how": "drift"}, r"FaultCfg.how = 'drift': must be lost or jump"),
+        (LOST, {"how": "drift"}, r"FaultCfg.how = 'drift': must be one of lost, jump"),
         (JUMP, {"size": 0.0}, r"FaultCfg.size = 0.0: must be > 0 and finite of a jump"),
         (LOST, {"begin_steps": (5, 2)}, r"FaultCfg.begin_steps = \(5, 2\)"),
         (LOST, {"share": 0.0}, r"FaultCfg.share = 0.0"),

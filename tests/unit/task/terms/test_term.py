@@ -19,6 +19,7 @@ from tests.unit.task.hover import build_task, make
 
 
 def stretch(robot_position: Tensor, *, by: float, axis: int = 0) -> Tensor:
+    """Return a coordinate, stretched."""
     return by * robot_position[:, axis]
 
 
