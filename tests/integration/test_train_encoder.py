@@ -46,17 +46,17 @@ def test_folder_and_figures(whole: tuple[Path, str], capsys: pytest.CaptureFixtu
 def test_interrupted_training_continues(whole, tmp_path, capsys, monkeypatch) -> None:
     """As if it had never ended, bit for bit; settings other than its own are refused."""
     monkeypatch.setattr(training, "SAVE_EVERY_S", 0.0)
-    whole_epoch = EncoderFit.epoch
+    whole_epoch = EncoderFit.run_epoch
 
     def interrupt(fit: EncoderFit) -> float:
         if fit.epochs == 2:
             raise KeyboardInterrupt
         return whole_epoch(fit)
 
-    monkeypatch.setattr(EncoderFit, "epoch", interrupt)
+    monkeypatch.setattr(EncoderFit, "run_epoch", interrupt)
     assert main([*SMALL, "--out", str(tmp_path / "cut")]) == 1
     assert "--resume" in capsys.readouterr().out
-    monkeypatch.setattr(EncoderFit, "epoch", whole_epoch)
+    monkeypatch.setattr(EncoderFit, "run_epoch", whole_epoch)
     again = ["train-encoder", "--out", str(tmp_path / "cut"), "--resume", "--device", "cpu"]
     assert main([*again, "--seed", "5"]) == 2
     assert "--seed: a resumed training keeps its own" in capsys.readouterr().err
