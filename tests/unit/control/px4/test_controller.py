@@ -237,7 +237,7 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
     ):
         with pytest.raises(ConfigError, match=message):
             make_law(name, px4=px4)
-    with pytest.raises(ConfigError, match="ControllerCfg.px4"):
+    with pytest.raises(ConfigError, match="has its own gains and rate loop"):
         ControllerCfg(summary="-", law="rates", px4=Px4Cfg(), rate_loop=RateLoopCfg())
     bad = {"MC_ROLL_P": -1.0, "MC_YAW_WEIGHT": 0.0, "THR_MDL_FAC": 1.5, "MPC_TILTMAX_AIR": 90.0, "IMU_GYRO_NF0_BW": 0.0}
     for field, value in bad.items():
