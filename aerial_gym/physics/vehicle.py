@@ -17,6 +17,8 @@ from aerial_gym.errors import ConfigError
 
 def share_row(row: Tensor, num_envs: int) -> Tensor:
     """Return one row (...) as read-only rows (E, ...) of all environments."""
+    if torch._C._len_torch_dispatch_stack() > 0:  # a trace, where rows need no memory
+        return row.expand(num_envs, *row.shape)
     return row.as_strided((num_envs, *row.shape), (0, *row.stride()))
 
 

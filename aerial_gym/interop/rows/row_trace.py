@@ -294,7 +294,14 @@ class _Recorder(TorchDispatchMode):
         """Return whether the tensor depends on an input."""
         return self._scalars.get(id(tensor), (None, None))[1] is not None
 
-    def call(self, function: Callable[..., Tensor], values: Sequence[Tensor], choice: Sequence[Tensor] = ()) -> Tensor:
+    @property
+    def call(self) -> Callable[..., Tensor] | None:
+        """Function that records a call of a body for each element; None where kernels have no bodies of their own."""
+        return self._record_call if self.into.simplifies else None
+
+    def _record_call(
+        self, function: Callable[..., Tensor], values: Sequence[Tensor], choice: Sequence[Tensor] = ()
+    ) -> Tensor:
         """Trace a function of elements as a body of its own, and call it for each element.
 
         Args:
