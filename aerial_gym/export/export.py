@@ -177,8 +177,8 @@ ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}
 
 def _write_onnx(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.input_and_output_names
-    batch, others = {0: torch.export.Dim("rows")}, len(inputs) - 1
-    dynamic = (batch, (batch,) * others) if others else (batch,)
+    batch, num_states = {0: torch.export.Dim("rows")}, len(inputs) - 1
+    dynamic = (batch, (batch,) * num_states) if num_states else (batch,)
     write_atomic(file, onnx_bytes(flown, flown.example_inputs(), inputs, outputs, dynamic))
     return file
 

@@ -157,7 +157,7 @@ def slew_limited_lag(
         tau_down,
         slew_down,
     )
-    falling = torch.minimum(until_zero, span)
+    falling = torch.minimum(until_zero, span).clamp_min(0.0)  # a rounded quotient may make it negative
     distance = _distance_left(distance, tau_down, slew_down, falling)
     return command - way * _distance_left(distance, tau_up, slew_up, span - falling)
 

@@ -14,10 +14,10 @@ from docs.generate.markdown import DocumentedField, code_marks, documented_field
 PAGES: Mapping[str, tuple[str, Sequence[str]]] = {
     "robot": ("Keys of a robot file", ("robot", "rotor", "joint", "collision", "sensor_mount", "learned_residual")),
     "control": ("Keys of controllers", ("controller", "autopilots")),
-    "environment": ("Keys of an environment file", ("environment", "shape", "motion", "lamp", "contact", "track")),
+    "environment": ("Keys of an environment file", ("environment", "shape", "contact", "track")),
     "sensor": (
         "Keys of a sensor file",
-        ("range_sensor", "camera", "lidar", "rosette", "imu", "placement", "images", "sensor"),
+        ("range_sensor", "camera", "lidar", "imu", "images", "sensor"),
     ),
     "task": ("Keys of a task file", ("task", "task_terms", "randomize", "sim")),
     "training": (

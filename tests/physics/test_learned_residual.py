@@ -208,12 +208,12 @@ def _replace_fields(**changes: object) -> LearnedResidualCfg:
     [
         (lambda: _replace_fields(scale=(0.0,) * 7), r"LearnedResidualCfg.scale = .*: must be > 0"),
         (lambda: _replace_fields(low=(3.0,) * 7), r"low = .* must not exceed high"),
-        (lambda: _replace_fields(high=(3.0,) * 6), r"LearnedResidualCfg.high has 6 entries: needs 7, one per input"),
+        (lambda: _replace_fields(high=(3.0,) * 6), r"LearnedResidualCfg.high = .*: needs 7 entries, one per input"),
         (lambda: _replace_fields(centre=(float("nan"),) * 7), r"LearnedResidualCfg.centre = .*: must be finite"),
-        (lambda: _replace_fields(whitening=((1.0,),) * 7), r"whitening: needs 7 rows of 7 numbers"),
+        (lambda: _replace_fields(whitening=((1.0,),) * 7), r"whitening = .*: needs 7 rows of 7 numbers"),
         (lambda: _replace_fields(limit=(1.0,) * 5), r"6 outputs with 5 limits: needs 6 of each"),
         (lambda: _replace_fields(limit=(-1.0,) * 6), r"LearnedResidualCfg.limit = .*: must be >= 0"),
-        (lambda: _replace_fields(hidden=()), r"LearnedResidualCfg.hidden: needs at least one layer"),
+        (lambda: _replace_fields(hidden=()), r"LearnedResidualCfg.hidden = .*: needs at least one layer"),
         (
             lambda: _replace_fields(hidden=(random_network(7).hidden[0],)),
             r"layer 2 takes 1 numbers, the one before gives 7",

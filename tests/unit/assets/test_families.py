@@ -173,7 +173,7 @@ def test_families_that_cannot_be_made_are_refused(name: str, ranges: dict, messa
 def test_impossible_family_configurations_are_refused() -> None:
     forest = FamilyCfg(name="trees", variants=1)
     for cfg, changes, message in (
-        (forest, {"variants": 0}, r"FamilyCfg 'trees': variants = 0 must be >= 1"),
+        (forest, {"variants": 0}, r"FamilyCfg.variants = 0: must be >= 1"),
         (forest, {"seed": -1}, r"seed = -1 must be >= 0"),
         (forest, {"ranges": {"height": (2.0, 1.0)}}, r"height = \(2.0, 1.0\) needs 0 <= low <= high < inf"),
         (ASSET, {"shapes": (ShapeCfg(kind="sphere", radius=1.0),)}, r"'forest': has shapes and a family; give one"),

@@ -88,19 +88,19 @@ def test_unknown_keys_name_the_nearest_known_one() -> None:
 
 NO_SHAPES: list[tuple[dict[str, Any], str]] = [
     ({"kind": "cone", "radius": 1.0}, r"kind = 'cone': must be one of box, sphere, cylinder, capsule, plane, mesh"),
-    ({"kind": "box"}, r"ShapeCfg.size: a box needs it"),
+    ({"kind": "box"}, r"ShapeCfg.size = None: a box needs it"),
     ({"kind": "box", "size": (1.0, 0.0, 1.0)}, r"ShapeCfg.size = .*: must be > 0 and finite"),
     ({"kind": "sphere", "radius": nan}, r"ShapeCfg.radius = nan: must be > 0 and finite"),
-    ({"kind": "capsule", "radius": 1.0}, r"ShapeCfg.height: a capsule needs it"),
+    ({"kind": "capsule", "radius": 1.0}, r"ShapeCfg.height = None: a capsule needs it"),
     ({"kind": "sphere", "radius": 1.0, "height": 2.0}, r"ShapeCfg.height = 2.0: a sphere has none"),
     ({"kind": "mesh", "path": "a.obj", "scale": 0.0}, r"ShapeCfg.scale = 0.0: must be > 0 and finite"),
     ({"kind": "sphere", "radius": 1.0, "scale": 2.0}, r"only a mesh is scaled"),
 ]
 NO_ASSETS: list[tuple[dict[str, Any], str]] = [
-    ({"count": 0}, r"AssetCfg 'ball': count = 0 must be >= 1"),
-    ({"shapes": ()}, r"AssetCfg 'ball': shapes needs at least one entry"),
-    ({"name": ""}, r"AssetCfg.name: must not be empty"),
-    ({"semantic_id": 100}, r"semantic_id = 100 must be 0 to 99, or -1"),
+    ({"count": 0}, r"AssetCfg.count = 0: must be >= 1"),
+    ({"shapes": ()}, r"AssetCfg 'ball': give shapes, at least one"),
+    ({"name": ""}, r"AssetCfg.name = '': must not be empty"),
+    ({"semantic_id": 100}, r"AssetCfg.semantic_id = 100: must be 0 to 99, or -1"),
     ({"euler_high": (0.0, 0.0, 180.0)}, r"must lie within \+-2 pi. Angles are in radians"),
     ({"euler_low": (0.0, 0.0, 1.0)}, r"euler_low = .* must not exceed euler_high"),
     ({"position_ratio_low": (0.0, nan, 0.0)}, r"AssetCfg.position_ratio_low = .*: must be finite"),

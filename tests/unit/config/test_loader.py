@@ -178,7 +178,7 @@ OBSERVATION = partial(ObservationCfg, term="attitude")
     (ActionCfg, {"noise_std": -0.1}, "ActionCfg.noise_std = -0.1: must be >= 0"),
     (ActionCfg, {"filter_time_s": -1.0}, "ActionCfg.filter_time_s = -1.0"),
     (ActionCfg, {"delay_steps": -1}, "ActionCfg.delay_steps = -1"),
-    (ImageCfg, {"dtype": "int8"}, "ImageCfg.dtype = 'int8': must be uint8, float16, float32"),
+    (ImageCfg, {"dtype": "int8"}, "ImageCfg.dtype = 'int8': must be one of uint8, float16, float32"),
     (ImageCfg, {"largest": 0.0}, "ImageCfg.largest = 0.0"),
 ])  # fmt: skip
 def test_numbers_of_a_task_are_checked(make: Callable, given: dict, message: str) -> None:

@@ -217,7 +217,7 @@ def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, w
     ({"euler": (0.0, 90.0, 0.0)}, r"euler = .*: must lie within \+-2 pi. Angles are in radians"),
     ({"position_low": (0.0, 0.0, 0.0)}, r": give both position_low and position_high, or neither"),
     ({"euler_high": (0.0, 0.0, 0.0)}, r": give both euler_low and euler_high, or neither"),
-    ({"position_low": (0.0, 0.1, 0.0), "position_high": (0.0, -0.1, 0.0)}, r": position_low = .* exceed position_h"),
+    ({"position_low": (0.0, 0.1, 0.0), "position_high": (0.0, -0.1, 0.0)}, r": position_low = .* exceed position"),
     ({"position_low": (0.1, 0.0, 0.0), "position_high": (0.2, 0.0, 0.0)}, r": position_low = .* exceed position "),
     ({"euler_low": (-0.2, 0.0, 0.0), "euler_high": (-0.1, 0.0, 0.0)}, r": euler = .* must not exceed euler_high"),
     ({"euler_low": (0.0, 0.0, -5.0), "euler_high": (0.0, 0.0, 90.0)}, r"euler_high = .*: must lie within \+-2 pi"),
@@ -229,8 +229,8 @@ def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, w
     ({"far_out_of_range_value": nan}, r"far_out_of_range_value = nan: must be finite"),
     ({"near_out_of_range_value": inf}, r"near_out_of_range_value = inf: must be finite"),
     ({"noise": NoiseCfg(std_c=-0.01)}, r"noise = .*standard deviation is -0.01 m at 0.2 m: must be >= 0"),
-    ({"noise": NoiseCfg(std_a=-1e-3)}, r"noise: standard deviation -0.1 m at 10 m"),
-    ({"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False}, r"noise: .* deviation -0.1 m at 2 m"),
+    ({"noise": NoiseCfg(std_a=-1e-3)}, r"noise = .* deviation is -0.1 m at 10 m"),
+    ({"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False}, r"noise = .* deviation is -0.1 m at 2 m"),
 ])  # fmt: skip
 def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=rf"{type(cfg).__name__}\.?{message}"):
