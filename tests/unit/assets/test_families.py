@@ -174,9 +174,13 @@ def test_impossible_family_configurations_are_refused() -> None:
     forest = FamilyCfg(name="trees", variants=1)
     for cfg, changes, message in (
         (forest, {"variants": 0}, r"FamilyCfg.variants = 0: must be >= 1"),
-        (forest, {"seed": -1}, r"seed = -1 must be >= 0"),
+        (forest, {"seed": -1}, r"seed = -1: must be >= 0"),
         (forest, {"ranges": {"height": (2.0, 1.0)}}, r"height = \(2.0, 1.0\) needs 0 <= low <= high < inf"),
-        (ASSET, {"shapes": (ShapeCfg(kind="sphere", radius=1.0),)}, r"'forest': has shapes and a family; give one"),
+        (
+            ASSET,
+            {"shapes": (ShapeCfg(kind="sphere", radius=1.0),)},
+            r"'forest': give shapes, at least one, or a family, and not both",
+        ),
         (ASSET, {"family": None}, r"AssetCfg 'forest': shapes needs at least one entry, or name a family"),
     ):
         with pytest.raises(ConfigError, match=message):
