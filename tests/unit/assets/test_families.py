@@ -181,7 +181,7 @@ def test_impossible_family_configurations_are_refused() -> None:
             {"shapes": (ShapeCfg(kind="sphere", radius=1.0),)},
             r"'forest': give shapes, at least one, or a family, and not both",
         ),
-        (ASSET, {"family": None}, r"AssetCfg 'forest': shapes needs at least one entry, or name a family"),
+        (ASSET, {"family": None}, r"AssetCfg 'forest': give shapes, at least one, or a family"),
     ):
         with pytest.raises(ConfigError, match=message):
             replace(cfg, **changes)
