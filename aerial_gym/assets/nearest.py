@@ -178,7 +178,7 @@ def _swap_pair(core: Core, seen: Nearest, radius: float) -> Nearest:
 
 
 @wp.func
-def _search_back(shape: Shape, core: Core, best: Nearest) -> Nearest:
+def _search_other_edges(shape: Shape, core: Core, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or the nearest of the other shape's own edges or axis to a box.
 
     The axis of a cylinder counts only inside the box, where it pierces two faces far from all edges.
@@ -327,5 +327,5 @@ def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
             while k < 6:
                 best = _search_face(shape, core, k >> 1, wp.where((k & 1) == 0, 1.0, -1.0), best)
                 k += 1
-        best = _search_back(shape, core, best)
+        best = _search_other_edges(shape, core, best)
     return best

@@ -99,7 +99,7 @@ def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
     return pose
 
 
-def _with_drawn_place(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
+def _with_place_bounds(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
     """Return a sensor with uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of its own file."""
     ends = {}
     for field, each in drawn.items():
@@ -137,7 +137,7 @@ def mounted_sensors(
         timing = {name: getattr(mount, name) for name in ("rate_hz", "latency_s") if getattr(mount, name) is not None}
         pose = mount_pose(mount, cfg)
         drawn = {field: places[name] for field in PLACE if (name := f"sensors.{mount.key}.{field}") in places}
-        cfg = _with_drawn_place(replace(cfg, **timing), drawn)
+        cfg = _with_place_bounds(replace(cfg, **timing), drawn)
         if isinstance(cfg, ImuCfg):
             imus[mount.key] = RobotSensor(cfg=cfg, pose=pose, link=mount.link)
         else:

@@ -58,7 +58,7 @@ class Values(Mapping[str, Tensor]):
         return self.own.declare(spec, view=view)
 
     def find(self, name: str, reader: str) -> Tensor:
-        """Return a tensor that ``reader`` reads, made if need be."""
+        """Return the GTD key or task buffer ``name``; a buffer is declared at its first use. ``reader`` is named in errors."""
         if name in self.gtd:
             return self.gtd.plain(name)
         if name in self.own:

@@ -319,7 +319,7 @@ class _Recorder(TorchDispatchMode):
             self.into, self.constants, self._literals = outer
         kind, given = f"{'choose' if choice else 'call'} {len(self.into.bodies)}", (*choice, *values)
         self.into.bodies.append(body)
-        rows = torch.zeros(torch.broadcast_shapes(*(tensor.shape for tensor in given)), dtype=result.dtype)
+        rows = torch.zeros(np.broadcast_shapes(*(tensor.shape for tensor in given)), dtype=result.dtype)
         scalars = [self.find_scalars(tensor) for tensor in given]
         return self._note(rows, _broadcast(lambda *row: self.into.number(kind, row, result.dtype), scalars, rows.shape))
 

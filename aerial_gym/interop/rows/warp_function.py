@@ -85,7 +85,7 @@ def function_lines(trace: Trace, read: Callable[[int, int], str], returns: Seque
     return [*body_lines(trace, dependencies(trace, ends), read), return_line(trace, returns)]
 
 
-def split_lines(
+def split_function_lines(
     trace: Trace, read: Callable[[int, int], str], returns: Sequence[str], early: Collection[int], late: Collection[int]
 ) -> tuple[list[str], list[str], int]:
     """Return the bodies of two functions, the first of which needs no late inputs, and the number of its results.

@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop.rows.warp_function import function_lines, split_lines
+from aerial_gym.interop.rows.warp_function import function_lines, split_function_lines
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.fused.law_step import MemoryAccess, make_memory_access, make_memory_step
 from aerial_gym.physics.fused.torch_trace import ArgumentsTrace, compile_traced, constructors, trace_arguments
@@ -186,7 +186,7 @@ def _fuse_without_memory(control: Any, trace_law: TraceLaw, reads: _Reads, num_a
 
     traced = trace_law("rotor_command", {"action": action_type}, rows)
     early, late = traced.positions(["action"]), traced.positions(list(motion))
-    first, second, width = split_lines(traced.trace, reads.reader(traced), constructors([vector]), early, late)
+    first, second, width = split_function_lines(traced.trace, reads.reader(traced), constructors([vector]), early, late)
     prepared = vector_type(max(width, 1))
 
     def compile_law(struct: Any, differentiable: bool) -> tuple[wp.Function, int, wp.Function]:

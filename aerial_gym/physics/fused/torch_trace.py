@@ -90,7 +90,7 @@ class ArgumentsTrace:
     def read(self, position: int, entry: int) -> str:
         """Return the code of an entry of an argument; bits of random states are computed in 64 bits, as in torch."""
         path, shape, dtype = self.inputs[position]
-        code = path + _index(shape, entry)
+        code = path + _subscript(shape, entry)
         return f"wp.int64({code})" if dtype == torch.int64 else code
 
     def positions(self, arguments: Sequence[str]) -> set[int]:
@@ -244,8 +244,8 @@ def _assemble(path: str, kind: Any, by_path: Mapping[str, Tensor]) -> Any:
     return SimpleNamespace(**{name: _assemble(f"{path}.{name}", inner, by_path) for name, inner in fields.items()})
 
 
-def _index(shape: tuple[int, ...], entry: int) -> str:
-    """Return the index of an entry of a row in row-major order, as code."""
+def _subscript(shape: tuple[int, ...], entry: int) -> str:
+    """Return the subscript of the ``entry``-th number of a row in row-major order, as code: ``[1, 2]``; empty for a scalar."""
     if not shape:
         return ""
     numbers = [entry // prod(shape[k + 1 :]) % shape[k] for k in range(len(shape))]

@@ -57,7 +57,7 @@ def body_rows(model: Model) -> Tensor:
     return torch.cat([part.detach().double() for part in rows], dim=-1)
 
 
-def compile_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: float) -> Any:
+def compile_template_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: float) -> Any:
     """Compile the ``MjModel`` of a free body of 1 kg and 1 kg m² as a template for the numbers of ``body_rows``.
 
     Args:

@@ -19,7 +19,7 @@ from aerial_gym.physics.mujoco.bodies import (
     INERTIA,
     MASS,
     Bodies,
-    compile_body,
+    compile_template_body,
     import_optional,
     principal_axes,
 )
@@ -117,7 +117,7 @@ class RolloutBodies(Bodies):
     ) -> None:
         """Make the models with the parameters of ``body_rows``, (N, 14), for steps of ``dt`` [s]."""
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
-        first = compile_body(import_optional("mujoco", backend="mujoco"), floor, cfg, dt)
+        first = compile_template_body(import_optional("mujoco", backend="mujoco"), floor, cfg, dt)
         self._rollouts = Rollouts([copy(first) for _ in rows], num_envs, "mjSTATE_XFRC_APPLIED")
         self._rows = torch.full_like(rows, torch.nan)
         self.set_parameters(rows)

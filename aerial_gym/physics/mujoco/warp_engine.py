@@ -19,7 +19,7 @@ from aerial_gym.physics.mujoco.bodies import (
     INERTIA,
     MASS,
     Bodies,
-    compile_body,
+    compile_template_body,
     import_optional,
     principal_axes,
 )
@@ -84,7 +84,7 @@ class WarpBodies(Bodies):
         logging.getLogger("mujoco_warp").setLevel(logging.WARNING)
         start_warp()
         self.dt, self.num_rows, self._device = dt, len(rows), rows.device
-        template = compile_body(mujoco, floor, cfg, dt)
+        template = compile_template_body(mujoco, floor, cfg, dt)
         spheres = [] if floor is None else [list(sphere[:3]) for sphere in floor.spheres]
         contacts = max(1, len(spheres))
         with wp.ScopedDevice(wp.device_from_torch(rows.device)):

@@ -174,21 +174,21 @@ def sufficient_effects(
     beside = np.concatenate([*named, seen.tolerances]).astype(int)
     left: dict[str, float] = {}
 
-    def information(columns: Indices) -> tuple[Array, Array]:
-        """Return A and g of some columns."""
+    def information_and_gradient(columns: Indices) -> tuple[Array, Array]:
+        """Return the information matrix A with its prior, and the gradient g, of some columns."""
         prior = np.where(np.isin(columns, seen.tolerances), 1.0, WEAK_PRIOR**-2)
         return product[np.ix_(columns, columns)] + np.diag(prior), gradient[columns]
 
     def suffices(squares: Array) -> bool:
         return bool(asked.enough(np.sqrt(squares))[asked.remaining].all())
 
-    step, squares = _joint_step(*information(beside), tested, None, beside, weights)
+    step, squares = _joint_step(*information_and_gradient(beside), tested, None, beside, weights)
     alone = _deviation_cost(step, seen) if suffices(squares) else np.inf
     for candidate in seen.candidates:
         if candidate.named or not candidate.columns.size:
             continue
         columns = np.concatenate((candidate.columns, beside))
-        a, g = information(columns)
+        a, g = information_and_gradient(columns)
         step, squares = _joint_step(a, g, tested, candidate, columns, weights)
         spread, own = np.linalg.inv(a), candidate.columns.size
         away = (step - spread @ g)[:own]

@@ -171,7 +171,7 @@ def release_record(bench: Bench, *, release: float = 0.0) -> Release:
     return Release(path=bench.path, time=time[~before], angle=angle[~before], start=start)
 
 
-def joint_angle(record: Release, params: dict[str, float]) -> Array:
+def law_angle(record: Release, params: dict[str, float]) -> Array:
     """Return the angle [rad] that a law predicts, (T,).
 
     ``th'' = -k e - kq |e| e - c th' - sum k_i (e - z_i)``, ``z_i' = (e - z_i) / T_i`` with ``e = th - rest``. It starts at rest
@@ -241,7 +241,7 @@ def fit_joint(record: Release) -> JointStudy:
         error = fit_curve_of_law(name, record, ~late).residual[late]
         forecast[name] = cross_validation_error(error, np.arange(error.size) // max(1, error.size // 20))
     published, alternate = (
-        record.angle - joint_angle(record, law),
+        record.angle - law_angle(record, law),
         {name: alternate_error(name, record) for name in laws},
     )
     return JointStudy(record, published, laws, chosen, forecast, alternate)
@@ -267,7 +267,7 @@ def fit_curve_of_law(name: str, record: Release, kept: Flags | None = None, near
         start = np.clip(near, low + 1e-3 * (high - low) * (low < 0.0), high - 1e-3 * (high - low))
 
     def predict(values: Array) -> Array:
-        return joint_angle(record, dict(zip(labels, values, strict=True)))
+        return law_angle(record, dict(zip(labels, values, strict=True)))
 
     return fit_curve(predict, record.angle, start, low, high, kept)
 

@@ -25,7 +25,7 @@ from aerial_gym.sim2real.teststand.joints.record import (
     alternate_error,
     creep_elements,
     fit_joint,
-    joint_angle,
+    law_angle,
     release_record,
 )
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
@@ -285,7 +285,7 @@ def test_creep_solves_the_generalised_maxwell_equations() -> None:
 
     record, options = release(), {"rtol": 1e-9, "atol": 1e-12, "method": "LSODA"}
     result = solve_ivp(motion, (0.0, 12.0), [0.4, 0.0, 0.275, 0.275], t_eval=record.time, **options)
-    np.testing.assert_allclose(joint_angle(record, JOINT), result.y[0], atol=1e-7)
+    np.testing.assert_allclose(law_angle(record, JOINT), result.y[0], atol=1e-7)
 
 
 def test_elements_of_a_power_law_relax_by_a_power() -> None:
@@ -311,7 +311,7 @@ def test_a_joint_file_lists_the_elements_that_a_robot_file_has() -> None:
 def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -> None:
     params = {"stiffness": 4800.0, "damping": 60.0, "rest": 0.125}
     record = release(rate=200.0, seconds=0.6)
-    record = replace(record, angle=joint_angle(record, params))
+    record = replace(record, angle=law_angle(record, params))
     moved = replace(record, angle=record.angle + 0.01 * (alternate_blocks(record) == 1))
     odd = alternate_blocks(record) == 1
     assert 0.3 < odd.mean() < 0.7
@@ -329,7 +329,7 @@ def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() ->
         return [x[1], -2400.0 * abs(x[0] - 0.13) * (x[0] - 0.13) - 90.0 * x[1]]
 
     result = solve_ivp(motion, (0.0, 12.0), [0.4, 0.0], t_eval=record.time[:-5], **options)
-    course = joint_angle(record, params)
+    course = law_angle(record, params)
     np.testing.assert_allclose(course[:6], 0.4, atol=1e-12)
     np.testing.assert_allclose(course[5:], result.y[0], atol=1e-6)
 
@@ -339,7 +339,7 @@ def test_creep_is_told_from_springs_and_its_numbers_are_found(tmp_path: Path) ->
     time = np.arange(-100, 1200) / 100.0
     record = Release(path="", time=time[time >= 0], angle=0.0 * time[time >= 0], start=0.4)
     angle = np.full(time.size, 0.4)
-    angle[time >= 0] = joint_angle(record, JOINT)
+    angle[time >= 0] = law_angle(record, JOINT)
     angle += 5e-4 * np.random.default_rng(0).standard_normal(time.size)
     result = fit_joint(release_record(bench(pd.DataFrame({"t": time, "angle_deg": np.degrees(angle)}), tmp_path)))
     assert result.chosen == "linear spring, 2 creep elements"
