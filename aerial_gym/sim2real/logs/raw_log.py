@@ -1,0 +1,53 @@
+"""The content of a log file as it was recorded: topics at their own rates, parameters and messages. Letters: T samples."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """Samples of one source, such as one sensor or one estimator, on one clock."""
+
+    name: str  # Name in the file, such as ``vehicle_attitude``, ``IMU`` or ``/dji_sdk/imu``
+    instance: int = 0  # Number among the topics of one name
+    time: Array  # Recorded time [s], in file order and not yet checked, (T,)
+    columns: Mapping[str, Array]  # Values by field name, in the units and frames of the file, each (T,)
+    units: Mapping[str, str] = field(default_factory=dict)  # Unit by field name, where the file or its format states it
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogMessage:
+    """A text that the firmware logged."""
+
+    time: float  # [s]
+    level: str  # ``debug``, ``info``, ``warning`` or ``error``
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawLog:
+    """All content of a log file that has been decoded."""
+
+    path: str
+    format: str  # Name of the reader in ``LOG_READERS``
+    topics: tuple[Topic, ...]
+    parameters: Mapping[str, float | str] = field(default_factory=dict)  # Firmware parameters or header entries by name
+    messages: tuple[LogMessage, ...] = ()
+    metadata: Mapping[str, str] = field(default_factory=dict)  # Firmware, hardware, vehicle and others, for display
+    notes: tuple[Finding, ...] = ()  # Defects that decoding has met
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """A quantity of the vehicle from one topic, at its own rate: SI units, world ENU, body FLU, quaternions xyzw."""
+
+    quantity: str  # Field of ``FlightLog``: position, attitude, lin_vel, ang_vel, specific_force, rotor_speed, ...
+    time: Array  # [s], as recorded, (T,)
+    values: Array  # (T, components)
+    source: str  # Topic and instance, such as ``vehicle_attitude[0]``
+    resets: Array | None = None  # Times [s] at which an estimator reset the quantity, (number of resets,)
+    latency: float | None = None  # Delay from sampling to the stamp [s], if the format states it
+    notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude
