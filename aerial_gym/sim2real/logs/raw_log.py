@@ -17,6 +17,11 @@ class Topic:
     columns: Mapping[str, Array]  # Values by field name, in the units and frames of the file, each (T,)
     units: Mapping[str, str] = field(default_factory=dict)  # Unit by field name, where the file or its format states it
 
+    @property
+    def source(self) -> str:
+        """Name with the instance, such as ``vehicle_attitude[0]``."""
+        return f"{self.name}[{self.instance}]"
+
 
 @dataclass(frozen=True, kw_only=True)
 class LogMessage:
@@ -40,14 +45,33 @@ class RawLog:
     notes: tuple[Finding, ...] = ()  # Defects that decoding has met
 
 
-@dataclass(frozen=True, kw_only=True)
-class Channel:
-    """A quantity of the vehicle from one topic, at its own rate: SI units, world ENU, body FLU, quaternions xyzw."""
+QUANTITIES = {
+    "attitude": 4,
+    "position": 3,
+    "lin_vel": 3,
+    "ang_vel": 3,
+    "specific_force": 3,
+    "rotor_speed": 0,
+    "rotor_command": 0,
+    "battery": 1,
+    "armed": 1,
+    "landed": 1,
+}
+"""Number of components of each quantity of a log channel; 0: the number of rotors."""
 
-    quantity: str  # Field of ``FlightLog``: position, attitude, lin_vel, ang_vel, specific_force, rotor_speed, ...
+
+@dataclass(frozen=True, kw_only=True)
+class LogChannel:
+    """A quantity of the vehicle from one topic, at its own rate: SI units, world ENU, body FLU, quaternions xyzw.
+
+    ``rotor_command`` is a share of the largest rotor speed, 0 to 1, after the firmware's thrust curve. ``armed`` and ``landed``
+    are 1 or 0 from each sample on.
+    """
+
+    quantity: str  # A key of ``QUANTITIES``
     time: Array  # [s], as recorded, (T,)
-    values: Array  # (T, components)
+    values: Array  # (T, components); NaN where not measured
     source: str  # Topic and instance, such as ``vehicle_attitude[0]``
-    resets: Array | None = None  # Times [s] at which an estimator reset the quantity, (number of resets,)
+    resets: Array | None = None  # Times [s] of the first sample after an estimator reset, (number of resets,)
     latency: float | None = None  # Delay from sampling to the stamp [s], if the format states it
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude

@@ -2,10 +2,15 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
+from aerial_gym.errors import DataError
+from aerial_gym.lazy import ImportPath
 from aerial_gym.registry.registry import Registry
-from aerial_gym.sim2real.logs.raw_log import Channel, RawLog
+from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
+
+HEAD_BYTES = 4096  # Length of the beginning by which a reader recognises its format
 
 
 class LogReader(ABC):
@@ -16,15 +21,61 @@ class LogReader(ABC):
 
     @abstractmethod
     def recognises(self, head: bytes) -> bool:
-        """Return whether a file has this format, from its first 4096 bytes; the suffix does not count."""
+        """Return whether a file has this format, from its first ``HEAD_BYTES``; the suffix does not count.
+
+        For a folder, such as a ROS 2 bag, they are those of its ``metadata.yaml``.
+        """
 
     @abstractmethod
     def read(self, path: Path) -> RawLog:
         """Return the content of a file; raise ``DataError`` if nothing can be decoded."""
 
     @abstractmethod
-    def channels(self, log: RawLog) -> Sequence[Channel]:
+    def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the vehicle's quantities, the best source first where several topics hold one quantity."""
 
 
 LOG_READERS: Registry[LogReader] = Registry("log format")
+
+READERS = {
+    "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
+}
+"""Readers of this package. Each format has other first bytes, so that their order does not count."""
+
+for _name, _home in READERS.items():
+    LOG_READERS.register_later(_name, _home.make, summary=_home.summary)
+
+
+def find_reader(path: Path) -> LogReader | None:
+    """Return the reader that recognises a file by its content; None for a CSV or other text file.
+
+    Raise ``DataError`` if the file cannot be read, or is binary and of no known format.
+    """
+    file = path / "metadata.yaml" if path.is_dir() else path
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    for name in LOG_READERS:
+        if LOG_READERS.get(name).recognises(head):
+            return LOG_READERS.get(name)
+    if b"\0" in head and head[:2] not in (b"\xff\xfe", b"\xfe\xff"):  # of text only UTF-16 holds zeros
+        raise DataError(f"{path}: is no log of a known format ({', '.join(LOG_READERS.names())}) and no CSV file")
+    return None
+
+
+def read_raw_log(path: Path) -> RawLog | None:
+    """Return the content of a binary log; None for a text file. The last file that was read is kept in memory."""
+    reader = find_reader(path)
+    if reader is None:
+        return None
+    state = path.stat()
+    return _read_once(reader.name, str(path), state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=1)
+def _read_once(format_name: str, path: str, *_version: int) -> RawLog:
+    return LOG_READERS.get(format_name).read(Path(path))
