@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS, EnvManager, SimBuilder
-    from aerial_gym.physics import BACKENDS, EFFECTS
+    from aerial_gym.physics import BACKENDS, EFFECTS, ROTOR_MAPS
     from aerial_gym.robots import ROBOTS
     from aerial_gym.sensors import SENSORS
     from aerial_gym.task import Task, task_registry
@@ -27,6 +27,7 @@ __all__ = [
     "EFFECTS",
     "ENVIRONMENTS",
     "ROBOTS",
+    "ROTOR_MAPS",
     "SENSORS",
     "SIMS",
     "EnvManager",

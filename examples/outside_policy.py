@@ -12,6 +12,7 @@ from foundation_policy import Raptor
 
 from aerial_gym import SimBuilder
 from aerial_gym.math.quaternion import quat_to_matrix
+from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.robots import ROBOTS
 
 PLACES = ((1, -1), (-1, -1), (-1, 1), (1, 1))
@@ -23,7 +24,7 @@ def hover_errors(robot: str, *, num_envs: int = 64, seconds: float = 10.0) -> np
     cfg = ROBOTS.get(robot)
     order = [PLACES.index((int(np.sign(m.position[0])), int(np.sign(m.position[1])))) for m in cfg.mounts.layout]
     rotor = cfg.the_rotor("this policy")
-    low, high = (rotor.speed_for_thrust(max(force, 0.0)) for force in rotor.thrust_range)
+    low, high = (rotor_state_for_thrust(rotor, max(force, 0.0)) for force in rotor.thrust_range)
     env = SimBuilder().build_env(
         sim_name="base_sim",
         env_name="empty_env",

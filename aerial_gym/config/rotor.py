@@ -5,7 +5,7 @@ the state. A rotor whose thrust may be negative is reversible: its state has a s
 of ``reverse_thrust_map`` at the absolute speed, against its axis, and the opposite drag torque.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 
 from aerial_gym.config.checks import (
@@ -22,6 +22,10 @@ ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")
 """Special features of rotors, beyond an unsigned speed that follows its command with a lag."""
 
 
+POLYNOMIAL_MAP = "polynomial"
+"""Name of the built-in rotor map."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RotorCfg:
     """Mode, thrust curve, drag torque, lag and limits of one rotor type."""
@@ -29,14 +33,18 @@ class RotorCfg:
     mode: str = "speed"
     """``speed``: the state is the speed [rad/s]; ``force``: it is the thrust [N], and no thrust map is needed."""
 
+    rotor_map: str = field(default=POLYNOMIAL_MAP, repr=False)  # a state of release 0.1 has the digest of its repr
+    """Name in ``aerial_gym.physics.ROTOR_MAPS``: the terms of the speed that the coefficients below multiply."""
+
     thrust_map: Vec3 = (0.0, 0.0, 0.0)
-    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s]; c2 > 0. Needed in speed mode, and only there."""
+    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s], c2 > 0, or coefficients of another ``rotor_map``. Needed in speed
+    mode, and only there."""
 
     torque_ratio: float | None = None
     """Drag torque per thrust [m], >= 0. Exactly one of this and ``torque_map`` is given."""
 
     torque_map: Vec3 | None = None
-    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s]; in speed mode."""
+    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s], or coefficients of another ``rotor_map``; in speed mode."""
 
     reverse_thrust_map: Vec3 | None = None
     """Of a reversible rotor that turns backwards, of the size of w; as ``thrust_map`` if not given."""
@@ -88,14 +96,22 @@ class RotorCfg:
             given = getattr(self, name) is not None
             require(self, name, not given, "in force mode the state is the thrust; give torque_ratio alone")
         require(self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust; leave it out")
+        require(
+            self, "rotor_map", self.rotor_map == POLYNOMIAL_MAP, "in force mode the state is the thrust; leave it out"
+        )
 
     def _check_maps(self) -> None:
-        require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
+        if self.rotor_map == POLYNOMIAL_MAP:
+            require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
+        require(self, "thrust_map", any(self.thrust_map), "in speed mode a coefficient other than 0 is needed")
         if not self.reversible:
             for name in ("reverse_thrust_map", "reverse_torque_map"):
                 rule = "only for a reversible rotor, with a thrust_range that begins below 0"
                 require(self, name, getattr(self, name) is None, rule)
-            return
+        elif self.rotor_map == POLYNOMIAL_MAP:
+            self._check_reversible_polynomials()
+
+    def _check_reversible_polynomials(self) -> None:
         for name in ("thrust_map", "reverse_thrust_map"):
             c0, c1, c2 = getattr(self, name) or self.thrust_map
             rule = "the thrust of a reversible rotor is 0 without speed and grows with it: needs c0 = 0, c1 >= 0 and c2 > 0"
@@ -122,34 +138,24 @@ class RotorCfg:
         up = inf if self.slew_rate is None else self.slew_rate
         return up, up if self.slew_rate_down is None else self.slew_rate_down
 
-    def speed_for_thrust(self, thrust: float) -> float:
-        """Return the rotor state for a thrust [N]: the speed [rad/s], the larger root of the thrust map; or the thrust."""
-        if self.mode == "force":
-            return thrust
-        backwards = thrust < 0.0 and self.reversible
-        c0, c1, c2 = self.reverse_thrust_coefficients if backwards else self.thrust_map
-        wanted = -thrust if backwards else thrust
-        speed = (-c1 + max(c1 * c1 + 4.0 * c2 * (wanted - c0), 0.0) ** 0.5) / (2.0 * c2)
-        return -speed if backwards else speed
-
     @property
     def thrust_coefficients(self) -> Vec3:
-        """Thrust polynomial [N] of the state."""
+        """Coefficients of the thrust [N] of the state."""
         return (0.0, 1.0, 0.0) if self.mode == "force" else self.thrust_map
 
     @property
     def reverse_thrust_coefficients(self) -> Vec3:
-        """Thrust polynomial [N] of the size of a negative state."""
+        """Coefficients of the thrust [N] of the magnitude of a negative state."""
         return self.reverse_thrust_map or self.thrust_coefficients
 
     @property
     def torque_coefficients(self) -> Vec3:
-        """Drag torque polynomial [N m] of the state, whichever way it was given."""
+        """Coefficients of the drag torque [N m] of the state, whichever way it was given."""
         return self.torque_map or self._drag_torque(self.thrust_coefficients)
 
     @property
     def reverse_torque_coefficients(self) -> Vec3:
-        """Drag torque polynomial [N m] of the size of a negative state."""
+        """Coefficients of the drag torque [N m] of the magnitude of a negative state."""
         return self.reverse_torque_map or self.torque_map or self._drag_torque(self.reverse_thrust_coefficients)
 
     def _drag_torque(self, thrust: Vec3) -> Vec3:

@@ -82,7 +82,8 @@ class RotorSpeedController:
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Read the speed limits of the declared vehicle."""
-        force = (vehicle.thrust_map[0, :, 2] == 0.0).tolist()  # in force mode the state is the thrust
+        linear = (vehicle.thrust_map[0, :, 2] == 0.0).tolist()  # in force mode the state is the thrust
+        force = [each and "force" in vehicle.traits for each in linear]
         self.action_names = tuple(f"thrust {i} [N]" if f else f"speed {i} [rad/s]" for i, f in enumerate(force, 1))
         self._vehicle = vehicle
 

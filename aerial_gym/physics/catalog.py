@@ -1,4 +1,4 @@
-"""The table of registered physics backends."""
+"""The tables of registered physics backends and rotor maps."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -8,6 +8,7 @@ from aerial_gym.registry import Registry
 
 if TYPE_CHECKING:
     from aerial_gym.physics.backend import PhysicsBackend
+    from aerial_gym.physics.rotor_maps import RotorMap
 
 BACKENDS: "Registry[Callable[[], PhysicsBackend]]" = Registry("physics backend")
 """Constructors of backends by name."""
@@ -20,3 +21,9 @@ for _name, _place in (
 ):
     _home = ImportPath(_place)
     BACKENDS.register_later(_name, _home.load, summary=_home.summary)
+
+ROTOR_MAPS: "Registry[RotorMap]" = Registry("rotor map")
+"""Functions of thrust, drag torque and speed of a rotor, by name (``RotorCfg.rotor_map``)."""
+
+_home = ImportPath("aerial_gym.physics.rotor_maps:PolynomialMap")
+ROTOR_MAPS.register_later("polynomial", _home.make, summary=_home.summary)

@@ -59,71 +59,29 @@ def lag_acceleration(
     return torch.where(lags, (command - speed) / torch.where(lags, tau, torch.ones_like(tau)), jump / dt)
 
 
-def evaluate_map(coefficients: Tensor, speed: Tensor) -> Tensor:
-    """Return ``c0 + c1 w + c2 w²``: thrust [N] or drag torque [N m].
-
-    Args:
-        coefficients: c0, c1, c2, (E, R, 3).
-        speed: Rotor speeds w [rad/s], (E, R).
-
-    Returns:
-        Values, (E, R).
-
-    Source:
-        Static propeller data fit a quadratic with linear term, e.g. Foerster (2015), System identification of the
-        Crazyflie 2.0, section 3.2.
-    """
-    c0, c1, c2 = coefficients.unbind(-1)
-    return c0 + speed * (c1 + speed * c2)
-
-
-def speed_for_thrust(coefficients: Tensor, thrust: Tensor) -> Tensor:
-    """Return the speed [rad/s] that gives a thrust: the larger root of ``c0 + c1 w + c2 w² = T``, or its vertex.
-
-    Args:
-        coefficients: c0, c1, c2 with c2 > 0, (E, R, 3).
-        thrust: Thrusts T [N], (E, R).
-
-    Returns:
-        Rotor speeds [rad/s], (E, R).
-
-    Source:
-        Derived: quadratic formula; a thrust below the minimum of the map gives the speed of that minimum.
-    """
-    c0, c1, c2 = coefficients.unbind(-1)
-    root = _root(c1 * c1 + 4.0 * c2 * (thrust - c0))
-    return (root - c1) / (2.0 * c2)
-
-
-def _root(square: Tensor) -> Tensor:
-    """Return the square root; 0 with gradient 0 for arguments <= 0, where that of the root is infinite."""
-    none = square <= 0.0
-    return torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
-
-
-def _evaluate_signed(forwards: Tensor, backwards: Tensor, state: Tensor) -> Tensor:
-    """Evaluate the odd map of a signed state, with separate coefficients on the negative side, (E, R)."""
-    reverse = state < 0.0
-    value = evaluate_map(torch.where(reverse.unsqueeze(-1), backwards, forwards), state.abs())
-    return torch.where(reverse, -value, value)
-
-
 def rotor_thrust(vehicle: Vehicle, state: Tensor) -> Tensor:
     """Return the thrusts along the axes [N], (E, R), for rotor states: speed [rad/s] or, in force mode, thrust [N]."""
-    if "reversible" not in vehicle.traits:
-        return evaluate_map(vehicle.thrust_map, state)
-    return _evaluate_signed(vehicle.thrust_map, vehicle.reverse_thrust_map, state)
+    return _evaluate_map(vehicle, "thrust_map", state)
 
 
 def rotor_torque(vehicle: Vehicle, state: Tensor) -> Tensor:
     """Return the drag torques against the spin of the rotors [N m], (E, R); those of reversed rotors are negative."""
+    return _evaluate_map(vehicle, "torque_map", state)
+
+
+def _evaluate_map(vehicle: Vehicle, name: str, state: Tensor) -> Tensor:
+    """Return the map of the magnitude of rotor states, (E, R); with its own coefficients and negative for reversed rotors."""
+    coefficients = getattr(vehicle, name)
     if "reversible" not in vehicle.traits:
-        return evaluate_map(vehicle.torque_map, state)
-    return _evaluate_signed(vehicle.torque_map, vehicle.reverse_torque_map, state)
+        return vehicle.rotor_map.evaluate(coefficients, state)
+    reverse = state < 0.0
+    coefficients = torch.where(reverse.unsqueeze(-1), getattr(vehicle, f"reverse_{name}"), coefficients)
+    value = vehicle.rotor_map.evaluate(coefficients, state.abs())
+    return torch.where(reverse, -value, value)
 
 
 def map_terms(vehicle: Vehicle, state: Tensor) -> Tensor:
-    """Return the regressors of the coefficients of thrust and torque maps, (K, E, R).
+    """Return the terms of the rotor map, regressors of the coefficients of thrust and torque, (K, E, R).
 
     K is 3, or 6 with the coefficients of reversed rotors at the end.
     """
@@ -136,20 +94,15 @@ def map_terms(vehicle: Vehicle, state: Tensor) -> Tensor:
 def state_for_thrust(vehicle: Vehicle, thrust: Tensor) -> Tensor:
     """Return the states for thrusts [N], (E, R): speeds [rad/s], or in force mode thrusts; the inverse of ``rotor_thrust``.
 
-    A thrust below the minimum of an unsigned rotor gives the speed of that minimum, as in ``speed_for_thrust``.
-
     Source:
-        Derived: the inverse of an odd function is odd; ``c0 + c1 x = T`` where c2 = 0.
+        Derived: the inverse of an odd function is odd.
     """
-    if not vehicle.traits & {"reversible", "force"}:
-        return speed_for_thrust(vehicle.thrust_map, thrust)
+    inverse = vehicle.rotor_map.speed_for_thrust
+    if "reversible" not in vehicle.traits:
+        return inverse(vehicle.thrust_map, thrust)
     reverse = (thrust < 0.0) & (vehicle.speed_low < 0.0)
-    wanted = torch.where(reverse, -thrust, thrust)
-    c0, c1, c2 = torch.where(reverse.unsqueeze(-1), vehicle.reverse_thrust_map, vehicle.thrust_map).unbind(-1)
-    linear = c2 == 0.0
-    square, slope = torch.where(linear, 1.0, c2), torch.where(linear, c1, 1.0)
-    root = _root(torch.where(linear, 1.0, c1 * c1 + 4.0 * square * (wanted - c0)))
-    size = torch.where(linear, (wanted - c0) / slope, (root - c1) / (2.0 * square))
+    coefficients = torch.where(reverse.unsqueeze(-1), vehicle.reverse_thrust_map, vehicle.thrust_map)
+    size = inverse(coefficients, torch.where(reverse, -thrust, thrust))
     return torch.where(reverse, -size, size)
 
 

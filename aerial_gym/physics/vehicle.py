@@ -13,6 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics.rotor_maps import POLYNOMIAL, RotorMap, find_rotor_map, rotor_state_for_thrust
 
 
 def share_row(row: Tensor, num_envs: int) -> Tensor:
@@ -64,16 +65,17 @@ class Vehicle:
     """+1 or -1: sense of rotation about the axis, (E, R)."""
 
     thrust_map: Tensor
-    """Thrust polynomial c0, c1, c2 [N, N s, N s²] of the speed [rad/s], (E, R, 3); in force mode 0, 1, 0 of the thrust."""
+    """Coefficients of the thrust in ``rotor_map``, (E, R, 3): of the polynomial c0, c1, c2 [N, N s, N s²] of the speed
+    [rad/s]; in force mode 0, 1, 0 of the thrust."""
 
     torque_map: Tensor
-    """Drag torque polynomial q0, q1, q2 [N m, N m s, N m s²], (E, R, 3); in force mode 0, ratio, 0."""
+    """Coefficients of the drag torque, (E, R, 3): q0, q1, q2 [N m, N m s, N m s²]; in force mode 0, ratio, 0."""
 
     reverse_thrust_map: Tensor
-    """Thrust polynomial of a reversed rotor, of the magnitude of its speed, (E, R, 3); only for reversible rotors."""
+    """Coefficients of the thrust of a reversed rotor, of the magnitude of its speed, (E, R, 3); only for reversible rotors."""
 
     reverse_torque_map: Tensor
-    """Drag torque polynomial of a reversed rotor, likewise, (E, R, 3)."""
+    """Coefficients of the drag torque of a reversed rotor, likewise, (E, R, 3)."""
 
     time_constant_up: Tensor
     """Time constant of a growing magnitude of the speed, in force mode of the thrust [s], (E, R)."""
@@ -106,6 +108,9 @@ class Vehicle:
 
     traits: frozenset[str] = frozenset()
     """Traits of rotors beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``, which select the formulas."""
+
+    rotor_map: RotorMap = POLYNOMIAL
+    """Functions of thrust and drag torque of all rotors."""
 
     @property
     def num_envs(self) -> int:
@@ -219,9 +224,10 @@ def vehicle_from_config(
         dead_band=rows([rotor.dead_band for rotor in rotors]),
         rotor_radius=rows([nan if rotor.radius is None else rotor.radius for rotor in rotors]),
         battery=rows(battery),
-        speed_low=rows([rotor.speed_for_thrust(rotor.thrust_range[0]) for rotor in rotors]),
-        speed_high=rows([rotor.speed_for_thrust(rotor.thrust_range[1]) for rotor in rotors]),
+        speed_low=rows([rotor_state_for_thrust(rotor, rotor.thrust_range[0]) for rotor in rotors]),
+        speed_high=rows([rotor_state_for_thrust(rotor, rotor.thrust_range[1]) for rotor in rotors]),
         traits=robot.rotor_traits,
+        rotor_map=find_rotor_map(rotors),
     )
     _check_numbers(vehicle)
     return vehicle

@@ -17,6 +17,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotor_maps import rotor_state_for_thrust
 from aerial_gym.task.terms.actions import ROTOR_RANGE
 
 PLACE_DIGITS = 6  # Decimals of rotor directions [rad] for comparison: beyond float32 precision
@@ -50,7 +51,7 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     for name, rotor in zip(command, robot.rotor_types, strict=False):
         low, high = rotor.thrust_range
         if name.startswith("speed"):
-            low, high = rotor.speed_for_thrust(low), rotor.speed_for_thrust(high)
+            low, high = rotor_state_for_thrust(rotor, low), rotor_state_for_thrust(rotor, high)
         elif not name.startswith("thrust") or len(command) != robot.num_rotors:
             known = "no_control, rotor_speed_control"
             raise ConfigError(

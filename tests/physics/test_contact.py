@@ -21,7 +21,7 @@ from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics import TorchBackend, WarpBackend
 from aerial_gym.physics.contact import POSITION_SHARE, Contacts, _velocity_change
 from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, make_velocity_change, rows_type
-from aerial_gym.physics.rotors import speed_for_thrust
+from aerial_gym.physics.rotor_maps import POLYNOMIAL
 from aerial_gym.robots import ROBOTS
 from tests.physics.contact_rig import (
     BALL,
@@ -233,7 +233,8 @@ def test_friction_slows_a_vehicle_pressed_along_a_wall() -> None:
         for i, m in enumerate(robot.mounts.layout)
     )))  # fmt: skip
     thrust = 4.0 * (1e-4 * speed + 3e-6 * speed**2)
-    assert speed_for_thrust(torch.tensor([0.0, 1e-4, 3e-6]), torch.tensor(thrust / 4.0)).item() == pytest.approx(speed)
+    coefficients = torch.tensor([0.0, 1e-4, 3e-6])
+    assert POLYNOMIAL.speed_for_thrust(coefficients, torch.tensor(thrust / 4.0)).item() == pytest.approx(speed)
     q = quat_from_euler(torch.tensor([[0.0, torch.pi / 2.0, 0.0]]))  # body z along world x
     head = tuple((x, y, -r, r) for x, y, _, r in FEET)  # tops level with the origin
     wall = obstacle(1, position=(0.0, 0.0, 0.0), attitude=quat_from_euler(torch.tensor([[0.0, -torch.pi / 2.0, 0.0]])))

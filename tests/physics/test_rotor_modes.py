@@ -18,14 +18,13 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import slew_limited_lag, stop_in_dead_band
+from aerial_gym.physics.rotor_maps import POLYNOMIAL
 from aerial_gym.physics.rotors import (
-    evaluate_map,
     lag_speed,
     map_terms,
     rotor_thrust,
     rotor_torque,
     rotor_wrench,
-    speed_for_thrust,
     state_for_thrust,
 )
 from aerial_gym.robots import ROBOTS
@@ -250,14 +249,14 @@ def test_lag_without_time_constant_follows_at_once() -> None:
 def test_speed_for_thrust_inverts_the_map() -> None:
     coefficients = torch.tensor([0.1, -2e-4, 3e-6], dtype=F64).expand(1, 5, 3)
     speed = torch.linspace(100.0, 2000.0, 5, dtype=F64).unsqueeze(0)
-    thrust = evaluate_map(coefficients, speed)
+    thrust = POLYNOMIAL.evaluate(coefficients, speed)
     torch.testing.assert_close(thrust, 0.1 - 2e-4 * speed + 3e-6 * speed**2, atol=1e-12, rtol=0)
-    torch.testing.assert_close(speed_for_thrust(coefficients, thrust), speed, atol=0, rtol=1e-12)
+    torch.testing.assert_close(POLYNOMIAL.speed_for_thrust(coefficients, thrust), speed, atol=0, rtol=1e-12)
 
 
 def test_thrust_below_the_vertex_gives_the_vertex_and_no_nan() -> None:
     coefficients = torch.tensor([0.0, -2e-4, 3e-6], dtype=F64).expand(1, 1, 3)
-    speed = speed_for_thrust(coefficients, torch.full((1, 1), -5.0, dtype=F64))
+    speed = POLYNOMIAL.speed_for_thrust(coefficients, torch.full((1, 1), -5.0, dtype=F64))
     torch.testing.assert_close(speed, torch.full((1, 1), 2e-4 / 6e-6, dtype=F64))
 
 

@@ -18,6 +18,7 @@ from aerial_gym.control.gains import loop_spacing, make_gains
 from aerial_gym.control.px4.rates import smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle
 
 AXES = ("roll", "pitch", "yaw")
@@ -121,9 +122,10 @@ def derive_parameters(
 
 def thrust_per_signal(vehicle: Vehicle, thrust: Tensor) -> Tensor:
     """Return the slope of thrust per motor signal (0 to 1) at thrusts [N], both (R,)."""
-    c0, c1, c2 = vehicle.thrust_map[0].unbind(-1)
-    speed = ((c1.square() + 4.0 * c2 * (thrust - c0)).clamp_min(0.0).sqrt() - c1) / (2.0 * c2)
-    return (c1 + 2.0 * c2 * speed) * (vehicle.speed_high[0] - vehicle.speed_low[0])
+    with torch.enable_grad():
+        speed = state_for_thrust(vehicle, thrust.expand(vehicle.num_envs, -1)).detach().requires_grad_()
+        (slope,) = torch.autograd.grad(rotor_thrust(vehicle, speed)[0].sum(), speed)
+    return (slope * (vehicle.speed_high - vehicle.speed_low))[0]
 
 
 def make_filters(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:

@@ -51,6 +51,7 @@ from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
+from aerial_gym.physics.rotor_maps import rotor_loads, rotor_state_for_thrust
 
 HALVINGS, NEWTON = 6, 3
 """Iterations of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust. Newton's
@@ -138,10 +139,8 @@ class BladeElement(WrenchEffect):
                 raise ConfigError(
                     "effect blade_element: the robot file must give rotor.radius [m], of every rotor type"
                 )
-            speed = rotor.speed_for_thrust(share)
-            thrust, torque = (
-                c0 + speed * (c1 + speed * c2) for c0, c1, c2 in (rotor.thrust_coefficients, rotor.torque_coefficients)
-            )
+            speed = rotor_state_for_thrust(rotor, share)
+            thrust, torque = rotor_loads(rotor, speed)
             ideal = thrust * (thrust / (2.0 * AIR_DENSITY * pi * rotor.radius**2)) ** 0.5 / speed
             if not torque > ideal:
                 raise ConfigError(

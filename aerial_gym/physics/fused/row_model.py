@@ -13,6 +13,7 @@ from torch import Tensor
 
 from aerial_gym.physics.effects import Effect, EffectsByKind
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotor_maps import RotorMap
 from aerial_gym.physics.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ class VehicleRows(SimpleNamespace):
     """``Vehicle`` with the fields of the kernel's struct, and the fields that follow from them."""
 
     traits: frozenset[str]
+    rotor_map: RotorMap
 
     def __getattr__(self, name: str) -> Tensor:
         """Return a field that has another name in the struct.
@@ -62,7 +64,8 @@ class VehicleRows(SimpleNamespace):
 
 def vehicle_rows(model: Model, plant: SimpleNamespace) -> Vehicle:
     """Return the vehicle of traced rows of the kernel's struct."""
-    return cast(Vehicle, VehicleRows(**vars(plant), traits=model.vehicle.traits))
+    vehicle = model.vehicle
+    return cast(Vehicle, VehicleRows(**vars(plant), traits=vehicle.traits, rotor_map=vehicle.rotor_map))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from aerial_gym.control.gains import apparent_gravity
 from aerial_gym.control.laws import LAWS
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
+from aerial_gym.physics.rotor_maps import rotor_state_for_thrust
 from aerial_gym.robots.check.flights import StableStep, largest_stable_step
 from aerial_gym.robots.check.tail import TailRotorModel, tail_rotor_model
 
@@ -217,7 +218,7 @@ def _plausibility_warnings(robot: RobotCfg) -> Iterator[str]:
             )
     types = {id(rotor): rotor for rotor in robot.rotor_types}.values()
     for rotor in types:
-        tip = rotor.speed_for_thrust(rotor.thrust_range[1]) * (rotor.radius or 0.0)
+        tip = rotor_state_for_thrust(rotor, rotor.thrust_range[1]) * (rotor.radius or 0.0)
         if rotor.mode == "speed" and tip > SPEED_OF_SOUND:
             yield (
                 f"at {rotor.thrust_range[1]:g} N tips would move at {tip:.0f} m/s, faster than sound: thrust_map is per "

@@ -14,6 +14,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.gains import loop_shape
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import wrap_angle, yaw_from_quat
+from aerial_gym.physics.rotor_maps import rotor_loads, rotor_state_for_thrust
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +46,7 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
     assert joint.drive is not None
     arm = robot.body.com[0] - mount.position[0]
     thrust = robot.body.mass * gravity / robot.num_rotors
-    speed = rotor.speed_for_thrust(thrust)
-    torque = sum(c * speed**i for i, c in enumerate(rotor.torque_coefficients))
+    _, torque = rotor_loads(rotor, rotor_state_for_thrust(rotor, thrust))
     trim = atan(mount.spin * torque / (thrust * arm))
     low, high = joint.drive.command_range
     turn = arm * thrust / robot.body.inertia[2][2]

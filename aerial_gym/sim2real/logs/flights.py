@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -35,7 +36,7 @@ from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
-from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, rotor_thrusts
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
 
@@ -183,14 +184,17 @@ def scale_commands_to_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog
         raise DataError(f"{log.path}: to scale commands above {log.hover_above:g} m it needs position and acc")
     high = log.position[:, 2] > log.hover_above
     speed = log.rotor_command[high]
-    c0, c1, c2 = np.array([rotor.thrust_coefficients for rotor in robot.rotor_types]).T  # each (R,)
-    if len(speed) * FEWEST_HIGH < log.time.size or not np.any(speed):
+    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) if len(speed) else 0.0
+
+    def excess(scale: float) -> float:
+        return float(rotor_thrusts(robot, scale * speed).sum(axis=1).mean()) - weight
+
+    if len(speed) * FEWEST_HIGH < log.time.size or not np.any(speed) or excess(0.0) >= 0.0:
         raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
-    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) - c0.sum()
-    linear, square = (speed @ c1).mean(), (speed**2 @ c2).mean()
-    scale = float(
-        2.0 * weight / (linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0)))
-    )  # also for c2 = 0: force mode
+    largest = 1.0
+    while excess(largest) < 0.0:
+        largest *= 2.0
+    scale = float(brentq(excess, 0.0, largest))  # type: ignore[arg-type]
     note = Finding("commands_scaled", "", {"factor": scale, "height_m": log.hover_above})
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
+from aerial_gym.config.rotor import POLYNOMIAL_MAP
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.logs.flights import file_digests
@@ -72,6 +73,8 @@ def rotor_files(robot: RobotCfg | None, changes: dict[str, object], source: str)
         lines = [f"  {name}: {value!r}" for name, value in (known | {"source": source}).items()]
         return {"rotor.yaml": "\n".join(["rotor:", *lines, ""])}
     declared = robot.the_rotor("writing the numbers of a bench into a robot file")
+    if "thrust_map" in changes:
+        changes = changes | {"rotor_map": POLYNOMIAL_MAP}
     rotor: RotorCfg = replace(declared, **changes, source=f"{source} Other numbers: {declared.source}")  # type: ignore[arg-type]
     kinds = {"rotor": rotor} if robot.rotor is not None else {"rotors": dict.fromkeys(robot.rotors, rotor)}
     return {"robot.yaml": dump_yaml(replace(robot, **kinds))}

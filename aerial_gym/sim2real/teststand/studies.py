@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.rotor import POLYNOMIAL_MAP
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -277,7 +278,8 @@ def study_hover(
 ) -> Study:
     """Return a study of the thrust coefficient from hover in flight logs."""
     logs = [read_flight_log(path, mapping=layout) for path in paths]
-    declared = None if robot is None else robot.the_rotor("identify hover").thrust_map
+    rotor = None if robot is None else robot.the_rotor("identify hover")
+    declared = rotor.thrust_map if rotor is not None and rotor.rotor_map == POLYNOMIAL_MAP else None
     fit = fit_hover(logs, mass=mass, mass_std=mass_std, declared=declared)
     rows = [("c_t [N s²/rad²]", interval_text(fit.thrust_coefficient))]
     if fit.scale is not None:

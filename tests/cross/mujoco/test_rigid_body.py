@@ -6,7 +6,7 @@ import torch
 
 from aerial_gym.math.quaternion import quat_multiply, quat_normalize
 from aerial_gym.physics import INTEGRATORS, advance, build_model, vehicle_from_config
-from aerial_gym.physics.rotors import evaluate_map
+from aerial_gym.physics.rotor_maps import POLYNOMIAL
 from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
@@ -34,8 +34,8 @@ def test_flight_under_constant_thrusts_agrees_with_mujoco() -> None:
     robot, count = asymmetric_robot(), 6
     model = build_model(vehicle_from_config(robot, num_envs=count, dtype=F64))
     state = random_state(count, seed=7)
-    thrust = evaluate_map(model.vehicle.thrust_map, state.rotor_speed)
-    torque = evaluate_map(model.vehicle.torque_map, state.rotor_speed)
+    thrust = POLYNOMIAL.evaluate(model.vehicle.thrust_map, state.rotor_speed)
+    torque = POLYNOMIAL.evaluate(model.vehicle.torque_map, state.rotor_speed)
     end = advance(model, INTEGRATORS["rk4"], SpeedControl(), state, state.rotor_speed, 1e-3, 500)
     for i in range(count):
         m = mujoco_model(robot, (torque[i] / thrust[i]).numpy())

@@ -17,6 +17,7 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg, EndRewardCfg, ImageCfg, ObservationCfg, RewardCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.sensors import IMUS, SENSORS
 
 BODY = {"mass": 1.0, "inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 1.5e-3]], "source": "test"}
@@ -51,7 +52,7 @@ def test_tinyprop_is_table_4_of_the_appendix() -> None:
     assert robot.body.mass == 0.373
     np.testing.assert_allclose(np.diag(robot.body.inertia), [1.5914e-3, 1.5312e-3, 2.5329e-3], rtol=1e-6)
     np.testing.assert_allclose(robot.rotor.thrust_map[2] * (2 * np.pi) ** 2, 1.286412e-5, rtol=1e-6)
-    hover = robot.rotor.speed_for_thrust(0.373 * 9.81 / 4)
+    hover = rotor_state_for_thrust(robot.rotor, 0.373 * 9.81 / 4)
     np.testing.assert_allclose(hover / (2 * np.pi), 266.7, atol=0.1)
 
 
@@ -125,7 +126,7 @@ def test_unreadable_files_are_named(text: str, message: str, tmp_path: Path) -> 
 def test_torque_map_follows_the_ratio() -> None:
     rotor = build(RotorCfg, {**ROTOR, "thrust_map": [0.1, -1e-4, 1e-6]}, where="here")
     np.testing.assert_allclose(rotor.torque_coefficients, [1e-3, -1e-6, 1e-8])
-    np.testing.assert_allclose(rotor.speed_for_thrust(0.1 - 1e-4 * 900 + 1e-6 * 900**2), 900.0)
+    np.testing.assert_allclose(rotor_state_for_thrust(rotor, 0.1 - 1e-4 * 900 + 1e-6 * 900**2), 900.0)
 
 
 @pytest.mark.parametrize("name", task_registry.names())

@@ -21,6 +21,7 @@ from aerial_gym.physics import (
     TorchBackend,
     WarpBackend,
     build_model,
+    rotor_state_for_thrust,
     state_at_rest,
     vehicle_from_config,
 )
@@ -90,7 +91,7 @@ def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_othe
     model = build_model(vehicle_from_config(ROBOT, num_envs=1, dtype=F64), [push])
     backend.allocate(model, law, integrator="euler")
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
-    state.rotor_speed.fill_(ROBOT.rotor.speed_for_thrust(0.25 * 9.81 / 4))
+    state.rotor_speed.fill_(rotor_state_for_thrust(ROBOT.rotor, 0.25 * 9.81 / 4))
     backend.step(state, torch.zeros(1, 4, dtype=F64), dt, 1500 if integral else 500)
     inertia = torch.tensor([4.225e-4, 4.225e-4, 8.45e-4], dtype=F64)
     if integral:
@@ -195,7 +196,7 @@ def fly(
         pairs.append((effect, torch.tensor(row, dtype=dtype).expand(vehicle.num_envs, -1).clone()))
     backend.allocate(build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=DT), integrator="euler")
     start = random_state(6, seed=5)
-    speed = torch.full_like(start.rotor_speed, ROBOT.rotor.speed_for_thrust(0.25 * 9.81 / 4))
+    speed = torch.full_like(start.rotor_speed, rotor_state_for_thrust(ROBOT.rotor, 0.25 * 9.81 / 4))
     start = replace(start, ang_vel=0.3 * start.ang_vel, rotor_speed=speed)
     state = BodyState(**{k: v[rows].to(dtype).contiguous() for k, v in vars(start).items()})
     g = torch.Generator().manual_seed(2)
@@ -315,7 +316,7 @@ def test_a_masked_reset_begins_anew_and_leaves_others_bit_for_bit(backend: type)
 
 def flight_start(num_envs: int) -> tuple[BodyState, Tensor]:
     state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
-    state.rotor_speed.fill_(ROBOT.rotor.speed_for_thrust(0.25 * 9.81 / 4))
+    state.rotor_speed.fill_(rotor_state_for_thrust(ROBOT.rotor, 0.25 * 9.81 / 4))
     state.ang_vel.copy_(0.4 * torch.randn(num_envs, 3, generator=torch.Generator().manual_seed(1)))
     return state, torch.tensor([0.5, -0.3, 0.2, 0.1]).expand(num_envs, -1).contiguous()
 

@@ -17,7 +17,14 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop, linear_loop, make
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import EFFECTS, TorchBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import (
+    EFFECTS,
+    TorchBackend,
+    build_model,
+    rotor_state_for_thrust,
+    state_at_rest,
+    vehicle_from_config,
+)
 from aerial_gym.physics.law_memory import rotor_command_and_memory
 from tests.builders import simulation
 
@@ -69,7 +76,7 @@ def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight(delay: float
     robot = replace(robot, effects={"actuation_delay": {"delay": delay}}, effects_source="test")
     backend.allocate(build_model(vehicle, [late]), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler")
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float64)
-    state.rotor_speed.fill_(robot.rotor.speed_for_thrust(0.25 * 9.81 / 4))
+    state.rotor_speed.fill_(rotor_state_for_thrust(robot.rotor, 0.25 * 9.81 / 4))
     state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 1e-3]], dtype=torch.float64))
     sizes = []
     for steps in (1600, 400):

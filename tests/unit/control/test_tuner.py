@@ -21,7 +21,15 @@ from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat
-from aerial_gym.physics import EFFECTS, TorchBackend, Vehicle, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import (
+    EFFECTS,
+    TorchBackend,
+    Vehicle,
+    build_model,
+    rotor_state_for_thrust,
+    state_at_rest,
+    vehicle_from_config,
+)
 from aerial_gym.robots import ROBOTS
 
 F64 = torch.float64
@@ -102,7 +110,7 @@ def test_a_flight_with_lag_and_dead_time_has_the_bandwidth() -> None:
     late = (EFFECTS.get("actuation_delay"), torch.full((4, 1), delay, dtype=F64))
     backend, state = TorchBackend(), state_at_rest(4, 4, device=torch.device("cpu"), dtype=F64)
     backend.allocate(build_model(vehicle, [late]), law, integrator="rk4")
-    state.rotor_speed.fill_(X500.rotor.speed_for_thrust(X500.body.mass * 9.81 / 4))
+    state.rotor_speed.fill_(rotor_state_for_thrust(X500.rotor, X500.body.mass * 9.81 / 4))
     rolls, times = [], []
     for step in range(600):
         time = torch.tensor(step * dt, dtype=F64)

@@ -15,6 +15,7 @@ from aerial_gym.export.export import export_policy, write_policy
 from aerial_gym.export.layout import Layout, policy_layout
 from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.export.pilot import load_exported
+from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
@@ -137,7 +138,7 @@ def test_a_policy_of_many_vehicles_is_written_for_one_of_them(tmp_path: Path, mo
         assert made.robot == robot
         assert len(made.command) == rotors
         command, _, _ = load_exported(result.file).step(torch.zeros(1, width), torch.zeros(1, 0))
-        fastest = ROBOTS.get(robot).rotor.speed_for_thrust(ROBOTS.get(robot).rotor.thrust_range[1])
+        fastest = rotor_state_for_thrust(ROBOTS.get(robot).rotor, ROBOTS.get(robot).rotor.thrust_range[1])
         assert command.max() == pytest.approx(fastest, rel=1e-5)
         assert command.min() > 0.99 * fastest  # without torque not all of a hexarotor are equal
 

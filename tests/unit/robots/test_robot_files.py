@@ -13,7 +13,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics import rotor_state_for_thrust, vehicle_from_config
 from aerial_gym.physics.model import check_effects, effects_on_rigid, robot_effects
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
@@ -46,14 +46,14 @@ def test_drags_are_those_of_the_sources_for_each_kilogram() -> None:
     np.testing.assert_allclose((drag["dx"], drag["dy"]), (0.544 * mass, 0.386 * mass), rtol=1e-12)
     robot = ROBOTS.get("base_quadrotor_braked_in_spin")
     rotor = robot.the_rotor("a test")
-    hover, kh = rotor.speed_for_thrust(0.25 * mass * STANDARD_GRAVITY), robot.effects["h_force_flapping"]["kh"]
+    hover, kh = rotor_state_for_thrust(rotor, 0.25 * mass * STANDARD_GRAVITY), robot.effects["h_force_flapping"]["kh"]
     np.testing.assert_allclose(4.0 * kh * hover / mass, 2.75e-3 / (0.5 * 0.17**2), rtol=1e-12)
 
 
 def test_speeds_and_offsets_are_those_of_the_sources() -> None:
     """PX4's x500 turns at 150 to 1000 rad/s; the ARPL flights tell offsets of 0.028 m."""
     rotor = ROBOTS.get("x500_px4").the_rotor("a test")
-    speeds = [rotor.speed_for_thrust(thrust) for thrust in rotor.thrust_range]
+    speeds = [rotor_state_for_thrust(rotor, thrust) for thrust in rotor.thrust_range]
     np.testing.assert_allclose(speeds, (150.0, 1000.0), rtol=1e-9)
     robots = (ROBOTS.get(name) for name in ("crazyflie_2x_arpl", "crazyflie_21"))
     here, there = (np.array([mount.position for mount in robot.mounts.layout]) for robot in robots)

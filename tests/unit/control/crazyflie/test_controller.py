@@ -18,7 +18,14 @@ from aerial_gym.control.gains import derive_inclination
 from aerial_gym.control.reduced_attitude import up_axis
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_rotate
-from aerial_gym.physics import BodyState, TorchBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import (
+    BodyState,
+    TorchBackend,
+    build_model,
+    rotor_state_for_thrust,
+    state_at_rest,
+    vehicle_from_config,
+)
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
@@ -66,7 +73,7 @@ def fly(
     plant = replace(robot, body=replace(robot.body, mass=heavier * robot.body.mass))
     backend, state = TorchBackend(), at_rest()
     backend.allocate(build_model(vehicle_from_config(plant, num_envs=1, dtype=F64)), law, integrator="euler")
-    state.rotor_speed.fill_(robot.rotor.speed_for_thrust(robot.body.mass * 9.81 / 4))
+    state.rotor_speed.fill_(rotor_state_for_thrust(robot.rotor, robot.body.mass * 9.81 / 4))
     result = []
     for _ in range(round(seconds / 0.1)):
         backend.step(state, torch.tensor([action], dtype=F64), dt, round(0.1 / dt))
@@ -82,7 +89,7 @@ def test_with_derived_gains_they_are_the_geometric_law(name: str, turn: tuple[fl
     state.lin_vel[0] = torch.tensor([-2e-4, 1e-4, 1e-4], dtype=F64)
     result = run_law(make_law(name), state, [1e-4, -2e-4, 1e-4, 0.0])
     lee = make_law("lee_position_control").rotor_command(state, torch.tensor([[1e-4, -2e-4, 1e-4, 0.0]], dtype=F64))
-    hover = X500.rotor.speed_for_thrust(X500.body.mass * 9.81 / 4)
+    hover = rotor_state_for_thrust(X500.rotor, X500.body.mass * 9.81 / 4)
     assert float((lee - hover).abs().max()) > 1e-3
     torch.testing.assert_close(result, lee, atol=0, rtol=2e-8)
 

@@ -21,7 +21,14 @@ from aerial_gym.control.px4.controller import Px4Controller
 from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate
-from aerial_gym.physics import BodyState, WarpBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import (
+    BodyState,
+    WarpBackend,
+    build_model,
+    rotor_state_for_thrust,
+    state_at_rest,
+    vehicle_from_config,
+)
 from aerial_gym.physics.law_memory import fresh_law_memory
 
 F64 = torch.float64
@@ -55,7 +62,7 @@ def fly(
     cfg = cfg if px4 is None else replace(cfg, px4=px4)
     backend.allocate(build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="rk4")
     state = state_at_rest(1, vehicle.num_rotors, device=CPU, dtype=torch.float32)
-    state.rotor_speed.fill_(robot.rotor.speed_for_thrust(robot.body.mass * 9.81 / vehicle.num_rotors))
+    state.rotor_speed.fill_(rotor_state_for_thrust(robot.rotor, robot.body.mass * 9.81 / vehicle.num_rotors))
     states = []
     for _ in range(round(span / 0.1)):
         backend.step(state, torch.tensor([action]), dt, round(0.1 / dt))

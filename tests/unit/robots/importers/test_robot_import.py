@@ -8,6 +8,7 @@ import pytest
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import RotorHints, import_robot, read_robot
@@ -166,9 +167,9 @@ def test_cf2x_of_gym_pybullet_drones(tmp_path: Path) -> None:
     assert places[2] == pytest.approx((-0.028, -0.028, 0.0))
     rotor = robot.the_rotor("a test")
     rpm = 30.0 / np.pi
-    assert rotor.speed_for_thrust(0.25 * 0.027 * 9.8) * rpm == pytest.approx(14468.4, abs=0.1)
-    assert rotor.speed_for_thrust(0.25 * 0.027 * 9.81) * rpm == pytest.approx(14475.8, abs=0.1)
-    assert rotor.speed_for_thrust(rotor.thrust_range[1]) * rpm == pytest.approx(1.5 * 14475.8, abs=0.2)
+    assert rotor_state_for_thrust(rotor, 0.25 * 0.027 * 9.8) * rpm == pytest.approx(14468.4, abs=0.1)
+    assert rotor_state_for_thrust(rotor, 0.25 * 0.027 * 9.81) * rpm == pytest.approx(14475.8, abs=0.1)
+    assert rotor_state_for_thrust(rotor, rotor.thrust_range[1]) * rpm == pytest.approx(1.5 * 14475.8, abs=0.2)
     assert rotor.torque_ratio == pytest.approx(7.94 / 316.0)
     report = check_robot(robot, name="cf2x", controllers=())
     assert report.rank == 4

@@ -17,6 +17,7 @@ from aerial_gym.config import load
 from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.hover import fit_hover
 from aerial_gym.sim2real.teststand.joints.record import (
@@ -458,7 +459,7 @@ def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
     assert torques == pytest.approx(0.02 * (0.6e-6 * 1500.0**2 + 0.15), rel=0.01)
     rotor = RotorCfg(time_constant_up=0.03, time_constant_down=0.03, source="test", **changes)
     assert rotor.reversible
-    assert rotor.speed_for_thrust(-1.0) == pytest.approx(-1210.0, rel=0.01)
+    assert rotor_state_for_thrust(rotor, -1.0) == pytest.approx(-1210.0, rel=0.01)
 
 
 def test_steps_give_slew_rates_that_a_robot_file_holds(tmp_path: Path) -> None:
