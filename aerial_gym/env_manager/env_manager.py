@@ -19,15 +19,23 @@ from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import CONTROLLERS, check_closed_loop
+from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop
 from aerial_gym.control.upside_down import check_starts
 from aerial_gym.env_manager.collision_tests import CollisionTests, make_trajectory
 from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
+from aerial_gym.physics import EFFECTS, ROTOR_MAPS
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
-from aerial_gym.registry.state import add_prefix, check_state, config_digests, copy_tensors, restore_tensors
+from aerial_gym.registry.state import (
+    add_prefix,
+    check_state,
+    config_digests,
+    copy_tensors,
+    describe_own_code,
+    restore_tensors,
+)
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.joints.link_tensors import declare_links
@@ -42,6 +50,17 @@ if TYPE_CHECKING:
 def _registry_name(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
     """Return a configuration's registered name, else its summary."""
     return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
+
+
+def _own_code(robot: RobotCfg, controller: ControllerCfg, random: Randomize) -> dict[str, object]:
+    """Return the description of a user's effects, rotor map and law, ``own_code``; empty without any."""
+    effects = {*robot.effects, *(name.split(".")[1] for name in random if name.startswith("effects."))}
+    entries: dict[str, object] = {f"effect {name}": EFFECTS.get(name) for name in sorted(effects)}
+    entries |= {f"rotor map {name}": ROTOR_MAPS.get(name) for name in {rotor.rotor_map for rotor in robot.rotor_types}}
+    if controller.law in CONTROL_LAWS:
+        entries[f"law {controller.law}"] = CONTROL_LAWS.get(controller.law)
+    code = describe_own_code(entries)
+    return {"own_code": code} if code else {}
 
 
 def _check_gradients(env: EnvironmentCfg, *, differentiable: bool, dtype: torch.dtype) -> None:
@@ -189,7 +208,12 @@ class EnvManager:
             dt=sim.dt,
         )
         self._identity = config_digests(
-            sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {})
+            sim=sim,
+            environment=env,
+            robot=robot,
+            controller=controller,
+            randomize=dict(randomize or {}),
+            **_own_code(robot, controller, random),
         )
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 

@@ -32,6 +32,23 @@ def config_digests(**configs: object) -> dict[str, Tensor]:
     return {f"{IDENTITY}{name}": config_digest(config) for name, config in configs.items()}
 
 
+def describe_own_code(entries: Mapping[str, object]) -> dict[str, str]:
+    """Return class and attributes of registered entries from other packages, for a digest.
+
+    As for the package's own entries, the source is not compared.
+    """
+    own = {name: entry for name, entry in entries.items() if not _module(entry).startswith("aerial_gym.")}
+    return {name: f"{_module(entry)} {entry!r} {_attributes(entry)!r}" for name, entry in own.items()}
+
+
+def _module(entry: object) -> str:
+    return getattr(entry, "__module__", type(entry).__module__)
+
+
+def _attributes(entry: object) -> object:
+    return {} if isinstance(entry, type) else getattr(entry, "__dict__", {})
+
+
 def add_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return tensors with ``prefix.`` in front of their names."""
     return {f"{prefix}.{name}": tensor for name, tensor in tensors.items()}

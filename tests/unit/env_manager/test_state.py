@@ -1,17 +1,24 @@
 """A saved state goes on as if nothing had been: bit for bit, in the same simulation and in a new one, through a file."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import EFFECTS, ROBOTS, EnvManager, Task
+from aerial_gym import EFFECTS, ROBOTS, ROTOR_MAPS, EnvManager, Task
+from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
+from aerial_gym.control import CONTROL_LAWS
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import BodyState, Vehicle
+from aerial_gym.physics.effects.random_force import RandomForce
+from aerial_gym.registry.state import config_digest, describe_own_code
 from tests.builders import simulation
 from tests.unit.task.hover import begin
 
@@ -128,3 +135,52 @@ def test_a_state_of_another_simulation_is_refused() -> None:
         env.load_state({name: tensor for name, tensor in state.items() if name != "gtd.robot_position"})
     with pytest.raises(ConfigError, match="state: has 'more'"):
         env.load_state(state | {"more": torch.zeros(1)})
+
+
+class RotorEcho:
+    """A law of a user's own package."""
+
+    action_names = ("speed [rad/s]",)
+    gains_by_name: ClassVar[dict[str, Tensor]] = {}
+
+    def __init__(self, cfg: object, vehicle: Vehicle, gravity: float, *, gain: float = 1.0, **options: object) -> None:
+        self._gain, self._num_rotors = gain, vehicle.num_rotors
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        return (self._gain * action).expand(-1, self._num_rotors)
+
+
+class RotorShout(RotorEcho):
+    """Another one."""
+
+
+class GentlePush(RandomForce):
+    """An effect of a user's own package."""
+
+    def __init__(self, size: float = 0.0) -> None:
+        self.size = size
+
+
+LAWS = {"echo": RotorEcho, "shout": RotorShout, "half": partial(RotorEcho, gain=0.5)}
+
+
+@pytest.mark.parametrize("other", ["shout", "half"])
+def test_a_state_of_another_law_with_the_same_name_is_refused(other: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = ControllerCfg(summary="echo", law="echo")
+
+    def make(law: str) -> EnvManager:
+        monkeypatch.setattr(CONTROL_LAWS, "_entries", {"echo": LAWS[law]})
+        built = simulation(ROBOTS.get("tinyprop"), cfg, num_envs=1, seed=0, backend="torch")
+        built.reset()
+        return built
+
+    state = make("echo").save_state()
+    make("echo").load_state(state)
+    with pytest.raises(ConfigError, match="of another own_code"):
+        make(other).load_state(state)
+
+
+def test_own_code_is_told_apart_by_class_and_attributes() -> None:
+    entries = (GentlePush(), GentlePush(1.0), GentlePush(2.0), *LAWS.values())
+    assert len({str(config_digest(describe_own_code({"it": entry}))) for entry in entries}) == len(entries)
+    assert describe_own_code({"drag": EFFECTS.get("rotor_drag"), "map": ROTOR_MAPS.get("polynomial")}) == {}
