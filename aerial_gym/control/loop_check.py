@@ -14,7 +14,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.gains import GAINS, has_explicit_gains, select_explicit_gains
 from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.linear_loop import AXES
 from aerial_gym.control.stability import TURNS, ClosedLoop, HoverResult, stable
+from aerial_gym.control.trim import trim_axes
 from aerial_gym.errors import ConfigError
 
 _log = logging.getLogger(__name__)
@@ -41,8 +43,9 @@ def check_closed_loop(
 ) -> None:
     """Refuse a robot that does not hover under its controller at this time step, and warn of a poor hover.
 
-    The check covers derived gains, gains of robot files and those of registered controllers. ``ControllerCfg.if_unstable``
-    turns the refusal into a warning, for example to reproduce published results.
+    The check covers derived gains, gains of robot files and registered controllers, and laws of other packages that state
+    their ``trim`` (``control.trim``). ``ControllerCfg.if_unstable`` turns the refusal into a warning, for example to
+    reproduce published results.
 
     Args:
         gravity: Downward acceleration of free fall [m/s²].
@@ -53,7 +56,13 @@ def check_closed_loop(
     Raises:
         ConfigError: If the vehicle cannot hover, or the loop is refused.
     """
-    if controller.law not in LAWS:
+    axes = trim_axes(controller)
+    if axes is None:
+        _log.warning(
+            f"law {controller.law!r}: states no trim, so its loop is not checked. Give its class the attribute trim, the axes "
+            f"that it controls of {' '.join(AXES)}; empty for none"
+        )
+    if not axes or (gravity == 0.0 and controller.law not in LAWS):
         return
     loop = ClosedLoop(
         robot,
@@ -137,11 +146,14 @@ def fault_of_unstable_loop(hover: HoverResult, dt: float) -> str:
 
 def _uncontrollable_axes(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
     """Return the axes with explicit attitude gains but without rotor torque; empty if there are none."""
-    explicit = None if controller.autopilot else select_explicit_gains(controller, robot.control)
+    own = controller.autopilot or controller.law not in LAWS
+    explicit = None if own else select_explicit_gains(controller, robot.control)
     return "" if explicit is None else " and ".join(name for name in idle if explicit.attitude[TURNS.index(name)] > 0.0)
 
 
 def _gain_source(controller: ControllerCfg, robot: RobotCfg) -> str:
+    if controller.law not in LAWS:
+        return "its own gains"
     explicit = has_explicit_gains(controller, robot.control)
     return "the explicit gains given" if explicit else "its frequencies and damping"
 
@@ -149,6 +161,8 @@ def _gain_source(controller: ControllerCfg, robot: RobotCfg) -> str:
 def _remedy(loop: ClosedLoop, controller: ControllerCfg, robot: RobotCfg, dt: float) -> str:
     """Return the remedies of an unstable loop as sentences: the largest stable time step, and changes of gains."""
     late = "shorten the dead time (effects: actuation_delay), " if loop.delay else ""
+    if controller.law not in LAWS:
+        return f"{_largest_dt(loop, dt)}To fly it, {late}lower the gains in the code of law {controller.law!r}"
     if not has_explicit_gains(controller, robot.control):
         return f"{_largest_dt(loop, dt)}To fly it, {late}lower the frequencies (control:)"
     return (

@@ -31,8 +31,8 @@ from aerial_gym.control.hover import (
     find_rest,
     flight_distance,
 )
-from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES, BODY, DiscreteLoop
+from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.backend import ControlLaw
 from aerial_gym.physics.effects import DelayEffect, EffectParams
@@ -183,7 +183,7 @@ class ClosedLoop:
         weak = allocation.torque_authority(weight) == 0.0
         turns = list(zip(TURNS, RATES, weak.tolist(), strict=True))
         idle = {name for turn, rate, none in turns if none for name in (turn, rate)}
-        held = LAWS[controller.law].trim.split()
+        held = trim_axes(controller) or ()
         self.axes = " ".join(name for name in held if name not in idle)
         """Of ``AXES``, what the law and the rotors control."""
         self.idle = [name for name in TURNS if name in idle and name in held]
@@ -246,7 +246,7 @@ class ClosedLoop:
         if not self.holds_place or not (tight or self._slews(dt)):
             return result
         loop, returns = self._make_loop(dt, None), "x" in self.axes.split()
-        flown = flight_distance(loop, self.rest(dt), self._action(), returns=returns, decays=result.stable)
+        flown = flight_distance(loop, self.rest(dt), self._action(dt), returns=returns, decays=result.stable)
         return replace(result, flown=flown)
 
     def _slews(self, dt: float) -> bool:
@@ -285,7 +285,7 @@ class ClosedLoop:
         if (dt, corner) not in self._rests:
             loop = self._make_loop(dt, corner)
             start = loop.start(HEIGHT, self._hover)
-            self._rests[dt, corner] = find_rest(loop, start, self._action(), self._rest_indices(start.shape[1]))
+            self._rests[dt, corner] = find_rest(loop, start, self._action(dt), self._rest_indices(start.shape[1]))
         return self._rests[dt, corner]
 
     def deviation_bound(self, dt: float, steps: int, size: Tensor) -> Tensor:
@@ -307,12 +307,9 @@ class ClosedLoop:
             number for number in range(BODY, width) if number not in drifting
         ]
 
-    def _action(self) -> Tensor:
-        law = LAWS[self._controller.law]
-        action = torch.zeros(len(law.action), dtype=torch.float64)
-        if "z" in law.trim.split():
-            action[AXES.index("z")] = HEIGHT
-        return action
+    def _action(self, dt: float) -> Tensor:
+        law = make_controller(self._controller, self._vehicle, self._gravity, dt=dt, control=self._robot.control)
+        return hover_action(law, HEIGHT)
 
     def _make_loop(self, dt: float, corner: Corner) -> DiscreteLoop:
         return DiscreteLoop(

@@ -8,7 +8,7 @@ Letters: E environments, R rotors, U entries of an action, S slots of a ring, M 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import torch
@@ -28,6 +28,9 @@ class StatefulController(ABC):
 
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """Gains by their names in ``randomize:``; empty if all environments share one set."""
+
+    hover_action: Sequence[float] = ()
+    """Action at hover for the checks before flight; zeros if empty. An entry ``z [m]`` is the height."""
 
     def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return the setpoint (E, S) of an action (E, U) and the new memory; by default the action.

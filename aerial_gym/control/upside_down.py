@@ -16,9 +16,9 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.control.controllers import Controller, make_controller
 from aerial_gym.control.effectiveness import allocation_matrix
-from aerial_gym.control.laws import LAWS
 from aerial_gym.control.loop_check import refuse_or_warn
 from aerial_gym.control.stateful import StatefulController
+from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust
@@ -50,7 +50,7 @@ def check_starts(
     Raises:
         ConfigError: If there are such attitudes.
     """
-    if controller.law not in LAWS or "roll" not in LAWS[controller.law].trim:
+    if "roll" not in (trim_axes(controller) or ()):
         return
     attitudes = sample_attitudes(robot.initial_state)
     if len(attitudes) == 0:
@@ -95,7 +95,7 @@ def recovery_acceleration(
 
 def _steady_command(law: Controller, state: BodyState) -> Tensor:
     """Return the rotor command (N, R) for a constant state, after all delays of the law."""
-    action = state.position.new_zeros(state.num_envs, len(law.action_names))
+    action = hover_action(law, 0.0).to(state.position).expand(state.num_envs, -1)
     if not isinstance(law, StatefulController):
         return law.rotor_command(state, action)
     memory, timing = fresh_law_memory(law.needs, state.num_envs, state.position), law.timing

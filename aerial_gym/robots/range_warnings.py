@@ -16,9 +16,9 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
-from aerial_gym.control.laws import LAWS
 from aerial_gym.control.loop_check import fault_of_unstable_loop, hover_error, remedy
 from aerial_gym.control.stability import ClosedLoop, HoverResult, hover_model
+from aerial_gym.control.trim import trim_axes
 from aerial_gym.physics.effects import EFFECTS, DelayEffect
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.vehicle import vehicle_from_config
@@ -43,7 +43,7 @@ def report_range_faults(
     Args:
         randomize: Random quantities by name; ``check_closed_loop`` checks gains.
     """
-    if controller.law not in LAWS or not randomize:
+    if not trim_axes(controller) or not randomize:
         return
     ends = hovers_at_range_ends(
         robot, controller, randomize, gravity=gravity, dt=dt, integrator=integrator, names=names

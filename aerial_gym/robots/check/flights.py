@@ -18,8 +18,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import apparent_gravity
-from aerial_gym.control.laws import LAWS
 from aerial_gym.control.stability import AXES, ClosedLoop
+from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics import BodyState, build_model, vehicle_from_config
@@ -81,7 +81,10 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     differs by less than ``AT_REST`` of the disturbance between flights and times. The rest pose may differ from declared
     hover: a slung load lowers it. Wind effects are left out, as gusts prevent rest.
     """
-    if controller.law not in LAWS:
+    axes = trim_axes(controller)
+    if axes is None:
+        return StableStep(controller=name, refused="its law states no trim: the axes that it controls")
+    if not axes:
         return StableStep(controller=name, refused="commands rotors, and holds nothing")
     try:
         loop = ClosedLoop(robot, controller, gravity=gravity, integrator="euler", names=("this", name))
@@ -161,7 +164,7 @@ def _distances_in_last_tenth(
     backend.prepare(dt)
     felt = apparent_gravity(robot.control, robot.body.mass, gravity)
     state = _start_states(size, _hover_speeds(vehicle, felt))
-    action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
+    action = hover_action(law, 0.0).float().repeat(NUM_FLIGHTS, 1)
     if tail is not None:
         action, state = torch.nn.functional.pad(action, (0, 1)), _add_tail_state(state, tail)
 

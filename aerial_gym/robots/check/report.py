@@ -15,7 +15,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.gains import apparent_gravity
-from aerial_gym.control.laws import LAWS
+from aerial_gym.control.trim import trim_axes
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_maps import rotor_state_for_thrust
@@ -108,7 +108,7 @@ def check_robot(
     )
     problems = (*_hover_problems(hover, low, high, wrench, held, weight), *_problems_of_coupling(matrix))
     if controllers is None:
-        controllers = [n for n in CONTROLLERS.names() if (c := CONTROLLERS.get(n)).law in LAWS and c.gains is None]
+        controllers = [n for n in CONTROLLERS.names() if trim_axes(c := CONTROLLERS.get(n)) and c.gains is None]
     steps = []
     for number, controller in enumerate(controllers if not problems else ()):
         progress(controller, number / len(controllers))

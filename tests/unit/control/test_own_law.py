@@ -7,11 +7,17 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
-from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, make_controller
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop, make_controller
+from aerial_gym.control.stability import ClosedLoop
+from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.check import check_robot
+from aerial_gym.robots.check.flights import StableStep, largest_stable_step
 from tests.physics.vehicles import random_state
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "own_law.md"
@@ -56,6 +62,81 @@ def test_its_integral_carries_an_unknown_load(own_law: str) -> None:
     assert float(state.lin_vel[0, 2]) == pytest.approx(0.5, abs=1e-3)
     assert backend.law_memory is not None
     assert float(backend.law_memory.numbers[0, 0]) == pytest.approx(0.05 * 9.81, abs=2e-3)
+
+
+def check(dt: float, law: str = "climb_rate_control", **changes: Any) -> None:
+    controller = replace(CONTROLLERS.get(law), **changes)
+    check_closed_loop(ROBOT, controller, gravity=9.81, dt=dt, integrator="rk4", names=("quad", law))
+
+
+def test_the_check_before_flight_refuses_an_own_law_at_a_long_time_step(own_law: str) -> None:
+    """Body rates with a gain of 20/s and a rotor lag are stable at 4 ms, and not when they run only each 0.2 s."""
+    check(DT)
+    with pytest.raises(ConfigError, match=r"grows by a factor.*climb_rate"):
+        check(0.2)
+    with pytest.raises(ConfigError, match="grows by a factor"):
+        check(DT, rate_hz=5.0)
+
+
+def test_robot_check_finds_the_largest_time_step_of_an_own_law(own_law: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flights in the physics backend come to rest up to that step, and the linear loop is unstable well above."""
+    controller = CONTROLLERS.get(own_law)
+    step = largest_stable_step(ROBOT, controller, name=own_law)
+    assert step.refused is None
+    assert step.largest_s is not None
+    loop = ClosedLoop(ROBOT, controller, gravity=9.81, integrator="euler", names=("quad", own_law))
+    assert loop.is_firm(step.largest_s)
+    assert loop.radius(4.0 * step.largest_s) > 1.0
+    report_module = "aerial_gym.robots.check.report.largest_stable_step"
+    monkeypatch.setattr(report_module, lambda robot, controller, *, name, gravity: StableStep(controller=name))
+    assert own_law in {each.controller for each in check_robot(ROBOT, name="quad").stable_steps}
+
+
+def test_a_law_without_trim_is_not_checked_and_says_so(own_law: str, caplog: pytest.LogCaptureFixture) -> None:
+    entry = CONTROL_LAWS.get("climb_rate")
+    assert trim_axes(CONTROLLERS.get(own_law)) == ("vz", "p", "q", "r")
+    del entry.trim  # type: ignore[attr-defined]
+    check(0.2)
+    assert "states no trim" in caplog.text
+    step = largest_stable_step(ROBOT, CONTROLLERS.get(own_law), name=own_law)
+    assert "no trim" in (step.refused or "")
+    entry.trim = "vz p yawing"  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match="'yawing' is no axis"):
+        check(DT)
+
+
+def test_an_own_law_states_its_action_at_hover(own_law: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A thrust in N is the weight at hover; with 0 the vehicle rests 9.81 m lower, where ``m g = m z``."""
+
+    class ThrustAndRates(CONTROL_LAWS.get("climb_rate")):  # type: ignore[misc]
+        action_names = ("thrust [N]", "p [rad/s]", "q [rad/s]", "r [rad/s]", "z [m]")
+        trim = "z vz p q r"
+
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            self.hover_action = (9.81 * float(self.mass[0]), 0.0, 0.0, 0.0, 0.0)
+            self.set_needs(self.timing, num_rotors=4, num_setpoint=4)
+
+        def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+            error = action[:, 4:] - state.position[:, 2:] - 1.5 * state.lin_vel[:, 2:]
+            return torch.cat((action[:, :1] + self.mass.unsqueeze(-1) * error, action[:, 1:4]), dim=-1), memory
+
+    CONTROL_LAWS.register("thrust_and_rates", ThrustAndRates)
+    CONTROLLERS.register("thrust_and_rates", ControllerCfg(summary="thrust and rates", law="thrust_and_rates"))
+    check(DT, "thrust_and_rates")
+    assert caplog.text == ""
+    vehicle = vehicle_from_config(ROBOT, num_envs=1)
+    law = make_controller(CONTROLLERS.get("thrust_and_rates"), vehicle, 9.81, dt=DT)
+    assert hover_action(law, 2.0).tolist() == pytest.approx([9.81 * ROBOT.body.mass, 0.0, 0.0, 0.0, 2.0])
+    assert hover_height("thrust_and_rates") == pytest.approx(0.0, abs=1e-6)
+    ThrustAndRates.hover_action = property(lambda law: (), lambda law, value: None)
+    assert hover_height("thrust_and_rates") == pytest.approx(-9.81, abs=1e-6)
+
+
+def hover_height(law: str) -> float:
+    """Return the height [m] at which the vehicle rests above its setpoint."""
+    loop = ClosedLoop(ROBOT, CONTROLLERS.get(law), gravity=9.81, integrator="rk4", names=("quad", law))
+    return float(loop.rest(DT).offset[0, 2])
 
 
 def test_an_unknown_law_is_refused_with_the_known_ones(own_law: str) -> None:
