@@ -17,20 +17,14 @@ if TYPE_CHECKING:
 class CheckCmd:
     """Say what a robot can do: hover, thrust to weight, authority about each axis, stable time steps of controllers."""
 
-    robots: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Registered robots, or robot files (.yaml)."""
+    robots: Annotated[tuple[str, ...], tyro.conf.Positional]  # Registered robots, or robot files (.yaml)
 
     controllers: tuple[str, ...] | None = None
     """Registered controllers to fly it with; all that have gains if not given."""
 
-    fly: bool = True
-    """Find the largest stable time step of each controller by flying; --no-fly answers at once."""
-
-    picture: Path | None = None
-    """Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot."""
-
-    json: bool = False
-    """Print one JSON object for each robot instead of tables."""
+    fly: bool = True  # Find the largest stable time step of each controller by flying; --no-fly answers at once
+    picture: Path | None = None  # Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot
+    json: bool = False  # Print one JSON object for each robot instead of tables
 
     def run(self) -> int:
         """Check and print; return 0, or 1 if a robot cannot fly as described."""

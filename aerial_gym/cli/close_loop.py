@@ -18,14 +18,9 @@ if TYPE_CHECKING:
 class CloseLoopCmd:
     """Find what a declared robot lacks in measured flights, and write the corrected robot."""
 
-    robot: str
-    """Registered robot, or a robot file (.yaml)."""
-
-    train: tuple[Path, ...]
-    """Flight logs to fit on; four or more with different motions are best."""
-
-    test: tuple[Path, ...]
-    """Flight logs to judge on; nothing is fitted to them."""
+    robot: str  # Registered robot, or a robot file (.yaml)
+    train: tuple[Path, ...]  # Flight logs to fit on; four or more with different motions are best
+    test: tuple[Path, ...]  # Flight logs to judge on; nothing is fitted to them
 
     out: Path
     """Folder of the results: verdict.json, robot.yaml, report.html, report.md, residuals.csv, profiles.csv, evidence.csv. New,
@@ -48,8 +43,7 @@ class CloseLoopCmd:
     material: float = 0.05
     """An effect is named if a residual rises by this share without it, or may: its interval counts."""
 
-    seed: int = 0
-    """Seed of the resampling behind the 95 % intervals."""
+    seed: int = 0  # Seed of the resampling behind the 95 % intervals
 
     failures: bool = False
     """Look through each flight for a rotor or supply that fails in it, and compare it up to there only. Give it where something
@@ -68,8 +62,7 @@ class CloseLoopCmd:
     """Let robot.yaml draw what was found from its intervals at every reset (``randomize:``), so that a policy trains on what is
     uncertain."""
 
-    json: bool = False
-    """Print verdict.json on stdout instead of tables."""
+    json: bool = False  # Print verdict.json on stdout instead of tables
 
     def run(self) -> int:
         """Run the loop and print the verdict; return the exit status."""

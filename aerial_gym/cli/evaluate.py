@@ -21,26 +21,16 @@ class EvaluateCmd:
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's: a policy on the corrected vehicle."""
 
-    backend: str | None = None
-    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
-
-    num_envs: int = 512
-    """Random starts."""
-
-    device: str = "cpu"
-    """Torch device; auto takes the GPU if there is one."""
-
-    seed: int = 1_000_003
-    """Seed of the starts; keep it apart from the seeds of trainings."""
-
-    level: int | None = None
-    """Level at which the curriculum of the task stays; its highest if not given."""
+    backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
+    num_envs: int = 512  # Random starts
+    device: str = "cpu"  # Torch device; auto takes the GPU if there is one
+    seed: int = 1_000_003  # Seed of the starts; keep it apart from the seeds of trainings
+    level: int | None = None  # Level at which the curriculum of the task stays; its highest if not given
 
     watch: Path | None = None
     """CSV file for the last 64 steps of rows that were NaN or infinite; play --replay shows it."""
 
-    json: bool = False
-    """Print one JSON object."""
+    json: bool = False  # Print one JSON object
 
     def run(self) -> int:
         """Fly one episode from every start and print the figures; return the exit status."""

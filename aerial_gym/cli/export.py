@@ -18,26 +18,16 @@ if TYPE_CHECKING:
 class ExportCmd:
     """Write a trained policy as ONNX, TorchScript or C99, with its normaliser, limits and layout."""
 
-    policy: Path
-    """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
-
-    to: tuple[str, ...] = ("onnx",)
-    """onnx, torchscript, c99: one or more of them."""
-
-    out: Path | None = None
-    """Folder; export/ in the run folder if not given."""
+    policy: Path  # Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it
+    to: tuple[str, ...] = ("onnx",)  # onnx, torchscript, c99: one or more of them
+    out: Path | None = None  # Folder; export/ in the run folder if not given
 
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's: the corrected vehicle, or yours for a policy of many."""
 
-    name: str | None = None
-    """Of files and C functions; that of the task if not given."""
-
-    check: bool = True
-    """Run each file on 100,000 observations and compare it with torch."""
-
-    json: bool = False
-    """Print one JSON object per format."""
+    name: str | None = None  # Of files and C functions; that of the task if not given
+    check: bool = True  # Run each file on 100,000 observations and compare it with torch
+    json: bool = False  # Print one JSON object per format
 
     def run(self) -> int:
         """Write, compare, print; return 0, or 1 if a file is not the policy."""

@@ -25,8 +25,7 @@ class MotorCmd:
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """CSV tables: speed, thrust and torque at rest, or time, commanded and measured speed; told apart by their columns."""
 
-    num_motors: int = 1
-    """Motors whose thrust and torque were measured together."""
+    num_motors: int = 1  # Motors whose thrust and torque were measured together
 
     columns: dict[str, str] = field(default_factory=dict)
     """Column by quantity where the usual name is not used: speed, thrust, torque, time, command, measured."""
@@ -34,14 +33,12 @@ class MotorCmd:
     units: dict[str, str] = field(default_factory=dict)
     """Unit by quantity where the name does not tell it: rad/s, rpm, rev/s; N, mN, gf, kgf; N m, mN m, gf cm; s, ms, us."""
 
-    robot: str | None = None
-    """Registered robot or robot file that gets the new rotor numbers (robot.yaml in --out)."""
+    robot: str | None = None  # Registered robot or robot file that gets the new rotor numbers (robot.yaml in --out)
 
     out: Path | None = None
     """Folder for report.md, figures, result.json and robot.yaml or rotor.yaml; nothing is written if not given."""
 
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
+    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
@@ -60,11 +57,8 @@ class MotorCmd:
 class JointCmd:
     """The law of a compliant joint from the record of a load that is let go: spring, damping, creep."""
 
-    file: Annotated[Path, tyro.conf.Positional]
-    """CSV table: time and angle of the joint, from before the release on."""
-
-    release_s: float = 0.0
-    """Time of the release in the file [s]."""
+    file: Annotated[Path, tyro.conf.Positional]  # CSV table: time and angle of the joint, from before the release on
+    release_s: float = 0.0  # Time of the release in the file [s]
 
     columns: dict[str, str] = field(default_factory=dict)
     """Column by quantity where the usual name is not used: time, angle."""
@@ -75,8 +69,7 @@ class JointCmd:
     out: Path | None = None
     """Folder for report.md, figures, result.json and joint.yaml; nothing is written if not given."""
 
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
+    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
@@ -93,21 +86,15 @@ class JointCmd:
 class JointsCmd:
     """Stiffness, damping, rest angle and dry friction of a robot's joints from flights, with or without their angles logged."""
 
-    robot: Annotated[str, tyro.conf.Positional]
-    """Registered robot, or a robot file (.yaml), with joints."""
+    robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml), with joints
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Flight logs of the package's own layout, with a column joint_NAME, or joint_1 to joint_D, for each joint [rad]. If no log
     has any, all joints are fitted by what the body felt, which takes minutes."""
 
-    bandwidth_hz: float = 15.0
-    """Efforts are compared below this frequency [Hz]; at most a fifth of the logs' rate."""
-
-    out: Path | None = None
-    """Folder for report.md, result.json and robot.yaml; nothing is written if not given."""
-
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
+    bandwidth_hz: float = 15.0  # Efforts are compared below this frequency [Hz]; at most a fifth of the logs' rate
+    out: Path | None = None  # Folder for report.md, result.json and robot.yaml; nothing is written if not given
+    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
@@ -146,11 +133,8 @@ class HoverCmd:
     robot: str | None = None
     """Registered robot or robot file: its mass, its thrust map to compare with, and places and spin of its rotors."""
 
-    mass_kg: float | None = None
-    """Mass of the vehicle [kg]; that of the robot if not given."""
-
-    mass_std_kg: float = 0.0
-    """Standard deviation of the mass [kg]: it widens the interval."""
+    mass_kg: float | None = None  # Mass of the vehicle [kg]; that of the robot if not given
+    mass_std_kg: float = 0.0  # Standard deviation of the mass [kg]: it widens the interval
 
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
@@ -158,8 +142,7 @@ class HoverCmd:
     out: Path | None = None
     """Folder for report.md, a figure, result.json and robot.yaml; nothing is written if not given."""
 
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
+    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""

@@ -12,11 +12,8 @@ import tyro
 class ImportRobotCmd:
     """Write a robot file (.yaml) from a URDF, MJCF or SDF file; one that cannot be flown is refused with the reason."""
 
-    file: Annotated[Path, tyro.conf.Positional]
-    """URDF, MJCF or SDF file."""
-
-    out: Path
-    """Robot file to write (.yaml)."""
+    file: Annotated[Path, tyro.conf.Positional]  # URDF, MJCF or SDF file
+    out: Path  # Robot file to write (.yaml)
 
     rotors_of: str | None = None
     """Robot, by name or file, whose rotor type these are; where the file has no rotors, its mounts are taken too."""
@@ -33,11 +30,8 @@ class ImportRobotCmd:
     joints: bool = False
     """Let revolute, continuous and prismatic joints move, but those of rotors; without it all are welded at zero."""
 
-    accept_losses: bool = False
-    """Import a vehicle although its wings, or the joints that tilt its rotors, are left out."""
-
-    summary: str | None = None
-    """One line for people who choose a robot."""
+    accept_losses: bool = False  # Import a vehicle although its wings, or the joints that tilt its rotors, are left out
+    summary: str | None = None  # One line for people who choose a robot
 
     def run(self) -> int:
         """Import, write and list unused elements; return the exit status."""

@@ -18,20 +18,11 @@ if TYPE_CHECKING:
 class RenderGalleryCmd:
     """Show what every registered sensor sees in every registered environment, on one page."""
 
-    out: Path
-    """Folder that receives ``index.html``."""
-
-    environments: tuple[str, ...] = ()
-    """Registered environments; all that have obstacles if not given."""
-
-    sensors: tuple[str, ...] = ()
-    """Registered sensors; all of them if not given."""
-
-    device: str = "cpu"
-    """Torch device; auto takes the GPU if there is one."""
-
-    seed: int = 0
-    """Seed of the obstacles and of the start."""
+    out: Path  # Folder that receives `index.html`
+    environments: tuple[str, ...] = ()  # Registered environments; all that have obstacles if not given
+    sensors: tuple[str, ...] = ()  # Registered sensors; all of them if not given
+    device: str = "cpu"  # Torch device; auto takes the GPU if there is one
+    seed: int = 0  # Seed of the obstacles and of the start
 
     def run(self) -> int:
         """Render everything and write the page; return the exit status."""

@@ -15,11 +15,8 @@ from aerial_gym.config.console import json_line
 class ReplayCmd:
     """Compare a robot as declared with measured flights: residuals and open-loop rollouts."""
 
-    robot: Annotated[str, tyro.conf.Positional]
-    """Registered robot, or a robot file (.yaml)."""
-
-    flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Flight logs."""
+    robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
+    flights: Annotated[tuple[Path, ...], tyro.conf.Positional]  # Flight logs
 
     out: Path | None = None
     """Folder for replay.json, report.html, residuals.csv and profiles.csv; nothing is written if not given."""
@@ -30,11 +27,8 @@ class ReplayCmd:
     bandwidth_hz: float = 10.0
     """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
 
-    seed: int = 0
-    """Seed of the resampling behind the 95 % intervals."""
-
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
+    seed: int = 0  # Seed of the resampling behind the 95 % intervals
+    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Replay the flights and print the figures; return the exit status."""

@@ -18,14 +18,9 @@ if TYPE_CHECKING:
 class TrainEncoderCmd(EncoderTrainingCfg):
     """Train an encoder of range images, a variational autoencoder, on scenes of registered environments."""
 
-    out: Path = Path("runs/encoder")
-    """Folder: settings, checkpoint, encoder.pt, figures, picture. New, unless --resume."""
-
-    resume: bool = False
-    """Go on with the training in --out from its last checkpoint, with its own settings."""
-
-    json: bool = False
-    """Print the result as one JSON object."""
+    out: Path = Path("runs/encoder")  # Folder: settings, checkpoint, encoder.pt, figures, picture. New, unless --resume
+    resume: bool = False  # Go on with the training in --out from its last checkpoint, with its own settings
+    json: bool = False  # Print the result as one JSON object
 
     def run(self) -> int:
         """Train, measure on images of other scenes, print; return the exit status, 1 if it was interrupted."""

@@ -15,20 +15,11 @@ class TuneCmd:
     robot: Annotated[str, tyro.conf.Positional]
     """Registered robot, or robot file (.yaml); its effects motor_time_constant, motor_asymmetry and actuation_delay count."""
 
-    attitude_hz: float
-    """Bandwidth of roll, pitch and yaw [1/s]: where the answer is 0.71 of what is wanted."""
-
-    position_hz: float
-    """Bandwidth along x, y, z [1/s]."""
-
-    damping: float = 0.8
-    """Damping ratio of both loops, 0.3 to 1."""
-
-    dt_s: float = 0.01
-    """Time step of the control law [s]."""
-
-    json: bool = False
-    """Print one JSON object instead of YAML."""
+    attitude_hz: float  # Bandwidth of roll, pitch and yaw [1/s]: where the answer is 0.71 of what is wanted
+    position_hz: float  # Bandwidth along x, y, z [1/s]
+    damping: float = 0.8  # Damping ratio of both loops, 0.3 to 1
+    dt_s: float = 0.01  # Time step of the control law [s]
+    json: bool = False  # Print one JSON object instead of YAML
 
     def run(self) -> int:
         """Tune and print; return 0, or 1 if the sampled loop would not come to rest."""

@@ -15,28 +15,18 @@ if TYPE_CHECKING:
     from aerial_gym.sim2real.failures.watch import Alarm, FlightWatch
     from aerial_gym.sim2real.logs.readers.csv_lines import CsvHeader
 
-SHOWN = 3
-"""Bad lines that are named."""
+SHOWN = 3  # Bad lines that are named
 
 
 @dataclass(frozen=True, kw_only=True)
 class WatchCmd:
     """Name a failure in flight, with rotor, size and time, from the rows of a log as they come."""
 
-    robot: Annotated[str, tyro.conf.Positional]
-    """Registered robot, or a robot file (.yaml)."""
-
-    log: Annotated[str, tyro.conf.Positional]
-    """Flight log (CSV of this package's layout), or - for stdin."""
-
-    follow: bool = False
-    """Wait for more rows at the end of the file, until interrupted."""
-
-    false_alarm_hours: float = 100.0
-    """Mean flight time between two false alarms [h], at least."""
-
-    json: bool = False
-    """Print one JSON object a line in place of sentences."""
+    robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
+    log: Annotated[str, tyro.conf.Positional]  # Flight log (CSV of this package's layout), or - for stdin
+    follow: bool = False  # Wait for more rows at the end of the file, until interrupted
+    false_alarm_hours: float = 100.0  # Mean flight time between two false alarms [h], at least
+    json: bool = False  # Print one JSON object a line in place of sentences
 
     def run(self) -> int:
         """Print a line for each failure at its detection; return the exit status."""

@@ -15,8 +15,7 @@ from aerial_gym.env_manager import EnvManager as Simulation
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 
-COMPONENTS = ("sensors", "viewer")
-"""Modes of ``render``; the viewer shows nothing."""
+COMPONENTS = ("sensors", "viewer")  # Modes of `render`; the viewer shows nothing
 
 _FLAGS = ("crashes", "truncations")
 

@@ -24,8 +24,7 @@ FACTOR = 10.0
 """Two evaluations in float32 differ in the order of their sums and in ``exp`` and ``tanh``. The error was
 0.75 to 1.8 times the rounding over C files of 16 drawn policies, and at most 1.8 times over ONNX files of 36."""
 
-UNIT = 2.0**-23
-"""Relative distance of neighbouring float32 numbers."""
+UNIT = 2.0**-23  # Relative distance of neighbouring float32 numbers
 
 
 @dataclass(frozen=True)

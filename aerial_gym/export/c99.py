@@ -27,8 +27,7 @@ from aerial_gym.export.module import DeployablePolicy, action_transform
 from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.task.terms import actions
 
-LINE = 110
-"""Columns of a line of weights."""
+LINE = 110  # Columns of a line of weights
 
 
 def policy_header(layout: Layout, *, work: int = 0) -> str:

@@ -19,11 +19,8 @@ from aerial_gym.export.formats import onnx_bytes, onnx_session, torchscript_byte
 from aerial_gym.export.pilot import compile_library
 from aerial_gym.sensors.encoder.file import Encoder, load_encoder
 
-INPUT, OUTPUT = "image", "latents"
-"""Names: shares of the largest distance (B, H, W), 0 to 1, to latents (B, L)."""
-
-CHECKED = 1_000
-"""Random images with which a file is compared."""
+INPUT, OUTPUT = "image", "latents"  # Names: shares of the largest distance (B, H, W), 0 to 1, to latents (B, L)
+CHECKED = 1_000  # Random images with which a file is compared
 
 
 class DeployableEncoder(nn.Module):

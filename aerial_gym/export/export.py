@@ -31,30 +31,23 @@ from aerial_gym.task.vision.images import TYPES
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
 
-CHECKED_WITH_IMAGES = 10_000
-"""With how many where it sees images, each of which costs as much as hundreds of vectors."""
-
-SPREAD = 2.0
-"""Spread of random observations around the normaliser's mean, in its standard deviations."""
+CHECKED_WITH_IMAGES = 10_000  # With how many where it sees images, each of which costs as much as hundreds of vectors
+SPREAD = 2.0  # Spread of random observations around the normaliser's mean, in its standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
     """One file."""
 
-    to: str
-    """Format."""
+    to: str  # Format
 
     file: Path
     largest_difference: float | None
     """Largest difference of an output from that of torch in float32, in the unit of the output, over ``CHECKED`` observations
     (``CHECKED_WITH_IMAGES``); None: ``not_checked``."""
 
-    agreement: Agreement | None = None
-    """The output nearest to its limit, or furthest beyond it; None: ``not_checked``."""
-
-    not_checked: str | None = None
-    """Why it could not be run here."""
+    agreement: Agreement | None = None  # The output nearest to its limit, or furthest beyond it; None: `not_checked`
+    not_checked: str | None = None  # Why it could not be run here
 
     @property
     def agrees(self) -> bool | None:
@@ -171,8 +164,7 @@ def random_image(image: ObservationImage, rows: int, generator: torch.Generator)
     return (255.0 * shares + 0.5).to(torch.uint8) if image.dtype == "uint8" else shares.to(TYPES[image.dtype][0])
 
 
-ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}
-"""Of an encoder's file, by the format."""
+ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}  # Of an encoder's file, by the format
 
 
 def _write_onnx(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:

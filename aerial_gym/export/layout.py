@@ -18,8 +18,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 from aerial_gym.task.vision.images import image_scale
 
-LAYOUT_FILE = "policy.json"
-"""Beside every exported policy."""
+LAYOUT_FILE = "policy.json"  # Beside every exported policy
 
 
 @dataclass(frozen=True, kw_only=True)

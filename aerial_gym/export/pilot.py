@@ -26,8 +26,7 @@ Step = Callable[..., tuple[Tensor, Tensor, Tensor]]
 """Observation (E, O), memory (E, M) and images (E, C, H, W) to command (E, U), action (E, V) and the memory after it, on the
 CPU."""
 
-COMPILER = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
-"""Compiler options for the source."""
+COMPILER = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")  # Compiler options for the source
 
 
 class ExportedPilot:

@@ -17,11 +17,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 C = TypeVar("C", bound=type)
 
-USUAL_DEVICE = torch.device("cpu")
-"""Torch's default device."""
-
-_thread = local()
-"""Whether this thread is inside ``usual_settings``, with known settings."""
+USUAL_DEVICE = torch.device("cpu")  # Torch's default device
+_thread = local()  # Whether this thread is inside `usual_settings`, with known settings
 
 
 def usual_settings(function: Callable[P, T]) -> Callable[P, T]:

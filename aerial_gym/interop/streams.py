@@ -12,8 +12,7 @@ from aerial_gym.errors import StorageError
 from aerial_gym.interop.kernel_log import KernelLog
 from aerial_gym.interop.launches import wait_for_all
 
-CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"
-"""Remedy for a cache that cannot be written."""
+CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"  # Remedy for a cache that cannot be written
 
 BLOCK_DIM = 64
 """Block size on a GPU for kernels of one thread per environment: with Warp's 256, a few thousand environments leave most

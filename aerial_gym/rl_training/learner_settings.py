@@ -15,14 +15,9 @@ from aerial_gym.errors import ConfigError
 class LearnerCfg:
     """Settings of networks and rollouts that all learners share."""
 
-    hidden_layers: tuple[int, ...]
-    """Widths of the hidden layers, each >= 1."""
-
-    separate_value_network: bool = False
-    """Whether the value has separate hidden layers."""
-
-    activation: str = "elu"
-    """``elu``, ``relu`` or ``tanh``."""
+    hidden_layers: tuple[int, ...]  # Widths of the hidden layers, each >= 1
+    separate_value_network: bool = False  # Whether the value has separate hidden layers
+    activation: str = "elu"  # `elu`, `relu` or `tanh`
 
     memory: int = 0
     """Size of a gated recurrent unit after the hidden layers; 0: none. ``ppo`` only."""
@@ -33,8 +28,7 @@ class LearnerCfg:
     critic_keys: tuple[str, ...] = ()
     """Inputs of the value; empty: those of the policy. ``ppo`` with ``separate_value_network`` only."""
 
-    initial_std: float = 1.0
-    """Standard deviation of the actions before learning, in units of the action, > 0."""
+    initial_std: float = 1.0  # Standard deviation of the actions before learning, in units of the action, > 0
 
     min_std: float = 0.05
     """Lower bound of the learned standard deviation, > 0. rl-games adds 1e-5 to variances: far below 0.05 its divergence
@@ -43,14 +37,9 @@ class LearnerCfg:
     head_variance: float = 1.0
     """Initial variance of the weights of the action layer, times its width, > 0. Small: first actions are near zero."""
 
-    horizon: int
-    """Steps of every environment per update, >= 1."""
-
-    max_grad_norm: float = 1.0
-    """Largest norm of the gradient, > 0."""
-
-    normalize_observation: bool = True
-    """Whether observations are normalised by their running mean and deviation."""
+    horizon: int  # Steps of every environment per update, >= 1
+    max_grad_norm: float = 1.0  # Largest norm of the gradient, > 0
+    normalize_observation: bool = True  # Whether observations are normalised by their running mean and deviation
 
     def __post_init__(self) -> None:
         require_positive(self, "initial_std", "head_variance", "max_grad_norm")
@@ -75,20 +64,11 @@ class LearnerCfg:
 class ReturnCfg(LearnerCfg):
     """Settings of learners from rewards."""
 
-    discount: float
-    """Discount gamma, 0 < gamma < 1."""
-
-    gae_lambda: float
-    """Weight lambda of generalised advantage estimation, 0 <= lambda <= 1."""
-
-    bound_coef: float = 0.0
-    """Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0."""
-
-    reward_scale: float = 1.0
-    """Factor on the reward that the learner sees, > 0."""
-
-    normalize_value: bool = True
-    """Whether returns are normalised by their running mean and deviation."""
+    discount: float  # Discount gamma, 0 < gamma < 1
+    gae_lambda: float  # Weight lambda of generalised advantage estimation, 0 <= lambda <= 1
+    bound_coef: float = 0.0  # Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0
+    reward_scale: float = 1.0  # Factor on the reward that the learner sees, > 0
+    normalize_value: bool = True  # Whether returns are normalised by their running mean and deviation
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,11 +86,8 @@ class ReturnCfg(LearnerCfg):
 class PpoCfg(ReturnCfg):
     """Settings of proximal policy optimisation."""
 
-    num_minibatches: int
-    """Number of minibatches of the horizon times E samples; must divide them, >= 1."""
-
-    num_epochs: int
-    """Passes over the samples per update, >= 1."""
+    num_minibatches: int  # Number of minibatches of the horizon times E samples; must divide them, >= 1
+    num_epochs: int  # Passes over the samples per update, >= 1
 
     learning_rate: float
     """Initial learning rate of Adam, > 0. It adapts to ``kl_threshold``, up to ``max_learning_rate``."""
@@ -119,23 +96,15 @@ class PpoCfg(ReturnCfg):
     """Initial upper bound of the learning rate, > 0. It falls linearly with the elapsed share of time or steps, whichever is
     larger. On a CPU, trainings with ``max_env_steps`` alone repeat bit for bit."""
 
-    end_learning_rate: float
-    """Final upper bound of the learning rate, > 0."""
-
-    kl_threshold: float
-    """Target divergence between old and new policy [nat], > 0."""
-
-    clip_range: float = 0.2
-    """Clip range of the probability ratio, > 0."""
-
-    clip_value: bool = False
-    """Whether the change of the value is clipped to ``clip_range`` as well."""
+    end_learning_rate: float  # Final upper bound of the learning rate, > 0
+    kl_threshold: float  # Target divergence between old and new policy [nat], > 0
+    clip_range: float = 0.2  # Clip range of the probability ratio, > 0
+    clip_value: bool = False  # Whether the change of the value is clipped to `clip_range` as well
 
     value_coef: float
     """Weight of the value loss as the library defines it, > 0; in ``ppo`` the loss is half the mean squared error."""
 
-    entropy_coef: float = 0.0
-    """Weight of the entropy bonus, >= 0."""
+    entropy_coef: float = 0.0  # Weight of the entropy bonus, >= 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -158,37 +127,30 @@ class ApgCfg(ReturnCfg):
     Defaults of the critic: Xu et al. (2022), table 4.
     """
 
-    separate_value_network: bool = True
-    """Must be true."""
+    separate_value_network: bool = True  # Must be true
 
     learning_rate: float
     """Initial learning rate of the policy, > 0. It falls linearly with the elapsed share of time or steps, whichever is
     larger."""
 
-    end_learning_rate: float
-    """Final learning rate, > 0."""
+    end_learning_rate: float  # Final learning rate, > 0
 
     terminal_value: bool = False
     """Whether the return includes the value of the last state of a window or of a truncated episode. If not, the critic
     does not learn, and a window must be as long as the delay from an action to its reward."""
 
-    gae_lambda: float = 0.95
-    """Weight lambda of the returns of the critic, 0 <= lambda <= 1."""
+    gae_lambda: float = 0.95  # Weight lambda of the returns of the critic, 0 <= lambda <= 1
 
     critic_learning_rate: float = 2.0e-3
     """Initial learning rate of the critic, > 0. It falls in proportion to that of the policy."""
 
-    critic_epochs: int = 16
-    """Passes of the critic over the samples of a window, >= 1."""
-
-    critic_minibatches: int = 4
-    """Number of minibatches of the critic per pass, >= 1."""
+    critic_epochs: int = 16  # Passes of the critic over the samples of a window, >= 1
+    critic_minibatches: int = 4  # Number of minibatches of the critic per pass, >= 1
 
     target_share: float = 0.8
     """Update rate of the target critic per window, > 0 and <= 1: one minus the kept share, which Xu et al. (2022) call 0.2."""
 
-    capture: bool = True
-    """Whether a window and its updates are one CUDA graph on a GPU."""
+    capture: bool = True  # Whether a window and its updates are one CUDA graph on a GPU
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -206,17 +168,13 @@ class ApgCfg(ReturnCfg):
 class DistillCfg(LearnerCfg):
     """Settings of a student that imitates a teacher."""
 
-    num_minibatches: int
-    """Number of minibatches of environments, >= 1."""
-
-    num_epochs: int
-    """Passes over a rollout, >= 1."""
+    num_minibatches: int  # Number of minibatches of environments, >= 1
+    num_epochs: int  # Passes over a rollout, >= 1
 
     learning_rate: float
     """Initial learning rate, > 0. It falls linearly with the elapsed share of time or steps, whichever is larger."""
 
-    end_learning_rate: float
-    """Final learning rate, > 0."""
+    end_learning_rate: float  # Final learning rate, > 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

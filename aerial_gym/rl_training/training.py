@@ -39,32 +39,15 @@ _log = logging.getLogger(__name__)
 class TrainingResult:
     """Result of one session of training."""
 
-    trainer: str
-    """Name of the trainer."""
-
-    checkpoint: str | None
-    """The last checkpoint; None if the user ended it before the first."""
-
-    env_steps: int
-    """Environment steps in all sessions."""
-
-    time_s: float
-    """Length of this session, start-up included [s]."""
-
-    env_steps_per_s: float
-    """Environment steps per second of this session, learning included, start-up not."""
-
-    episode_return: float | None
-    """Mean return of the last episodes, with exploration."""
-
-    episode_length: float | None
-    """Mean length of the last episodes [steps]."""
-
-    interrupted: bool
-    """Whether the user ended it."""
-
-    non_finite: int = 0
-    """Number of NaN or infinite rows in this session; each ended its episode."""
+    trainer: str  # Name of the trainer
+    checkpoint: str | None  # The last checkpoint; None if the user ended it before the first
+    env_steps: int  # Environment steps in all sessions
+    time_s: float  # Length of this session, start-up included [s]
+    env_steps_per_s: float  # Environment steps per second of this session, learning included, start-up not
+    episode_return: float | None  # Mean return of the last episodes, with exploration
+    episode_length: float | None  # Mean length of the last episodes [steps]
+    interrupted: bool  # Whether the user ended it
+    non_finite: int = 0  # Number of NaN or infinite rows in this session; each ended its episode
 
 
 @usual_settings

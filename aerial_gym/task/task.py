@@ -103,8 +103,7 @@ class Task:
         self.num_envs, self.device = env.num_envs, env.device
         self._gtd = env.gtd
         action, params = resolve_action(cfg, command)
-        self.num_actions = num_commands if action.width is None else action.width
-        """Entries of an action, V."""
+        self.num_actions = num_commands if action.width is None else action.width  # Entries of an action, V
         self._buffers = ImageBuffers(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
         self.values = self._make_values(num_commands)
         """Inputs of terms by name: GTD keys and the task's own buffers; ``print(task.values.own)`` shows the latter."""
@@ -124,8 +123,7 @@ class Task:
             check_gradients([term for term, _ in rewards.values()], observed, self.values, images=cfg.images)
         terminations = resolve_terminations(cfg, self.values, command)
         self._observer = Observer(groups, self.values, env.random, cfg.faults)
-        self.num_observations = self._observer.width(POLICY)
-        """Entries of an observation of the group ``policy``, O."""
+        self.num_observations = self._observer.width(POLICY)  # Entries of an observation of the group `policy`, O
         self._judge = Judge(
             cfg, rewards, terminations, self.values, command=self._command, observer=self._observer, random=env.random
         )

@@ -28,9 +28,9 @@ class DocumentedField:
 
 
 def documented_fields(cls: type) -> list[DocumentedField]:
-    """Return the fields of a dataclass, each with the docstring below it."""
+    """Return the fields of a dataclass, each with its meaning."""
     hints = typing.get_type_hints(cls, include_extras=True)
-    texts = field_docstrings(cls)
+    texts = field_meanings(cls)
     return [
         DocumentedField(each.name, hints[each.name], _default(each), texts.get(each.name, ""))
         for each in dataclasses.fields(cls)
@@ -38,22 +38,33 @@ def documented_fields(cls: type) -> list[DocumentedField]:
     ]
 
 
-def field_docstrings(cls: type) -> dict[str, str]:
-    """Return the docstring below each field of a class and of its bases, by name."""
+def field_meanings(cls: type) -> dict[str, str]:
+    """Return the docstring below each field of a class and of its bases, or else the comment behind it, by name."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         if dataclasses.is_dataclass(base):
-            (body,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-            texts |= _docstrings(typing.cast("ast.ClassDef", body).body)
+            source = textwrap.dedent(inspect.getsource(base))
+            (body,) = ast.parse(source).body
+            texts |= _meanings(typing.cast("ast.ClassDef", body).body, source.splitlines())
     return texts
 
 
-def _docstrings(body: Sequence[ast.stmt]) -> dict[str, str]:
+def _meanings(body: Sequence[ast.stmt], lines: Sequence[str]) -> dict[str, str]:
     texts = {}
-    for field, below in pairwise(body):
-        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
-            texts[ast.unparse(field.target)] = " ".join(str(below.value.value).split())
+    for field, below in pairwise([*body, ast.Pass()]):
+        if isinstance(field, ast.AnnAssign):
+            text = trailing_comment(lines[(field.end_lineno or field.lineno) - 1])
+            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+                text = " ".join(str(below.value.value).split())
+            texts[ast.unparse(field.target)] = text
     return texts
+
+
+def trailing_comment(line: str) -> str:
+    """Return the comment behind a field, as a sentence; empty for none, and for instructions to tools."""
+    *code, comment = line.rpartition("  # ")
+    is_meaning = code[0] and not comment.startswith(("pyright", "noqa", "type:", "fmt:"))
+    return f"{comment.strip().rstrip('.')}." if is_meaning else ""
 
 
 def _default(field: dataclasses.Field) -> Any:

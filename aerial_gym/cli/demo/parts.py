@@ -30,8 +30,7 @@ NUM_DRAWN_FLIGHTS = 24
 
 TRAIN_PATTERNS = ("square_*.csv", "random*.csv", "multisine_*.csv")
 TEST_PATTERN = "melon_*.csv"
-TRAIN_EVERY = 4
-"""Every so many of them is trained on: all take minutes."""
+TRAIN_EVERY = 4  # Every so many of them is trained on: all take minutes
 
 
 def record_cameras(seed: int, backend: str | None = None) -> dict[str, str]:

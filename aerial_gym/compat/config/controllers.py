@@ -11,8 +11,7 @@ from aerial_gym.control.catalog import AERIAL_GYM_GAINS, CONTROLLERS
 from aerial_gym.control.gains import GAINS
 from aerial_gym.errors import ConfigError
 
-Ends = tuple[Vec3, Vec3]
-"""Lowest and highest."""
+Ends = tuple[Vec3, Vec3]  # Lowest and highest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +103,7 @@ TABLE = ConfigTable(
 )  # fmt: skip
 """Translation of the attributes of a class of gains."""
 
-control = TABLE.make_class("control", SHARED)
-"""Gains of that simulator's Lee controllers."""
+control = TABLE.make_class("control", SHARED)  # Gains of that simulator's Lee controllers
 
 
 class _Law:

@@ -18,14 +18,9 @@ import numpy as np
 
 from aerial_gym.errors import ConfigError, suggest_name
 
-STANDS_FOR = "_aerial_gym"
-"""Attribute of a generated class that holds its frozen configuration."""
-
-Values = Mapping[str, Any]
-"""Values by dotted path, such as ``env.num_envs``: of a class, or else of its configuration."""
-
-Changes = dict[str, Any]
-"""New values of fields of our configuration by dotted path, such as ``rotor.torque_ratio``."""
+STANDS_FOR = "_aerial_gym"  # Attribute of a generated class that holds its frozen configuration
+Values = Mapping[str, Any]  # Values by dotted path, such as `env.num_envs`: of a class, or else of its configuration
+Changes = dict[str, Any]  # New values of fields of our configuration by dotted path, such as `rotor.torque_ratio`
 
 _logger = logging.getLogger(__name__)
 

@@ -27,10 +27,8 @@ from aerial_gym.config.sensor_mount import as_mounts
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, SENSORS
 
-_NEVER_ACTIVE = 100000.0
-"""Largest rate of a motor there if none is wanted."""
-_PER_TURN = (2.0 * pi) ** 2
-"""(rad/s)² per (rev/s)²."""
+_NEVER_ACTIVE = 100000.0  # Largest rate of a motor there if none is wanted
+_PER_TURN = (2.0 * pi) ** 2  # (rad/s)² per (rev/s)²
 
 
 def _initial_state(cfg: RobotCfg, end: str) -> list[float]:

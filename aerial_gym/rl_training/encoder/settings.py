@@ -25,35 +25,16 @@ class EncoderTrainingCfg:
     radius_m: float | None = None
     """Radius of that ball [m], > 0; how far the robot reaches from its origin if not given."""
 
-    train_images: int = 20_000
-    """Images to learn from, >= 1."""
-
-    test_images: int = 2_000
-    """Images of other scenes, to measure with, >= 1."""
-
-    epochs: int = 40
-    """Passes over the images, >= 1."""
-
-    batch: int = 256
-    """Images of a step, >= 1."""
-
-    learning_rate: float = 1.0e-3
-    """Step of Adam at first, > 0; it falls linearly to a hundredth of it."""
-
-    latents: int = 64
-    """Number of latents of an image, >= 1; navigation takes 64."""
-
-    channels: tuple[int, ...] = (32, 64, 128)
-    """Channels of the layers, each of which halves the image, each >= 1."""
-
-    activation: str = "elu"
-    """``elu``, ``relu`` or ``tanh``."""
-
-    seed: int = 0
-    """Of scenes, weights, order and noise, >= 0; the images to measure with have the next one."""
-
-    device: str = "auto"
-    """Torch device; auto takes the GPU if there is one."""
+    train_images: int = 20_000  # Images to learn from, >= 1
+    test_images: int = 2_000  # Images of other scenes, to measure with, >= 1
+    epochs: int = 40  # Passes over the images, >= 1
+    batch: int = 256  # Images of a step, >= 1
+    learning_rate: float = 1.0e-3  # Step of Adam at first, > 0; it falls linearly to a hundredth of it
+    latents: int = 64  # Number of latents of an image, >= 1; navigation takes 64
+    channels: tuple[int, ...] = (32, 64, 128)  # Channels of the layers, each of which halves the image, each >= 1
+    activation: str = "elu"  # `elu`, `relu` or `tanh`
+    seed: int = 0  # Of scenes, weights, order and noise, >= 0; the images to measure with have the next one
+    device: str = "auto"  # Torch device; auto takes the GPU if there is one
 
     def __post_init__(self) -> None:
         require_count(self, "train_images", "test_images", "epochs", "batch")

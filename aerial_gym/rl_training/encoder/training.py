@@ -64,8 +64,7 @@ class EncoderResult:
     errors: Mapping[str, ImageErrors] = field(default_factory=dict)
     """Errors on test images by reconstruction: ``encoder``, ``pca_64``, ``mean_image``."""
 
-    errors_by_env: Mapping[str, ImageErrors] = field(default_factory=dict)
-    """Errors of the encoder by environment."""
+    errors_by_env: Mapping[str, ImageErrors] = field(default_factory=dict)  # Errors of the encoder by environment
 
 
 class EncoderFolder:

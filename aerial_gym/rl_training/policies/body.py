@@ -24,20 +24,11 @@ IMAGE_FEATURES = 128  # Number of features of an image
 class NetworkBodyCfg:
     """Shape of a body."""
 
-    shapes: Mapping[str, tuple[int, ...]]
-    """Input shapes by observation key: (O,) for a vector, (C, H, W) for an image."""
-
-    hidden_layers: tuple[int, ...]
-    """Widths of the layers behind the encoders."""
-
-    activation: str = "elu"
-    """``elu``, ``relu`` or ``tanh``."""
-
-    memory: int = 0
-    """Numbers of a gated recurrent unit behind the layers; 0: none."""
-
-    normalize: bool = True
-    """Whether vectors are normalised by their running mean and deviation."""
+    shapes: Mapping[str, tuple[int, ...]]  # Input shapes by observation key: (O,) for a vector, (C, H, W) for an image
+    hidden_layers: tuple[int, ...]  # Widths of the layers behind the encoders
+    activation: str = "elu"  # `elu`, `relu` or `tanh`
+    memory: int = 0  # Numbers of a gated recurrent unit behind the layers; 0: none
+    normalize: bool = True  # Whether vectors are normalised by their running mean and deviation
 
 
 class NetworkBody(nn.Module):

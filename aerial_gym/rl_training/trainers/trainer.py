@@ -32,47 +32,26 @@ if TYPE_CHECKING:
 class Trainer(ABC):
     """A way to train policies."""
 
-    name: ClassVar[str]
-    """Registered name."""
-
-    summary: ClassVar[str]
-    """One line for ``aerial-gym list trainers``."""
-
-    package: ClassVar[str] = ""
-    """Name under which its library is imported; empty without one."""
-
-    distribution: ClassVar[str] = ""
-    """Name under which its library is installed; a run folder notes its version."""
-
-    install: ClassVar[str] = "aerial-gym[rl]"
-    """Argument of ``pip install`` that installs the library."""
+    name: ClassVar[str]  # Registered name
+    summary: ClassVar[str]  # One line for `aerial-gym list trainers`
+    package: ClassVar[str] = ""  # Name under which its library is imported; empty without one
+    distribution: ClassVar[str] = ""  # Name under which its library is installed; a run folder notes its version
+    install: ClassVar[str] = "aerial-gym[rl]"  # Argument of `pip install` that installs the library
 
     section: ClassVar[str] = "ppo"
     """Field of ``TrainingCfg`` with its numbers; ``numbers`` for settings of a class that ``TrainingCfg`` does not know."""
 
-    settings: ClassVar[type[LearnerCfg]] = PpoCfg
-    """Class of its numbers."""
-
-    settings_folder: ClassVar[Path] = TRAINING_CONFIGS
-    """Folder of its settings by task, ``TRAINER_TASK.yaml``."""
-
-    several_processes: ClassVar[bool] = False
-    """Whether several processes can learn together."""
-
-    takes_teacher: ClassVar[bool] = False
-    """Whether it needs a trained policy, ``TrainingCfg.teacher``."""
-
-    takes_initial: ClassVar[bool] = False
-    """Whether it can begin with networks of another run, ``TrainingCfg.initial``."""
+    settings: ClassVar[type[LearnerCfg]] = PpoCfg  # Class of its numbers
+    settings_folder: ClassVar[Path] = TRAINING_CONFIGS  # Folder of its settings by task, `TRAINER_TASK.yaml`
+    several_processes: ClassVar[bool] = False  # Whether several processes can learn together
+    takes_teacher: ClassVar[bool] = False  # Whether it needs a trained policy, `TrainingCfg.teacher`
+    takes_initial: ClassVar[bool] = False  # Whether it can begin with networks of another run, `TrainingCfg.initial`
 
     any_inputs: ClassVar[bool] = False
     """Whether it trains policies with memory, images and separate keys for policy and critic."""
 
-    differentiable: ClassVar[bool] = False
-    """Whether it needs gradients through the task."""
-
-    captures_task: ClassVar[bool | None] = None
-    """Whether the task records a CUDA graph of its step; None: on GPUs."""
+    differentiable: ClassVar[bool] = False  # Whether it needs gradients through the task
+    captures_task: ClassVar[bool | None] = None  # Whether the task records a CUDA graph of its step; None: on GPUs
 
     earlier_checkpoints: ClassVar[tuple[str, ...]] = ()
     """Glob patterns in a run folder of checkpoints that earlier versions wrote."""
@@ -165,8 +144,7 @@ class NativeTrainer(Trainer):
 class LibraryTrainer(Trainer):
     """A trainer of another library, with policies of linear layers."""
 
-    adapter: ClassVar[str]
-    """Module with ``train``, which takes a ``LibraryRun``; the only one that imports the library."""
+    adapter: ClassVar[str]  # Module with `train`, which takes a `LibraryRun`; the only one that imports the library
 
     def prepare(self, device: "torch.device") -> None:
         """Import the library."""

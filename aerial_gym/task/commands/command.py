@@ -19,17 +19,13 @@ TARGET = "target_position"  # Buffer of the point to fly to [m], world, (E, 3), 
 class Command:
     """Base of the generators. A subclass takes its numbers as keyword-only arguments and declares its buffers in ``values``."""
 
-    name = ""
-    """Under which it is registered."""
+    name = ""  # Under which it is registered
 
     reads: tuple[str, ...] = ()
     """Inputs of ``current_values`` and ``next_values`` besides ``sim_steps`` and ``begun``; its own buffers included."""
 
-    follows_reset = False
-    """Whether ``next_values`` are ``current_values`` again, as a reset changes their inputs."""
-
-    goal = False
-    """Whether obstacles that are drawn keep their distance from the target of a new episode."""
+    follows_reset = False  # Whether `next_values` are `current_values` again, as a reset changes their inputs
+    goal = False  # Whether obstacles that are drawn keep their distance from the target of a new episode
 
     def __init__(self, values: Values, env: EnvManager) -> None:
         """Take the task's tensors, and the simulation for bounds and randomness."""
@@ -86,5 +82,4 @@ class CommandRegistry(Registry[type[Command]]):
         return add
 
 
-COMMANDS = CommandRegistry("command generator")
-"""Generators by the name that a task configuration uses."""
+COMMANDS = CommandRegistry("command generator")  # Generators by the name that a task configuration uses

@@ -50,8 +50,7 @@ class ActionRegistry(Registry[Action]):
         return add
 
 
-ACTIONS = ActionRegistry("action")
-"""Transforms by the name that a task configuration uses."""
+ACTIONS = ActionRegistry("action")  # Transforms by the name that a task configuration uses
 
 ROTOR_RANGE = "rotor_range"
 """Name of an ``affine``, or ``four_places``, with the numbers of the robot's rotors (``task.rotor_range``)."""

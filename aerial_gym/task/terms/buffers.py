@@ -55,8 +55,7 @@ class BufferRegistry(Registry[Buffer]):
         return add
 
 
-BUFFERS = BufferRegistry("task buffer")
-"""Buffers by the name under which terms read them."""
+BUFFERS = BufferRegistry("task buffer")  # Buffers by the name under which terms read them
 
 
 STEP_TIME = "step_time"  # Buffer of the time of a step [s], one number

@@ -11,8 +11,7 @@ from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate
 from aerial_gym.task.terms.gate_path import gate_path_direction
 from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
 
-OBSERVATIONS = TermRegistry("observation term")
-"""Terms by the name that a task configuration uses."""
+OBSERVATIONS = TermRegistry("observation term")  # Terms by the name that a task configuration uses
 
 CELLS = "nearest_in_{rows}x{columns}_cells"
 """Buffer of the smallest distance in each cell of the first range sensor's image, a share of ``LARGEST``, (E, rows columns)."""

@@ -9,8 +9,7 @@ from torch import Tensor
 from aerial_gym.task.terms.rewards import body_up_component
 from aerial_gym.task.terms.term import TermRegistry
 
-TERMINATIONS = TermRegistry("termination term")
-"""Terms by the name that a task configuration uses."""
+TERMINATIONS = TermRegistry("termination term")  # Terms by the name that a task configuration uses
 
 
 def has_contact_force(robot_contact_force: Tensor) -> Tensor:

@@ -1,0 +1,17 @@
+"""Extension of griffe: the comment behind a field of a class is its docstring on the pages of the Python API."""
+
+from typing import Any
+
+import griffe
+
+from docs.generate.markdown import trailing_comment
+
+
+class TrailingComments(griffe.Extension):
+    """Gives attributes without a docstring the comment at the end of their last line."""
+
+    def on_attribute_instance(self, *, attr: griffe.Attribute, **_: Any) -> None:
+        """Add the docstring of an attribute of a class."""
+        if attr.docstring is None and attr.parent is not None and attr.parent.is_class and attr.lines:
+            text = trailing_comment(attr.lines[-1])
+            attr.docstring = griffe.Docstring(text, parent=attr) if text else None
