@@ -25,8 +25,8 @@ from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
+from aerial_gym.task.images import TYPES
 from aerial_gym.task.terms.observations import LATENTS
-from aerial_gym.task.vision.images import TYPES
 
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""

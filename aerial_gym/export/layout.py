@@ -16,7 +16,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
-from aerial_gym.task.vision.images import image_scale
+from aerial_gym.task.images import image_scale
 
 LAYOUT_FILE = "policy.json"  # Beside every exported policy
 

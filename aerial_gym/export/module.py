@@ -14,8 +14,8 @@ from aerial_gym.export.layout import Layout
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
+from aerial_gym.task.images import TYPES
 from aerial_gym.task.terms.term import check_params
-from aerial_gym.task.vision.images import TYPES
 
 
 def action_transform(layout: Layout) -> tuple[Callable[..., Tensor], dict[str, Any]]:

@@ -25,9 +25,9 @@ from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, check
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.run.weights_and_biases import require_wandb, send_scalars
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainer_names
+from aerial_gym.rl_training.trainers.summaries import require_wandb, send_scalars
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry

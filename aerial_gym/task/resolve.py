@@ -1,14 +1,14 @@
 """Terms of a task from its configuration: look-up of names, check of numbers and controller."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
-from aerial_gym.task.step.term_checks import call_term, check_result, term_width
 from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.observations import tensor_term
@@ -129,3 +129,34 @@ def _input_without_gradient(term: BoundTerm, values: Values, *, jumps: bool, see
             if source is not None:
                 return source
     return None
+
+
+def term_width(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, width: int | None) -> int:
+    """Return the entries of an observation term per environment, by calling it once; ``width`` is the declared number."""
+    value = call_term(term, values)
+    if width is None:
+        if not isinstance(value, Tensor) or value.dim() != 2 or value.shape[0] != rows:
+            check_result(term.label, value, (rows, -1), "(E, W)")
+        width = value.shape[1]
+    check_result(term.label, value, (rows, width), "(E, width)")
+    return width
+
+
+@torch.no_grad()
+def call_term(term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
+    """Return the value of a term; raise ``ConfigError`` if it cannot be computed."""
+    try:
+        return term.evaluate(values)
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [""])[0]
+        raise ConfigError(f"{term.label}: cannot be computed ({type(error).__name__}: {reason})") from error
+
+
+def check_result(label: str, value: object, expected: tuple[int, ...], letters: str, *, truth: bool = False) -> None:
+    """Raise ``ConfigError`` unless a value is a tensor of a shape, of truth values or else of floating point numbers."""
+    needs = f"needs a tensor {letters} = {expected} of {'torch.bool' if truth else 'floating point numbers'}"
+    if not isinstance(value, Tensor):
+        raise ConfigError(f"{label}: returns a {type(value).__name__}, {needs}")
+    fits = value.dtype == torch.bool if truth else value.is_floating_point()
+    if tuple(value.shape) != expected or not fits:
+        raise ConfigError(f"{label}: returns {tuple(value.shape)} {value.dtype}, {needs}")

@@ -23,6 +23,7 @@ from aerial_gym.robots.finite_watch import FiniteWatch
 from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
+from aerial_gym.task.images import ImageBuffers, TaskImages
 from aerial_gym.task.resolve import (
     check_gradients,
     resolve_action,
@@ -32,15 +33,12 @@ from aerial_gym.task.resolve import (
 )
 from aerial_gym.task.rotor_range import with_rotor_range
 from aerial_gym.task.step.actor import ActionConverter, declare_delay
-from aerial_gym.task.step.gradient_graph import GradientGraph
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observer import ObservationEntry, Observer
-from aerial_gym.task.step.row_kernels import StepKernel
+from aerial_gym.task.step.row_kernels import GradientGraph, StepKernel
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced_terms
 from aerial_gym.task.terms.buffers import STEP_TIME
 from aerial_gym.task.values import Values
-from aerial_gym.task.vision.image_buffers import ImageBuffers
-from aerial_gym.task.vision.images import TaskImages
 
 if TYPE_CHECKING:
     from gymnasium import spaces

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.task.step.gradient_graph import GradientGraph
+from aerial_gym.task.step.row_kernels import GradientGraph
 from aerial_gym.task.terms.buffers import BUFFERS
 from aerial_gym.task.terms.term import BoundTerm, bind_term
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import tyro
 
 from aerial_gym.config import dump_yaml
+from aerial_gym.config.storage import read_archive
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
 
 TRAINERS = ("ppo", "rl_games", "sample_factory")
@@ -111,7 +111,7 @@ def resume_verdict(line: list[str], out: Path, steps: int) -> str:
     if done.returncode != 0:
         return f"status {done.returncode}: {done.stderr[-300:]}"
     result = json.loads(done.stdout)
-    last = checkpoint.load(result["checkpoint"])["run"]["env_steps"]
+    last = read_archive(result["checkpoint"], "checkpoint")["run"]["env_steps"]
     if not steps < last <= steps + 4 * NUM_ENVS * HORIZON or RunFolder(out).last_checkpoint().name.find(str(last)) < 0:
         return f"{steps} steps before, {last} after one update more"
     return "resumed"

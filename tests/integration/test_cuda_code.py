@@ -27,7 +27,7 @@ from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
 from aerial_gym.sensors.cells import LANES, ROWS, make_pool
 from aerial_gym.sensors.pixels import PixelOutputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
-from aerial_gym.task.kernels import goals, noise, practice
+from aerial_gym.task.kernels import draws, practice
 from tests.builders import simulation
 from tests.physics.contact_rig import ObstacleRig, obstacle, start
 from tests.physics.rotor_types import three_type_robot
@@ -162,8 +162,7 @@ MODULES = (
     secondary_states,
     initial_state,
     imu,
-    goals,
-    noise,
+    draws,
     sensor_poses,
     placement,
     practice,

@@ -10,7 +10,7 @@ import torch
 
 from aerial_gym.cli.main import main
 from aerial_gym.rl_training.encoder import training
-from aerial_gym.rl_training.encoder.fit import EncoderFit
+from aerial_gym.rl_training.encoder.training import EncoderFit
 from aerial_gym.sensors.encoder.file import load_encoder
 
 SMALL = [

@@ -1,4 +1,4 @@
 """Training of encoders: a fixed image set of registered environments, an autoencoder, and baselines.
 
-``scenes`` renders, ``fit`` learns, ``figures`` measures, ``picture`` draws, ``training`` makes a folder of it all.
+``scenes`` renders, ``figures`` measures and draws, ``training`` learns and makes a folder of it all.
 """

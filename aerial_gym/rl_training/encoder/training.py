@@ -9,6 +9,9 @@
     encoder.pt      the encoder for tasks (``--encoder``)
     result.json     figures on test images, with those of the baselines
     images.png      some test images and their reconstructions
+
+Order and noise of an epoch depend on seed and epoch alone, so that a resumed training is identical.
+Letters: N images, H x W pixels.
 """
 
 import csv
@@ -25,7 +28,7 @@ import torch
 
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.range_sensor import RangeSensorCfg
-from aerial_gym.config.storage import storage_errors, write_atomic
+from aerial_gym.config.storage import read_archive, storage_errors, write_archive, write_atomic
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.encoder.figures import (
@@ -38,13 +41,65 @@ from aerial_gym.rl_training.encoder.figures import (
     reconstruct_by_encoder,
     reconstruct_by_mean,
 )
-from aerial_gym.rl_training.encoder.fit import EncoderFit
 from aerial_gym.rl_training.encoder.scenes import ImageSet, ProgressReport, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.interruption import interruptible
 from aerial_gym.rl_training.run.run_folder import append_session
-from aerial_gym.sensors.encoder.file import Encoder, encoder_image
+from aerial_gym.sensors.encoder.file import Autoencoder, Encoder, encoder_image, negative_evidence
+
+END_SHARE = 0.01  # Share of the learning rate that is left at the end
+
+
+class EncoderFit:
+    """Network, optimiser, and the number of epochs that are done."""
+
+    def __init__(self, cfg: EncoderTrainingCfg, images: ImageSet) -> None:
+        """Make a network for the images; its weights follow from the seed."""
+        self._cfg, self._images = cfg, images
+        _, rows, columns = images.seen.shape
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(cfg.seed)
+            network = Autoencoder(cfg.network(rows=rows, columns=columns))
+        self.network = network.to(images.seen.device)  # The autoencoder
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=cfg.learning_rate)  # Adam
+        self.epochs = 0  # Epochs that are done
+
+    def state(self) -> dict[str, Any]:
+        """Return the content of a checkpoint."""
+        return {"epochs": self.epochs, "network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Resume from the content of a checkpoint."""
+        self.epochs = int(state["epochs"])
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+
+    def run_epoch(self) -> float:
+        """Pass over all images once; return the mean of the bound of their negative log evidence [nat], up to a constant."""
+        cfg, device = self._cfg, self._images.seen.device
+        noise = torch.Generator(device).manual_seed(cfg.seed + self.epochs)
+        order = torch.randperm(len(self._images), generator=torch.Generator().manual_seed(cfg.seed + self.epochs))
+        parts = order.to(device).split(cfg.batch)
+        total = torch.zeros((), device=device)
+        for number, rows in enumerate(parts):
+            self._set_learning_rate((self.epochs + number / len(parts)) / cfg.epochs)
+            seen, target = self._images.seen[rows], self._images.target[rows]
+            mean, log_variance = self.network.encode(seen)
+            drawn = torch.randn(mean.shape, generator=noise, device=device)
+            loss = negative_evidence(
+                target, self.network.decode(mean + (0.5 * log_variance).exp() * drawn), mean, log_variance
+            )
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimizer.step()
+            total += loss.detach() * len(rows)
+        self.epochs += 1
+        return float(total) / len(self._images)
+
+    def _set_learning_rate(self, share: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._cfg.learning_rate * (1.0 - (1.0 - END_SHARE) * share)
+
 
 SAVE_EVERY_S = 5.0  # Time between checkpoints [s]
 SHOWN = 6  # Images in the picture
@@ -160,7 +215,7 @@ class _Session:
         file = self.folder.checkpoint
         if not file.exists():
             return
-        payload = checkpoint.load(file)
+        payload = read_archive(file, "checkpoint")
         try:
             self.fit.load(payload["fit"])
             self.curve = [list(row) for row in payload["curve"]]
@@ -192,7 +247,7 @@ class _Session:
         return image_errors(told, self.test.target, largest=self.sensor.max_range).rms_m
 
     def _save(self) -> None:
-        checkpoint.save(self.folder.checkpoint, {"fit": self.fit.state(), "curve": self.curve})
+        write_archive(self.folder.checkpoint, {"fit": self.fit.state(), "curve": self.curve})
         text = io.StringIO()
         csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *self.curve])
         write_atomic(self.folder.curve, text.getvalue())

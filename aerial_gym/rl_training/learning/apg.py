@@ -24,8 +24,13 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import ApgCfg
 from aerial_gym.rl_training.learning.adam import FlatAdam
-from aerial_gym.rl_training.learning.learner import Learner, last_observations
-from aerial_gym.rl_training.learning.objective import bound_excess, clamp_action, generalized_advantages
+from aerial_gym.rl_training.learning.learner import (
+    Learner,
+    bound_excess,
+    clamp_action,
+    generalized_advantages,
+    last_observations,
+)
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.settings import TrainingCfg

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
-from aerial_gym.rl_training.learning.objective import BOUND
+from aerial_gym.rl_training.learning.learner import BOUND
 from aerial_gym.rl_training.learning.ppo import Ppo, RolloutSegment, Samples
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.ranks import ALONE, Ranks

@@ -20,8 +20,7 @@ from torch import Tensor
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.learning.adam import FlatAdam, low_precision
-from aerial_gym.rl_training.learning.learner import Learner, last_observations
-from aerial_gym.rl_training.learning.objective import bound_excess, generalized_advantages
+from aerial_gym.rl_training.learning.learner import Learner, bound_excess, generalized_advantages, last_observations
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.ranks import ALONE, Ranks

@@ -1,6 +1,6 @@
-"""Read trained policies from checkpoints of any trainer, without its library.
+"""Read trained policies from checkpoints of any trainer, without its library, and initial weights of another training.
 
-Letters: O entries of an observation.
+Letters: O entries of an observation, H width of the first layer.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,13 +11,13 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
+from aerial_gym.config.storage import read_archive
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder, find_run_folder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
@@ -63,7 +63,7 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
         ConfigError: If there is no such run or checkpoint or device, or it does not hold the network of its settings.
     """
     file, cfg = find_checkpoint(source)
-    payload = checkpoint.load(file)
+    payload = read_archive(file, "checkpoint")
     return policy_from_payload(payload, cfg, where=str(file)).to(resolve_device(device)), cfg
 
 
@@ -165,3 +165,41 @@ def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Po
         assert isinstance(normalizer, RunningNormalizer)
         normalizer.set_statistics(mean, var)
     return _freeze_weights(policy)
+
+
+FIRST_LAYER = ".layers.0.weight"  # End of the name of a first layer (H, O)
+NORMALISED = (".mean", ".var")  # Suffixes of the names of normaliser statistics, (O,)
+
+
+def load_initial_weights(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:
+    """Load the weights ``model`` of another network, which may have fewer inputs; ``where`` is named in errors.
+
+    Additional inputs must follow those of the other network. Their weights are zero, so that at first it acts like the
+    other one. Their normaliser starts at mean 0 and deviation 1 and adapts slowly, as its sample count is large.
+    """
+    own = network.state_dict()
+    if own.keys() != model.keys():
+        raise ConfigError(
+            f"{where}: has other networks than these settings ask for. Give the settings of its training (--config)"
+        )
+    wider = [name for name in own if own[name].shape != model[name].shape]
+    if wider and len(network.shapes) > 1:
+        raise ConfigError(
+            f"{where}: networks that see {', '.join(network.shapes)} cannot see more than those before them. Train from scratch"
+        )
+    network.load_state_dict({name: _add_inputs(name, model[name], own[name], where) for name in own})
+
+
+def _add_inputs(name: str, given: Tensor, own: Tensor, where: str) -> Tensor:
+    """Return numbers in the shape of ``own``."""
+    if given.shape == own.shape:
+        return given
+    more = own.shape[-1] - given.shape[-1]
+    grows = name.endswith((FIRST_LAYER, *NORMALISED)) and given.shape[:-1] == own.shape[:-1] and more > 0
+    if not grows:
+        raise ConfigError(
+            f"{where}: {name} has shape {tuple(given.shape)}, here {tuple(own.shape)}. Only inputs may be added: give "
+            "the settings of its training (--config), and a task with its actions whose observations begin with its own"
+        )
+    new = given.new_full((*given.shape[:-1], more), 1.0 if name.endswith(".var") else 0.0)
+    return torch.cat((given, new), dim=-1)

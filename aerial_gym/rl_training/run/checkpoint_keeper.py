@@ -1,15 +1,18 @@
 """Checkpoints of a training: content, schedule and resumption, common to all trainers."""
 
 import logging
+import random
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+
 from aerial_gym.config import to_mapping
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training.ranks import ALONE, Ranks
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
@@ -108,7 +111,7 @@ class CheckpointKeeper:
             "env_steps": env_steps,
             "settings": to_mapping(self._cfg),
             "curriculum": None if curriculum is None else curriculum.state(),
-            "random": checkpoint.random_state(),
+            "random": random_state(),
             "task_random": {name: tensor.clone() for name, tensor in self._task.env.random.state_tensors().items()},
         }
 
@@ -117,7 +120,7 @@ class CheckpointKeeper:
         if curriculum is not None and state.get("curriculum") is not None:
             curriculum.load(state["curriculum"])
         if "random" in state:
-            checkpoint.restore_random_state(state["random"])
+            restore_random_state(state["random"])
         if state.get("task_random") is not None:
             for name, tensor in self._task.env.random.state_tensors().items():
                 tensor.copy_(state["task_random"][name])
@@ -133,3 +136,25 @@ def checkpoint_steps(resumed: tuple[Path, dict[str, Any]] | None, trainer: str) 
     if source_trainer != trainer or not isinstance(steps, int):
         raise ConfigError(f"checkpoint {path}: is not one of a {trainer} training")
     return steps
+
+
+def random_state() -> dict[str, object]:
+    """Return the states of the global generators of torch, CUDA, NumPy and Python, ready for a checkpoint."""
+    kind, keys, position, has_gauss, cached = np.random.get_state()
+    return {
+        "torch": torch.get_rng_state(),
+        "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
+        "numpy": [str(kind), torch.from_numpy(np.asarray(keys).astype(np.int64)), position, has_gauss, cached],
+        "python": random.getstate(),
+    }
+
+
+def restore_random_state(state: Mapping[str, Any]) -> None:
+    """Continue the global generators where ``random_state`` found them; GPUs only on a machine with as many."""
+    torch.set_rng_state(state["torch"])
+    if state["cuda"] and torch.cuda.is_available() and len(state["cuda"]) == torch.cuda.device_count():
+        torch.cuda.set_rng_state_all(state["cuda"])
+    kind, keys, position, has_gauss, cached = state["numpy"]
+    np.random.set_state((kind, keys.numpy().astype(np.uint32), position, has_gauss, cached))
+    version, words, gauss = state["python"]
+    random.setstate((version, tuple(words), gauss))

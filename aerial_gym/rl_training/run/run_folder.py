@@ -29,9 +29,8 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.config import dump_yaml
-from aerial_gym.config.storage import storage_errors, write_atomic
+from aerial_gym.config.storage import read_archive, storage_errors, write_archive, write_atomic
 from aerial_gym.errors import ConfigError, StorageError
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 
@@ -104,7 +103,7 @@ class RunFolder:
         checkpoints, reasons = self.checkpoints(), []
         for path in reversed(checkpoints):
             try:
-                payload = checkpoint.load(path)
+                payload = read_archive(path, "checkpoint")
             except ConfigError as error:
                 reasons.append((path, str(error)))
                 continue
@@ -122,7 +121,7 @@ class RunFolder:
         try:
             with storage_errors(path):
                 self.checkpoint_folder.mkdir(exist_ok=True)
-            checkpoint.save(path, payload)
+            write_archive(path, payload)
         except StorageError as error:
             known = self.checkpoints()
             left = (

@@ -14,8 +14,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
-from aerial_gym.task.kernels.goals import Goals
-from aerial_gym.task.kernels.uniform import UniformDraws
+from aerial_gym.task.kernels.draws import Goals, UniformDraws
 from aerial_gym.task.values import Values
 
 

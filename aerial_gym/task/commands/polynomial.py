@@ -24,7 +24,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
 from aerial_gym.task.commands.points import row_at_index
-from aerial_gym.task.kernels.uniform import UniformDraws
+from aerial_gym.task.kernels.draws import UniformDraws
 from aerial_gym.task.values import Values
 
 Array = NDArray[np.float64]

@@ -13,8 +13,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task.commands.command import COMMANDS, TARGET
-from aerial_gym.task.commands.gates import declare_gates, gate_crossing_flags, next_gate
-from aerial_gym.task.commands.practice import FIRST_GATE, PracticeCommand
+from aerial_gym.task.commands.gates import FIRST_GATE, PracticeCommand, declare_gates, gate_crossing_flags, next_gate
 from aerial_gym.task.terms.observations import rows_at_index
 from aerial_gym.task.values import Values
 

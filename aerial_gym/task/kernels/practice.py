@@ -12,7 +12,7 @@ from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, rando
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.robots.secondary_states import SecondaryArrays, write_derived
 from aerial_gym.robots.state_keys import RobotTensors
-from aerial_gym.task.kernels.mask_launch import MaskLaunch
+from aerial_gym.task.kernels.draws import MaskLaunch
 
 
 @wp.struct

@@ -14,8 +14,7 @@ from torch import Tensor
 from aerial_gym.config.task_terms import ActionCfg, steps_range
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose, Randomness
-from aerial_gym.task.kernels.noise import WhiteNoise
-from aerial_gym.task.kernels.uniform import UniformDraws
+from aerial_gym.task.kernels.draws import UniformDraws, WhiteNoise
 from aerial_gym.task.step.history import HistoryLine
 from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.actions import ROTOR_RANGE, Action, affine, direct

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from aerial_gym.config.storage import read_archive
 from aerial_gym.rl_training import train
 from aerial_gym.rl_training.ranks import ALONE
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from tests.integration.training.ranks_worker import STEPS_OF_ONE, settings, train_ranks
 
@@ -91,7 +91,7 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(tm
             assert torch.equal(payload["learner"][name], payload["others"][0]["learner"][name]), name
     train(replace(alone, max_env_steps=7 * STEPS_OF_ONE), tmp_path / "parts", resume=True, show_progress=False)
     assert "of 2 processes, and goes on with 1" in caplog.text
-    assert not checkpoint.load(RunFolder(tmp_path / "parts").last_checkpoint())["others"]
+    assert not read_archive(RunFolder(tmp_path / "parts").last_checkpoint(), "checkpoint")["others"]
 
 
 @pytest.mark.slow

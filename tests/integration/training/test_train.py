@@ -12,9 +12,9 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml
+from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import TrainingError
 from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for
-from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
@@ -72,14 +72,14 @@ def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how
     assert main(["train", "--task", "navigation_task", "--trainer", "rl_games", *where, *limits]) == 0
     assert json.loads(capsys.readouterr().out)["env_steps"] >= 512
     last = RunFolder(out).last_checkpoint()
-    payload = checkpoint.load(last)
+    payload = read_archive(last, "checkpoint")
     kept = payload["run"]["curriculum"]
     assert kept["level"] == 15
     assert kept["finished"] > 0
     payload["run"]["curriculum"] = kept | {"level": 21}
-    checkpoint.save(last, payload)
+    write_archive(last, payload)
     assert main(["train", "--out", str(out), "--resume", "--max-env-steps", "768", "--max-time-s", "40"]) == 0
-    resumed = checkpoint.load(RunFolder(out).last_checkpoint())["run"]["curriculum"]
+    resumed = read_archive(RunFolder(out).last_checkpoint(), "checkpoint")["run"]["curriculum"]
     assert resumed["level"] == 21
     assert resumed["finished"] >= kept["finished"]
 

@@ -15,10 +15,10 @@ import pytest
 import torch
 
 from aerial_gym import task_registry
+from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import ConfigError, StorageError, TrainingError
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.rl_training.run import checkpoint
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, random_state, restore_random_state
 from aerial_gym.rl_training.run.interruption import interruptible
 from aerial_gym.rl_training.run.progress import CURVE_COLUMNS, Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
@@ -26,7 +26,7 @@ from aerial_gym.rl_training.trainers.summaries import SafeEvents
 
 
 def payload() -> dict[str, Any]:
-    return {"model": {"weight": torch.arange(500.0)}, "run": {"env_steps": 3, "random": checkpoint.random_state()}}
+    return {"model": {"weight": torch.arange(500.0)}, "run": {"env_steps": 3, "random": random_state()}}
 
 
 def draws() -> tuple[float, float, float]:
@@ -38,37 +38,37 @@ def full_disk(descriptor: int) -> None:
 
 
 def test_a_checkpoint_comes_back_with_the_random_states(tmp_path: Path) -> None:
-    checkpoint.save(tmp_path / "a.pth", payload())
+    write_archive(tmp_path / "a.pth", payload())
     expected = draws()
     draws()
-    result = checkpoint.load(tmp_path / "a.pth")
+    result = read_archive(tmp_path / "a.pth", "checkpoint")
     torch.testing.assert_close(result["model"]["weight"], torch.arange(500.0), rtol=0.0, atol=0.0)
-    checkpoint.restore_random_state(result["run"]["random"])
+    restore_random_state(result["run"]["random"])
     assert draws() == expected
 
 
 def test_every_flipped_bit_of_the_tensors_is_found(tmp_path: Path) -> None:
     """Each byte that belongs to the weights is damaged once: torch itself would load most of them."""
     path = tmp_path / "a.pth"
-    checkpoint.save(path, {"model": {"weight": torch.arange(8.0)}})
+    write_archive(path, {"model": {"weight": torch.arange(8.0)}})
     good = path.read_bytes()
     start = good.index(torch.arange(8.0).numpy().tobytes())
     for position in range(start, start + 32):
         path.write_bytes(good[:position] + bytes([good[position] ^ 1]) + good[position + 1 :])
         with pytest.raises(ConfigError, match=r"a.pth: is damaged, the check sum"):
-            checkpoint.load(path)
+            read_archive(path, "checkpoint")
 
 
 def test_bad_files_are_refused_without_the_advice_of_torch(tmp_path: Path) -> None:
     path = tmp_path / "a.pth"
-    checkpoint.save(path, payload())
+    write_archive(path, payload())
     good = path.read_bytes()
     torch.save({"model": Path}, tmp_path / "code.pth")
     for name, content in (("torn", good[: len(good) // 2]), ("empty", b""), ("text", b"weights")):
         (tmp_path / name).write_bytes(content)
     for name in ("torn", "empty", "text", "code.pth", "missing"):
         with pytest.raises(ConfigError) as error:
-            checkpoint.load(tmp_path / name)
+            read_archive(tmp_path / name, "checkpoint")
         assert str(error.value).startswith(f"checkpoint {tmp_path / name}: ")
         assert "weights_only" not in str(error.value)
         assert "\n" not in str(error.value)

@@ -10,9 +10,9 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.rl_training.encoder import figures
 from aerial_gym.rl_training.encoder.figures import image_errors, reconstruct_by_components, reconstruct_by_mean
-from aerial_gym.rl_training.encoder.fit import EncoderFit
 from aerial_gym.rl_training.encoder.scenes import ImageSet, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
+from aerial_gym.rl_training.encoder.training import EncoderFit
 
 CFG = EncoderTrainingCfg(train_images=64, test_images=8, epochs=6, batch=16, latents=4, channels=(4, 8))
 

@@ -11,7 +11,7 @@ from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.rl_training import TrainingCfg, evaluate, load_settings, settings_for
 from aerial_gym.rl_training.learning.apg import Apg, check_differentiable, window_return
-from aerial_gym.rl_training.learning.objective import clamp_action
+from aerial_gym.rl_training.learning.learner import clamp_action
 from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.rl_training.trainers.apg import ApgTrainer
 from tests.unit.task.hover import build_task

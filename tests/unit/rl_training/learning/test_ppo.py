@@ -11,7 +11,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for
 from aerial_gym.rl_training.learning import adam
 from aerial_gym.rl_training.learning.adam import FlatAdam
-from aerial_gym.rl_training.learning.objective import bound_excess, generalized_advantages
+from aerial_gym.rl_training.learning.learner import bound_excess, generalized_advantages
 from aerial_gym.rl_training.learning.ppo import Ppo, adapt_rate, clipped_objective, squared_error
 from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer

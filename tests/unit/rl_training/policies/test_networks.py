@@ -17,7 +17,7 @@ from aerial_gym.rl_training import Policy, TrainingCfg, load_policy, load_settin
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
-from aerial_gym.rl_training.policies.initial_weights import load_initial_weights
+from aerial_gym.rl_training.policies.load import load_initial_weights
 from aerial_gym.rl_training.policies.normalizer import EPSILON, OUTLIER, RunningNormalizer
 from aerial_gym.rl_training.policies.recurrent import unroll_memory
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer
