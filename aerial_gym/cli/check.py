@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCmd:
+class CheckRobotCmd:
     """Say what a robot can do: hover, thrust to weight, authority about each axis, stable time steps of controllers."""
 
     robots: Annotated[tuple[str, ...], tyro.conf.Positional]  # Registered robots, or robot files (.yaml)

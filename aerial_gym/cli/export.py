@@ -32,9 +32,9 @@ class ExportCmd:
     def run(self) -> int:
         """Write, compare, print; return 0, or 1 if a file is not the policy."""
         from aerial_gym.export.export import export_policy
-        from aerial_gym.rl_training.run.run_folder import find_run_folder
+        from aerial_gym.rl_training.run.run_folder import run_folder_of_checkpoint
 
-        folder = self.policy if self.policy.is_dir() else find_run_folder(self.policy).path
+        folder = self.policy if self.policy.is_dir() else run_folder_of_checkpoint(self.policy).path
         out = self.out or folder / "export"
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         with progress_bar() as progress, warnings.catch_warnings():

@@ -20,7 +20,7 @@ RENAMED: dict[str, str] = {"import-robot": "robot import", "check": "robot check
 COMMANDS: dict[str, ImportPath] = {
     "list": ImportPath("aerial_gym.cli.list_names:ListCmd"),
     "robot import": ImportPath("aerial_gym.cli.import_robot:ImportRobotCmd"),
-    "robot check": ImportPath("aerial_gym.cli.check:CheckCmd"),
+    "robot check": ImportPath("aerial_gym.cli.check:CheckRobotCmd"),
     "robot tune": ImportPath("aerial_gym.cli.tune:TuneCmd"),
     "train": ImportPath("aerial_gym.cli.train:TrainCmd"),
     "train-encoder": ImportPath("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
@@ -119,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def entry() -> None:
     """Console script."""
-    process.prepare_process()
+    process.start_clock_and_preload()
     sys.exit(main())
 
 

@@ -58,7 +58,7 @@ class PlayCmd:
         if (self.policy is None) == (self.replay is None):
             raise ConfigError("play: give exactly one of --policy and --replay")
         if self.replay is not None:
-            return self._write_dump(self.replay)
+            return self._write_non_finite_steps(self.replay)
         assert self.policy is not None
         if self.video is not None:
             check_film(self.video)
@@ -86,7 +86,7 @@ class PlayCmd:
             self._write_rows([COLUMNS, *rows])
         return 0
 
-    def _write_dump(self, dump: Path) -> int:
+    def _write_non_finite_steps(self, dump: Path) -> int:
         """Print which numbers of each row were NaN or infinite on stderr, and write the last steps of the row."""
         from aerial_gym.robots.finite_watch import read_dump
 

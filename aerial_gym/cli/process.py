@@ -11,7 +11,7 @@ from aerial_gym.interop.preload import preload
 _started: float | None = None
 
 
-def prepare_process() -> None:
+def start_clock_and_preload() -> None:
     """Note the start of this process, preload libraries of a training, cache bytecode; called by ``entry``."""
     global _started
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts

@@ -87,7 +87,7 @@ class TrainCmd:
             self._refuse_changes(cfg)
         else:
             known = self.config or settings_for(self.trainer or TRAINER, task, device=self.device or "auto")
-            cfg = replace(load_settings(known), task=absolute_name(task))
+            cfg = replace(load_settings(known), task=task_name_with_absolute_path(task))
             if self.trainer not in (None, cfg.trainer):
                 raise ConfigError(
                     f"--trainer {self.trainer}: the settings in {known} are of {cfg.trainer}. Leave one out"
@@ -122,7 +122,7 @@ class TrainCmd:
 
     def _refuse_changes(self, cfg: "TrainingCfg") -> None:
         for flag, given, own in (
-            ("task", None if self.task is None else absolute_name(self.task), cfg.task),
+            ("task", None if self.task is None else task_name_with_absolute_path(self.task), cfg.task),
             ("trainer", self.trainer, cfg.trainer),
         ):
             if given not in (None, own):
@@ -137,7 +137,7 @@ class TrainCmd:
                 )
 
 
-def absolute_name(task: str) -> str:
+def task_name_with_absolute_path(task: str) -> str:
     """Return a task's name, with an absolute path for a file."""
     file, colon, name = task.rpartition(":")
     if file.endswith(".py"):

@@ -31,7 +31,7 @@ class EnvManager:
         self.num_envs, self.device = env.num_envs, env.device
         self.global_tensor_dict = TensorDict(env)
         self.robot_manager = RobotManager(self, robot_config)
-        self.asset_manager = AssetManager(env)
+        self.asset_manager = SimpleNamespace(num_keep_in_env=env.cfg.num_kept)
         self.IGE_env = Physics(env)
         self.reset_on_collision = reset_on_collision
 
@@ -129,13 +129,6 @@ class RobotManager:
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the robots of some environments; the obstacles stay."""
         self._manager.env.robot_manager.reset(self._manager.as_mask(env_ids))
-
-
-class AssetManager:
-    """``asset_manager`` of that simulator."""
-
-    def __init__(self, env: Simulation) -> None:
-        self.num_keep_in_env = env.cfg.num_kept
 
 
 class Physics:

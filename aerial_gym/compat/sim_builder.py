@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from aerial_gym.compat.config.environments import batch_settings
+from aerial_gym.compat.config.environments import num_envs_and_crash_reset
 from aerial_gym.compat.config.fields import copy_class
 from aerial_gym.compat.config.robots import has_no_gravity
 from aerial_gym.compat.env_manager import EnvManager
@@ -52,7 +52,7 @@ class SimBuilder:
         """
         del args, use_warp, headless
         env_class = env_config_registry.config_class(env_name)
-        default_envs, reset_on_collision = batch_settings(env_class)
+        default_envs, reset_on_collision = num_envs_and_crash_reset(env_class)
         robot_class = robot_registry.config_class(robot_name)
         sim = sim_config_registry.native_config(sim_name)
         if has_no_gravity(robot_class):

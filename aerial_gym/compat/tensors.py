@@ -46,12 +46,12 @@ def _gravity_vector(env: EnvManager) -> Tensor:
     return torch.tensor([0.0, 0.0, -env.sim_cfg.gravity], device=env.device).expand(env.num_envs, 3)
 
 
-def _first_image(*names: str) -> Read:
+def _first_present_image(*names: str) -> Read:
     """Return the function that reads the first key of the GTD that is there; the last one raises if it is missing."""
     return lambda env: env.gtd[next((name for name in names if name in env.gtd), names[-1])]
 
 
-def _image_with_fourth_channel(env: EnvManager) -> Tensor:
+def _rgba_image(env: EnvManager) -> Tensor:
     colours = env.gtd["rgb_pixels"]
     return torch.cat((colours, torch.ones_like(colours[..., :1])), dim=-1)
 
@@ -141,15 +141,15 @@ KEYS: dict[str, TensorKey] = {
     ),
     **_same_keys("crashes", "truncations", remark="kept over a reset until the next step, as there"),
     "depth_range_pixels": TensorKey(
-        native="the same", read=_first_image("normal_pixels", "point_cloud_pixels", "depth_range_pixels"),
+        native="the same", read=_first_present_image("normal_pixels", "point_cloud_pixels", "depth_range_pixels"),
         remark="normals of a normal_faceID sensor, points with return_pointcloud, as there; gtd has distances too",
     ),
     "segmentation_pixels": TensorKey(
-        native="the same", read=_first_image("face_id_pixels", "segmentation_pixels"),
+        native="the same", read=_first_present_image("face_id_pixels", "segmentation_pixels"),
         remark="faces of a normal_faceID sensor, as there",
     ),
     "rgb_pixels": TensorKey(
-        native="the same, (..., 3)", read=_image_with_fourth_channel,
+        native="the same, (..., 3)", read=_rgba_image,
         remark="with a fourth channel of 1; from the ray caster",
     ),
     **_absent_keys(

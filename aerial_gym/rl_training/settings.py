@@ -16,7 +16,7 @@ from aerial_gym.config.loader import convert
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.rl_training.learner_settings import ApgCfg, DistillCfg, LearnerCfg, PpoCfg
-from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainer_names
+from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
 
 TRAINING_CONFIGS = CONFIG_DIR / "training"
 """Folder of the package's settings: ``TRAINER_TASK.yaml``, the task without its ``_task``. ``TRAINER_TASK_cpu.yaml`` is
@@ -103,12 +103,12 @@ class TrainingCfg:
         if self.teacher is not None and not trainer.takes_teacher:
             raise ConfigError(
                 f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. "
-                f"Use {trainer_names('takes_teacher')}"
+                f"Use {trainers_with_feature('takes_teacher')}"
             )
         if self.initial is not None and not trainer.takes_initial:
             raise ConfigError(
                 f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} takes no initial networks. "
-                f"Use {trainer_names('takes_initial')}"
+                f"Use {trainers_with_feature('takes_initial')}"
             )
         learner = self.learner
         special = learner.memory or learner.critic_keys

@@ -26,7 +26,7 @@ from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainer_names
+from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
 from aerial_gym.rl_training.trainers.summaries import require_wandb, send_scalars
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors.encoder.file import load_encoder
@@ -83,11 +83,11 @@ def train(
     TRAINERS.get(cfg.trainer).require()
     if wandb is not None:
         require_wandb()
-    with join_ranks(cfg.device) as ranks, _rank_folder(ranks, out) as folder:
+    with join_ranks(cfg.device) as ranks, _leader_or_temporary_folder(ranks, out) as folder:
         if ranks.size > 1 and not TRAINERS.get(cfg.trainer).several_processes:
             raise ConfigError(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
-                f"--trainer {trainer_names('several_processes')}"
+                f"--trainer {trainers_with_feature('several_processes')}"
             )
         with contextlib.nullcontext() if resume else _new_run_folder(cfg, folder, ranks):
             return _train_session(
@@ -117,7 +117,7 @@ def _new_run_folder(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterat
 
 
 @contextlib.contextmanager
-def _rank_folder(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
+def _leader_or_temporary_folder(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
     """Yield the run folder in rank 0, and a temporary one in other processes."""
     if ranks.is_leader:
         yield RunFolder(out)

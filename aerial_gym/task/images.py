@@ -17,7 +17,7 @@ from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SensorManager
 from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.sensors.encoder.file import HOW, Encoder, load_encoder, normalize_image
-from aerial_gym.task.kernels.frames import make_frame_kernel
+from aerial_gym.task.kernels.frames import make_image_history_kernel
 from aerial_gym.task.terms.observations import CELLS, LARGEST, LATENTS
 from aerial_gym.task.values import Values
 
@@ -57,7 +57,7 @@ class TaskImages:
             for launches, mask, new in ((self._of_step, all_rows, none), (self._of_reset, begun, begun)):
                 launches.append(
                     ReusableLaunch(
-                        make_frame_kernel(source, warp_kind, cfg.history),
+                        make_image_history_kernel(source, warp_kind, cfg.history),
                         dim=tuple(flat.shape),
                         inputs=[flat, mask, new, *scale],
                         outputs=[target],

@@ -35,7 +35,7 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     An action of -1 and 1 is then the lowest and the highest command of a rotor, speed [rad/s] or thrust [N], and its
     entries belong to places (``rotor_order``). With ``params: {places: 4}`` a robot with another number of rotors,
     other spins or force mode takes the commands of a quadrotor: its rotors together give the lift and torque of those four
-    (``quadrotor_mix``).
+    (``quadrotor_to_rotors_matrix``).
     """
     if cfg.action.transform != ROTOR_RANGE:
         return cfg
@@ -63,14 +63,14 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     if cfg.action.params and not _is_standard_quadrotor(robot, order):
         rotors = zip(command, robot.rotor_types, strict=True)
         speeds = tuple(name.startswith("speed") and rotor.mode == "speed" for name, rotor in rotors)
-        params = {"low": low, "high": high, "mix": quadrotor_mix(robot), "speeds": speeds}
+        params = {"low": low, "high": high, "mix": quadrotor_to_rotors_matrix(robot), "speeds": speeds}
         return replace(cfg, action=replace(cfg.action, transform="four_places", params=params))
     return replace(
         cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high, "order": order})
     )
 
 
-def quadrotor_mix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
+def quadrotor_to_rotors_matrix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
     """Return the mixing matrix (R, 4) from the four thrust shares of a quadrotor to the thrust shares of R rotors.
 
     Lift along body z and each torque use the least-squares thrusts without other components. Full lift is reached when the

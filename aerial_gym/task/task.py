@@ -128,7 +128,7 @@ class Task:
         self._images = TaskImages(cfg.images, self.values, env.sensor_manager)
         counts = {"num_actions": self.num_actions, "num_commands": num_commands}
         self._actor = ActionConverter(cfg.action, action, params, self.values, **counts, dt=env.dt, random=env.random)
-        self._memory = self._make_memory()
+        self._memory = self._make_buffer_kernel()
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._watch = self._make_watch(keep=False)
         self._graph: StepGraph[StepResult] | None = None
@@ -377,7 +377,7 @@ class Task:
         values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
         return values
 
-    def _make_memory(self) -> StepKernel | None:
+    def _make_buffer_kernel(self) -> StepKernel | None:
         """Return the kernel of values for the next step; None without any. Make it after all inputs are declared."""
         values, command, updates = self.values, self._command, dict(self.values.updates)
 

@@ -64,7 +64,7 @@ class Values(Mapping[str, Tensor]):
         if name in self.own:
             return self.own[name]
         for template, make in self._makers.items():
-            numbers = parse_numbers(name, template)
+            numbers = numbers_in_name(name, template)
             if numbers is not None:
                 made = make(self, reader, **numbers)
                 self.measured |= {name} if made.ndim else set()
@@ -100,7 +100,7 @@ class Values(Mapping[str, Tensor]):
         return len(self.gtd) + len(self.own)
 
 
-def parse_numbers(name: str, template: str) -> dict[str, int] | None:
+def numbers_in_name(name: str, template: str) -> dict[str, int] | None:
     """Return the whole numbers of a name by a template such as ``"nearest_in_{rows}x{columns}_cells"``.
 
     None if it does not.

@@ -200,7 +200,7 @@ def write_run_folder(
     folder, state = RunFolder(out), training.state()
     folder.create(cfg)
     append_session(out, seed=cfg.seed, device=str(training.task.device))
-    folder.keep_checkpoint(training.env_steps, {name: state[name] for name in ("model", "network", "env_steps")})
+    folder.write_checkpoint(training.env_steps, {name: state[name] for name in ("model", "network", "env_steps")})
     with folder.curve_file.open("w", encoding="utf-8", newline="") as file:
         rows = ((report.env_steps, report.episode_return, report.episode_length) for report in reports)
         csv.writer(file).writerows([("env_steps", "episode_return", "episode_length"), *rows])

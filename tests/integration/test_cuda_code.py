@@ -33,8 +33,7 @@ from tests.physics.contact_rig import ObstacleRig, obstacle, start
 from tests.physics.rotor_types import three_type_robot
 from tests.physics.vehicles import ON_RIGID, random_network
 
-ARCHITECTURE = 90
-"""Compute capability: Hopper."""
+ARCHITECTURE = 90  # Compute capability: Hopper
 
 
 def compile_for_gpu(module, *, assemble: bool = False) -> None:

@@ -26,8 +26,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MARKS = ("slow", "compare", "file: ", "not run: ")
-COMMANDS = {"make golden"}
-"""Of the glossary: names that are commands."""
+COMMANDS = {"make golden"}  # Of the glossary: names that are commands
 
 REGISTRIES = (BACKENDS, EFFECTS, OBSERVATIONS, REWARDS, TERMINATIONS, TRAINERS)
 

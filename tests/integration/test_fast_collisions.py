@@ -16,8 +16,7 @@ from tests.unit.assets.managers import MIDDLE, box_environment
 
 NUM_ENVS, SPEED, DT = 400, 20.0, 0.01
 RACER = ROBOTS.get("crazyflie_21_brushless_racing")
-HULL = 0.07
-"""Half the width of the racer's four spheres [m]."""
+HULL = 0.07  # Half the width of the racer's four spheres [m]
 
 POLE = ShapeCfg(kind="cylinder", radius=0.01, height=4.0)
 WALL = ShapeCfg(kind="box", size=(0.02, 4.0, 4.0))

@@ -4,8 +4,7 @@ import pytest
 
 from benchmarks.control.hover_gate import EACH, cases
 
-LEAST_AGREEMENT = 0.95
-"""Share of the accepted that hover within 0.1 m, and of the others that do not."""
+LEAST_AGREEMENT = 0.95  # Share of the accepted that hover within 0.1 m, and of the others that do not
 
 
 @pytest.mark.slow

@@ -21,8 +21,7 @@ MORE_EFFECTS = (
     "rotor_drag", "actuation_delay", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
     "h_force_flapping", "imu_misalignment", "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
 )  # fmt: skip
-BRIEF: dict[str, Any] = {"num_train": 3, "num_test": 1, "duration_s": 6.0}
-"""What runs always: half of the rows."""
+BRIEF: dict[str, Any] = {"num_train": 3, "num_test": 1, "duration_s": 6.0}  # What runs always: half of the rows
 
 CAUSES = ("unknown_position", "unknown_periodic", "unknown_time", "unknown_heading")
 

@@ -16,8 +16,7 @@ pytestmark = [
 ]
 
 
-HOVER_SUM = 4 * 1695.0
-"""Sum of the four rotor speeds in hover [rad/s]: 0.045 kg on the declared thrust map."""
+HOVER_SUM = 4 * 1695.0  # Sum of the four rotor speeds in hover [rad/s]: 0.045 kg on the declared thrust map
 
 
 def test_the_loop_names_flapping_and_takes_most_off_the_residuals(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ from tests.builders import simulation
 
 pytestmark = pytest.mark.slow
 
-BENT = 0.02
-"""Angle [rad] beyond which no shape is held; the drives are at their limit from 0.006 rad on."""
+BENT = 0.02  # Angle [rad] beyond which no shape is held; the drives are at their limit from 0.006 rad on
 
 
 def bending_time(name: str, dt: float, seconds: float = 5.0) -> float:

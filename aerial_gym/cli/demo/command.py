@@ -33,7 +33,7 @@ class DemoCmd:
         """Run the three parts and write the page; return the exit status."""
         import jinja2
 
-        from aerial_gym.cli.demo.parts import close_the_loop, demo_flights, record_cameras, train_hover
+        from aerial_gym.cli.demo.parts import close_the_loop, find_or_simulate_flights, record_cameras, train_hover
         from aerial_gym.interop import one_thread
 
         console, started = Console(stderr=True), time.perf_counter()
@@ -42,7 +42,9 @@ class DemoCmd:
             console.print(f"{stage} ({time.perf_counter() - started:.0f} s)")
 
         _remove_earlier_demo(self.out)
-        flights = demo_flights(self.flights or (IDSIA_FLIGHTS if IDSIA_FLIGHTS.is_dir() else None), self.out, self.seed)
+        flights = find_or_simulate_flights(
+            self.flights or (IDSIA_FLIGHTS if IDSIA_FLIGHTS.is_dir() else None), self.out, self.seed
+        )
         with one_thread():
             announce("[bold]1/3 look[/]: cameras in the obstacle environment")
             seen = record_cameras(self.seed, self.backend)

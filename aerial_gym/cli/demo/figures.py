@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def as_data_url(figure: Figure) -> str:
+def figure_as_data_url(figure: Figure) -> str:
     """Return a figure as ``data:image/png;base64,...``."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")

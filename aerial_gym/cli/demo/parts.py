@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from aerial_gym.cli.demo.figures import as_data_url, camera_figure, flights_figure, learning_figure
+from aerial_gym.cli.demo.figures import camera_figure, figure_as_data_url, flights_figure, learning_figure
 from aerial_gym.cli.terminal import progress_bar
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import DataError
@@ -45,7 +45,7 @@ def record_cameras(seed: int, backend: str | None = None) -> dict[str, str]:
     env.render()
     depth, ids = env.gtd["depth_range_pixels"][:, 0].numpy(), env.gtd["segmentation_pixels"][:, 0].numpy()
     figure = camera_figure(depth, ids, SENSORS.get("base_depth_camera").max_range)
-    return {"picture": as_data_url(figure), "tensors": str(env.gtd)}
+    return {"picture": figure_as_data_url(figure), "tensors": str(env.gtd)}
 
 
 def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None) -> dict[str, Any]:
@@ -61,8 +61,8 @@ def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None)
     return {
         "result": asdict(result),
         "evaluation": asdict(evaluation),
-        "curve": as_data_url(learning_figure(out / "training" / "curve.csv")),
-        "flights": as_data_url(figure),
+        "curve": figure_as_data_url(learning_figure(out / "training" / "curve.csv")),
+        "flights": figure_as_data_url(figure),
     }
 
 
@@ -90,7 +90,7 @@ class DemoFlights:
     story: str  # One paragraph for the page
 
 
-def demo_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
+def find_or_simulate_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
     """Return the measured flights in ``folder``, or flights of the independent plant where there are none.
 
     Raises:

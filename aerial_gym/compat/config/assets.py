@@ -13,8 +13,8 @@ from aerial_gym.compat.config.fields import (
     Changes,
     ConfigTable,
     Values,
-    direct_field,
     idle_field,
+    native_field,
     same_fields,
 )
 from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
@@ -31,7 +31,7 @@ def _script_state(position: Any, euler: Any) -> list[float]:
     return [*position, *euler, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
-def _position_writer(end: str) -> Any:
+def _ratio_changes(end: str) -> Any:
     def write(values: Values) -> Changes:
         state = values["min_state_ratio" if end == "low" else "max_state_ratio"]
         return {f"position_ratio_{end}": tuple(state[0:3]), f"euler_{end}": tuple(state[3:6])}
@@ -65,19 +65,19 @@ TABLE = ConfigTable(
     kind="asset",
     fields=(
         *same_fields(num_assets="count"),
-        direct_field("asset_folder", "shapes", _asset_folder, _shape_changes,
+        native_field("asset_folder", "shapes", _asset_folder, _shape_changes,
                 "URDF files; folders of that simulator stand for the same shapes here"),
-        direct_field("file", "shapes", lambda _: None, _shape_changes, "one file of the folder; None takes all"),
-        direct_field("min_state_ratio", "position_ratio_low, euler_low",
-                lambda c: _script_state(c.position_ratio_low, c.euler_low), _position_writer("low"), "entries 0 to 5"),
-        direct_field("max_state_ratio", "position_ratio_high, euler_high",
-                lambda c: _script_state(c.position_ratio_high, c.euler_high), _position_writer("high"), "entries 0 to 5"),
+        native_field("file", "shapes", lambda _: None, _shape_changes, "one file of the folder; None takes all"),
+        native_field("min_state_ratio", "position_ratio_low, euler_low",
+                lambda c: _script_state(c.position_ratio_low, c.euler_low), _ratio_changes("low"), "entries 0 to 5"),
+        native_field("max_state_ratio", "position_ratio_high, euler_high",
+                lambda c: _script_state(c.position_ratio_high, c.euler_high), _ratio_changes("high"), "entries 0 to 5"),
         *same_fields(keep_in_env="keep"),
-        direct_field("semantic_id", "semantic_id", lambda c: c.semantic_id,
+        native_field("semantic_id", "semantic_id", lambda c: c.semantic_id,
                 remark="-1: the instance's own id, counted in each environment"),
-        direct_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shape_changes, "URDF files only"),
-        direct_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shape_changes, "URDF files only"),
-        direct_field("fix_base_link", "motion", lambda c: c.motion.kind == "none",
+        native_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shape_changes, "URDF files only"),
+        native_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shape_changes, "URDF files only"),
+        native_field("fix_base_link", "motion", lambda c: c.motion.kind == "none",
                 lambda v: {"motion": MotionCfg(kind="none" if v["fix_base_link"] else "twist")},
                 "not fixed: flies with env_actions"),
         *(idle_field(name, value, "PhysX") for name, value in (
@@ -93,7 +93,6 @@ TABLE = ConfigTable(
             ("body_semantic_label", 0), ("link_semantic_label", 0), ("specific_filepath", None), ("name", None),
         )),
     ),
-    idle_sections={},
 )  # fmt: skip
 """Translation of the attributes of an asset class."""
 

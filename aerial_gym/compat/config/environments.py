@@ -8,11 +8,11 @@ from aerial_gym.compat.config.fields import (
     Changes,
     ConfigTable,
     Values,
-    constant_field,
-    direct_field,
+    class_only_field,
     idle_field,
-    lookup_field,
-    replace_entries,
+    native_field,
+    replace_config_entries,
+    unchangeable_field,
 )
 from aerial_gym.config.environment import EnvironmentCfg
 
@@ -32,23 +32,23 @@ _DEAD = "read nowhere there either"
 TABLE = ConfigTable(
     kind="environment",
     fields=(
-        lookup_field("env.num_envs", "build_env(num_envs=...)", lambda _: 64, "the number where build_env is given none"),
-        direct_field("env.num_physics_steps_per_env_step_mean", "physics_steps_per_env_step",
+        class_only_field("env.num_envs", "build_env(num_envs=...)", lambda _: 64, "the number where build_env is given none"),
+        native_field("env.num_physics_steps_per_env_step_mean", "physics_steps_per_env_step",
                 lambda c: c.physics_steps_per_env_step,
                 lambda v: {"physics_steps_per_env_step": int(v["env.num_physics_steps_per_env_step_mean"])}),
-        constant_field("env.num_physics_steps_per_env_step_std", 0,
+        unchangeable_field("env.num_physics_steps_per_env_step_std", 0,
                 "must be 0 here: there one number was drawn for all environments, and could be none. A delay is the effect "
                 "actuation_delay of the robot"),
-        lookup_field("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
-        direct_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground_changes,
+        class_only_field("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
+        native_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground_changes,
                 "at z = 0"),
-        *(direct_field(f"env.{script_name}", native, lambda c, native=native: list(getattr(c, native)))
+        *(native_field(f"env.{script_name}", native, lambda c, native=native: list(getattr(c, native)))
           for script_name, native in (
             ("lower_bound_min", "bounds_lower_low"), ("lower_bound_max", "bounds_lower_high"),
             ("upper_bound_min", "bounds_upper_low"), ("upper_bound_max", "bounds_upper_high"),
         )),
-        direct_field("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _asset_changes),
-        direct_field("env_config.asset_type_to_dict_map", "assets", lambda c: {a.name: asset_class(a) for a in c.assets},
+        native_field("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _asset_changes),
+        native_field("env_config.asset_type_to_dict_map", "assets", lambda c: {a.name: asset_class(a) for a in c.assets},
                 _asset_changes, "classes of obstacles, see assets"),
         idle_field("env.collision_force_threshold", 0.01,
              "every touch is a crash; with `contact:` of an environment file, crash_speed says which"),
@@ -61,7 +61,6 @@ TABLE = ConfigTable(
             ("keep_same_env_for_num_episodes", 1), ("manual_camera_trigger", False),
         )),
     ),
-    idle_sections={},
 )  # fmt: skip
 """Translation of the attributes of an environment class."""
 
@@ -76,10 +75,12 @@ def translate_environment(cls: Any) -> EnvironmentCfg:
     classes = given.get("env_config.asset_type_to_dict_map")
     if classes is None:
         return cfg
-    return replace_entries(cfg, _asset_changes({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given))
+    return replace_config_entries(
+        cfg, _asset_changes({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given)
+    )
 
 
-def batch_settings(cls: Any) -> tuple[int, bool]:
+def num_envs_and_crash_reset(cls: Any) -> tuple[int, bool]:
     """Return the number of environments of an environment class, and whether a crash resets."""
     given = TABLE.values(cls)
     return int(given.get("env.num_envs", 64)), bool(given.get("env.reset_on_collision", True))

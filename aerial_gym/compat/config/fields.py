@@ -9,7 +9,7 @@ nearest generated ancestor. Unknown attributes are refused by name.
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from inspect import isclass
 from operator import attrgetter
 from typing import Any
@@ -40,7 +40,7 @@ class ConfigField:
     refused: bool = False  # Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged
 
 
-def direct_field(
+def native_field(
     script_name: str,
     native: str,
     read: Callable[[Any], object],
@@ -55,7 +55,7 @@ def direct_field(
 def same_fields(*names: str, **native_by_name: str) -> tuple[ConfigField, ...]:
     """Return fields with the same meaning and value in both, some under another name in this package."""
     pairs = dict(zip(names, names, strict=True)) | native_by_name
-    return tuple(direct_field(name, native, attrgetter(native)) for name, native in pairs.items())
+    return tuple(native_field(name, native, attrgetter(native)) for name, native in pairs.items())
 
 
 def idle_field(script_name: str, value: object, remark: str) -> ConfigField:
@@ -63,17 +63,13 @@ def idle_field(script_name: str, value: object, remark: str) -> ConfigField:
     return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value)
 
 
-def constant_field(script_name: str, value: object, remark: str) -> ConfigField:
-    """Return a field with one allowed value; ``remark`` is the remedy for others."""
-    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value, refused=True)
-
-
-def dependent_field(script_name: str, read: Callable[[Any], object], remark: str) -> ConfigField:
-    """Return a field whose value must match the configuration; ``remark`` is the remedy for others."""
+def unchangeable_field(script_name: str, value: object, remark: str) -> ConfigField:
+    """Return a field with one allowed value, or that of a function of the configuration; ``remark`` is the remedy."""
+    read = value if callable(value) else lambda _: value
     return ConfigField(script_name=script_name, native="-", remark=remark, read=read, refused=True)
 
 
-def lookup_field(script_name: str, native: str, read: Callable[[Any], object], remark: str = "") -> ConfigField:
+def class_only_field(script_name: str, native: str, read: Callable[[Any], object], remark: str = "") -> ConfigField:
     """Return a field that code reads from the class on demand, without a target in the configuration."""
     return ConfigField(script_name=script_name, native=native, remark=remark, read=read, write=lambda _: {})
 
@@ -84,16 +80,16 @@ class ConfigTable:
 
     kind: str  # Kind of the classes in messages
     fields: tuple[ConfigField, ...]  # Attributes that are known
-    idle_sections: Mapping[str, str]  # Nested classes of which no attribute means anything here, and why
+    idle_sections: Mapping[str, str] = field(default_factory=dict)  # Nested classes without any meaning here, and why
 
     def make_class(self, name: str, cfg: object, *, parent: type | None = None) -> type:
         """Return the class generated from a configuration; with a ``parent`` of the same table it has only the differences."""
         base = parent or type(name, (), {})
         made = type(name, (base,), {STANDS_FOR: cfg, "__doc__": f"Class-style configuration of a {self.kind}."})
-        for field in self.fields:
-            value = field.read(cfg)
-            if parent is None or not values_equal(value, attrgetter(field.script_name)(parent)):
-                _set_attribute(made, field.script_name, value)
+        for each in self.fields:
+            value = each.read(cfg)
+            if parent is None or not values_equal(value, attrgetter(each.script_name)(parent)):
+                _set_attribute(made, each.script_name, value)
         for section in self.idle_sections if parent is None else ():
             _set_attribute(made, section, type(section.rpartition(".")[2], (), {}))
         return made
@@ -104,7 +100,7 @@ class ConfigTable:
         Raises:
             ConfigError: If it has an attribute that no table knows; the message names the nearest known one.
         """
-        known = {field.script_name for field in self.fields}
+        known = {each.script_name for each in self.fields}
 
         def section_values(section: Any, prefix: str) -> dict[str, Any]:
             entries: dict[str, Any] = {}
@@ -118,7 +114,7 @@ class ConfigTable:
                     entries |= section_values(value, f"{path}.")
                 elif isclass(value) or not callable(value):
                     raise ConfigError(
-                        f"{_class_name(cls)}.{path} = {value!r}: no such field ({self.kind}).{suggest_name(path, known)} "
+                        f"{_name_of_class(cls)}.{path} = {value!r}: no such field ({self.kind}).{suggest_name(path, known)} "
                         f"Known: {', '.join(sorted(known))}. Names that are the class's own begin with an underscore"
                     )
             return entries
@@ -136,22 +132,22 @@ class ConfigTable:
         """
         cfg = getattr(cls, STANDS_FOR, stands_for)
         given = self.values(cls)
-        values = {field.script_name: field.read(cfg) for field in self.fields} | given
+        values = {each.script_name: each.read(cfg) for each in self.fields} | given
         changes: Changes = {}
-        for field in self.fields:
-            if field.script_name not in given or values_equal(given[field.script_name], field.read(cfg)):
+        for each in self.fields:
+            if each.script_name not in given or values_equal(given[each.script_name], each.read(cfg)):
                 continue
-            told = f"{_class_name(cls)}.{field.script_name} = {given[field.script_name]!r}"
-            if field.refused:
-                raise ConfigError(f"{told}: {field.remark}")
-            if field.write is None:
-                _logger.info(f"{told}: without effect here: {field.remark}")
+            told = f"{_name_of_class(cls)}.{each.script_name} = {given[each.script_name]!r}"
+            if each.refused:
+                raise ConfigError(f"{told}: {each.remark}")
+            if each.write is None:
+                _logger.info(f"{told}: without effect here: {each.remark}")
             else:
-                changes |= field.write(values)
-        return replace_entries(cfg, changes)
+                changes |= each.write(values)
+        return replace_config_entries(cfg, changes)
 
 
-def replace_entries(cfg: Any, changes: Changes) -> Any:
+def replace_config_entries(cfg: Any, changes: Changes) -> Any:
     """Return a frozen configuration or mapping with entries replaced at all levels in one pass."""
     if cfg is None and changes:
         raise ConfigError(f"{', '.join(changes)}: what this class stands for has none of these to change")
@@ -166,7 +162,7 @@ def replace_entries(cfg: Any, changes: Changes) -> Any:
     for head, inner in nested.items():
         if isinstance(cfg, Mapping) and head not in cfg:
             raise ConfigError(f"{head}: what this class stands for has none of that name. Known: {', '.join(cfg)}")
-        flat[head] = replace_entries(cfg[head] if isinstance(cfg, Mapping) else getattr(cfg, head), inner)
+        flat[head] = replace_config_entries(cfg[head] if isinstance(cfg, Mapping) else getattr(cfg, head), inner)
     if isinstance(cfg, Mapping):
         return {**cfg, **flat}
     return replace(cfg, **flat) if flat else cfg  # pyright: ignore[reportArgumentType]
@@ -209,7 +205,7 @@ def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _class_name(cls: Any) -> str:
+def _name_of_class(cls: Any) -> str:
     return cls.__name__ if isclass(cls) else type(cls).__name__
 
 

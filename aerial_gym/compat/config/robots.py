@@ -1,31 +1,118 @@
 """Robots: classes with ``init_config``, ``sensor_config``, ``robot_asset`` and ``control_allocator_config`` inside.
 
+A column of the allocation matrix is force and torque per thrust of a rotor: its axis a, and ``r x a - d c a`` with its place r,
+its direction d and torque ratio c. The place along the axis changes nothing and is that of the origin.
+
 That simulator has mass, inertia and geometry in URDF files; this package in a robot file, from which the allocation matrix
 is derived. A class modifies the robot of its nearest generated ancestor; with a URDF and an allocation matrix of its own it
 replaces the body. Thrust constants change from per (rev/s)² to per (rad/s)².
 """
 
 from math import pi
+from pathlib import Path
 from typing import Any
 
-from aerial_gym.compat.config import bodies
+import numpy as np
+
+from aerial_gym.assets.urdf import load_urdf, urdf_body
 from aerial_gym.compat.config.fields import (
     Changes,
     ConfigTable,
     Values,
-    constant_field,
-    direct_field,
+    class_only_field,
     idle_field,
-    lookup_field,
-    replace_entries,
+    native_field,
+    replace_config_entries,
+    unchangeable_field,
+    values_equal,
 )
-from aerial_gym.compat.config.imus import imu_class, imu_name
-from aerial_gym.compat.config.sensors import sensor_class, sensor_name
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.compat.config.imus import imu_catalog_name, imu_class
+from aerial_gym.compat.config.sensors import sensor_catalog_name, sensor_class
+from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
+from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, Vec3
 from aerial_gym.config.sensor import LidarCfg
 from aerial_gym.config.sensor_mount import as_mounts
+from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.importers.file_vehicle import make_collision, part_collision_shape
 from aerial_gym.sensors import IMUS, SENSORS
+
+FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
+"""URDF folder in a class generated from a robot of this package; it need not exist."""
+
+MATRIX, DIRECTIONS = "control_allocator_config.allocation_matrix", "control_allocator_config.motor_directions"
+_MOTORS = "control_allocator_config.num_motors"
+_RATIO = "control_allocator_config.motor_model_config.thrust_to_torque_ratio"
+
+
+def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
+    """Return force and torque per thrust of each rotor, rows Fx, Fy, Fz, Mx, My, Mz, columns in the order of the mounts."""
+    columns = []
+    for mount, rotor in zip(cfg.mounts.layout, cfg.rotor_types, strict=True):
+        axis = np.asarray(mount.axis, dtype=float) / np.linalg.norm(mount.axis)
+        torque = np.cross(mount.position, axis) - mount.spin * (rotor.torque_ratio or 0.0) * axis
+        columns.append(np.concatenate((axis, torque)))
+    return np.stack(columns, axis=1).tolist()
+
+
+def rotor_changes(values: Values) -> Changes:
+    """Return the mounts of an allocation matrix."""
+    matrix = np.asarray(values[MATRIX], dtype=float)
+    directions, ratio = [int(d) for d in values[DIRECTIONS]], float(values[_RATIO])
+    if matrix.shape != (6, len(directions)) or int(values[_MOTORS]) != len(directions):
+        raise ConfigError(
+            f"{MATRIX} of shape {matrix.shape}: needs a column for each of the {values[_MOTORS]} motors and of the "
+            f"{len(directions)} motor_directions"
+        )
+    layout = tuple(
+        _mount_of_column(column, spin, ratio, i)
+        for i, (column, spin) in enumerate(zip(matrix.T, directions, strict=True))
+    )
+    return {"mounts": MountsCfg(layout=layout, source=f"{MATRIX} of a robot class")}
+
+
+def _mount_of_column(column: np.ndarray, spin: int, ratio: float, number: int) -> MountCfg:
+    force, torque = column[:3], column[3:]
+    size = float(np.linalg.norm(force))
+    if not np.isclose(size, 1.0, rtol=1e-3):
+        raise ConfigError(f"{MATRIX}, motor {number}: force {force.tolist()} per thrust has the size {size:g}, not 1")
+    axis = force / size
+    along = float(torque @ axis)
+    if not np.isclose(along, -spin * ratio, rtol=1e-2, atol=1e-6):
+        raise ConfigError(
+            f"{MATRIX}, motor {number}: torque {along:g} about its axis per thrust, but motor_directions and "
+            f"thrust_to_torque_ratio say {-spin * ratio:g}. There the matrix allocates and the others act; say one thing"
+        )
+    place = np.cross(axis, torque)
+    return MountCfg(position=_vec3(place), axis=_vec3(axis), spin=spin)
+
+
+def body_changes(values: Values) -> Changes:
+    """Return mass, inertia and collision shapes of a class's URDF; nothing if it names a robot of this package."""
+    folder, file = str(values["robot_asset.asset_folder"]), str(values["robot_asset.file"])
+    path = Path(folder) / file
+    if values_equal(folder, FOLDER) and not path.is_file():
+        return {}
+    if not path.is_file():
+        raise ConfigError(
+            f"robot_asset {path}: no such URDF file; those of that simulator are not here. Give your own, "
+            "or a robot file (.yaml) as robot_name"
+        )
+    whole, source = urdf_body(path), f"URDF {path.name}, all links at zero joint angles"
+    inertia = (_vec3(whole.inertia[0]), _vec3(whole.inertia[1]), _vec3(whole.inertia[2]))
+    return {
+        "body": BodyCfg(mass=whole.mass, inertia=inertia, com=_vec3(whole.com), source=source),
+        "collision": make_collision(
+            [part_collision_shape(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"
+        ),
+        "summary": f"robot of {path.name}",
+    }
+
+
+def _vec3(vector: np.ndarray) -> Vec3:
+    x, y, z = map(float, vector)
+    return x, y, z
+
 
 _NEVER_ACTIVE = 100000.0  # Largest rate of a motor there if none is wanted
 _PER_TURN = (2.0 * pi) ** 2  # (rad/s)² per (rev/s)²
@@ -56,7 +143,7 @@ def _middle_of_range(values: Values, name: str) -> float:
     return 0.5 * (values[f"{_MOTOR}.{name}_min"] + values[f"{_MOTOR}.{name}_max"])
 
 
-def _rotor_mode_changes(values: Values) -> Changes:
+def _thrust_map_changes(values: Values) -> Changes:
     """Return the mode of the rotors and their thrust map, None in force mode."""
     speed = bool(values[f"{_MOTOR}.use_rps"])
     coefficient = _middle_of_range(values, "motor_thrust_constant") / _PER_TURN if speed else 0.0
@@ -87,7 +174,7 @@ def _drag_changes(values: Values) -> Changes:
 
 
 def _sensor_changes(values: Values) -> Changes:
-    names = (("camera", sensor_name), ("lidar", sensor_name), ("imu", imu_name))
+    names = (("camera", sensor_catalog_name), ("lidar", sensor_catalog_name), ("imu", imu_catalog_name))
     on_board = [
         name(values[f"sensor_config.{kind}_config"]) for kind, name in names if values[f"sensor_config.enable_{kind}"]
     ]
@@ -124,38 +211,38 @@ _START = "init_config says where a robot starts"
 TABLE = ConfigTable(
     kind="robot",
     fields=(
-        direct_field("init_config.min_init_state", "initial_state.*_low", lambda c: _initial_state(c, "low"),
+        native_field("init_config.min_init_state", "initial_state.*_low", lambda c: _initial_state(c, "low"),
                 _initial_state_changes("low"),
                 "shares of the bounds, roll, pitch, yaw, a 1, velocity, angular velocity (body axes)"),
-        direct_field("init_config.max_init_state", "initial_state.*_high", lambda c: _initial_state(c, "high"),
+        native_field("init_config.max_init_state", "initial_state.*_high", lambda c: _initial_state(c, "high"),
                 _initial_state_changes("high")),
-        direct_field("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None,
+        native_field("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None,
                 _sensor_changes, "a camera and a lidar together work here"),
-        direct_field("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"),
+        native_field("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"),
                      _sensor_changes),
-        direct_field("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None,
+        native_field("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None,
                 _sensor_changes),
-        direct_field("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"),
+        native_field("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"),
                 _sensor_changes),
-        direct_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor_changes),
-        direct_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor_changes),
-        constant_field("disturbance.enable_disturbance", False,
+        native_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor_changes),
+        native_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor_changes),
+        unchangeable_field("disturbance.enable_disturbance", False,
                 "pushes per physics step would depend on dt: use the effect gusts in a robot file"),
         idle_field("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
         idle_field("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
-        direct_field("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
+        native_field("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
                 lambda c: _drag_coefficients(c, "rotor_drag"), _drag_changes),
-        direct_field("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
+        native_field("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
                 lambda c: _drag_coefficients(c, "quadratic_drag"), _drag_changes),
-        constant_field("damping.angular_linear_damping_coefficient", [0.0] * 3,
+        unchangeable_field("damping.angular_linear_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        constant_field("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
+        unchangeable_field("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        direct_field("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body_changes,
+        native_field("robot_asset.asset_folder", "body, collision", lambda _: FOLDER, body_changes,
                 "a URDF: all links as one body about their centre of mass; its spheres and boxes, boxes around the rest"),
-        direct_field("robot_asset.file", "body, collision", _urdf_file, bodies.body_changes),
-        constant_field("robot_asset.fix_base_link", False, "robots fly here"),
-        lookup_field("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "only robots feel gravity there"),
+        native_field("robot_asset.file", "body, collision", _urdf_file, body_changes),
+        unchangeable_field("robot_asset.fix_base_link", False, "robots fly here"),
+        class_only_field("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "of robots alone there"),
         *(idle_field(f"robot_asset.{name}", value, why) for name, value, why in (
             ("name", "base_quadrotor", "the registered name"), ("base_link_name", "base_link", "a robot is one body"),
             ("collision_mask", 0, "PhysX"), ("replace_cylinder_with_capsule", False, "PhysX"),
@@ -172,19 +259,19 @@ TABLE = ConfigTable(
         )),
         *(idle_field(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
           for name in ("min_state_ratio", "max_state_ratio")),
-        direct_field(bodies.MATRIX, "mounts", bodies.allocation_matrix, bodies.rotor_changes,
+        native_field(MATRIX, "mounts", allocation_matrix, rotor_changes,
                 "the rotors stand where the matrix has them; it is derived from them again"),
-        direct_field("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, bodies.rotor_changes),
-        direct_field(bodies.DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], bodies.rotor_changes,
+        native_field("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, rotor_changes),
+        native_field(DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], rotor_changes,
                 "matrix and directions must say the same"),
         idle_field("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
         idle_field("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
-        direct_field(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _rotor_mode_changes,
+        native_field(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _thrust_map_changes,
                 "speed or force"),
-        *(direct_field(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
-                  lambda c: c.rotor_types[0].thrust_map[2] * _PER_TURN, _rotor_mode_changes, f"N per (rev/s)²; {_RANGE}")
+        *(native_field(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
+                  lambda c: c.rotor_types[0].thrust_map[2] * _PER_TURN, _thrust_map_changes, f"N per (rev/s)²; {_RANGE}")
           for end in ("min", "max")),
-        *(direct_field(f"{_MOTOR}.motor_time_constant_{way}_{end}", f"rotor.{native}",
+        *(native_field(f"{_MOTOR}.motor_time_constant_{way}_{end}", f"rotor.{native}",
                   lambda c, n=native: getattr(c.rotor_types[0], n),
                   lambda v, way=way, n=native: {f"rotor.{n}": _middle_of_range(v, f"motor_time_constant_{way}")}, remark)
           for way, native, remark in (
@@ -192,16 +279,16 @@ TABLE = ConfigTable(
               ("decreasing", "time_constant_down", _RANGE),
           )
           for end in ("min", "max")),
-        *(direct_field(f"{_MOTOR}.{end}_thrust", "rotor.thrust_range",
+        *(native_field(f"{_MOTOR}.{end}_thrust", "rotor.thrust_range",
                   lambda c, place=place: c.rotor_types[0].thrust_range[place],
                   lambda v: {"rotor.thrust_range": tuple(float(v[f"{_MOTOR}.{end}_thrust"]) for end in ("min", "max"))})
           for place, end in enumerate(("min", "max"))),
-        direct_field(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor_types[0].torque_ratio,
+        native_field(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor_types[0].torque_ratio,
                 lambda v: {"rotor.torque_ratio": float(v[f"{_MOTOR}.thrust_to_torque_ratio"]), "rotor.torque_map": None}),
-        direct_field(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _script_slew_rate, _slew_rate_changes, "100000 is none"),
+        native_field(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _script_slew_rate, _slew_rate_changes, "100000 is none"),
         idle_field(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
         idle_field(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
-        lookup_field("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
+        class_only_field("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
     ),
     idle_sections={"reset_asset": "-"},
 )  # fmt: skip
@@ -220,7 +307,7 @@ def translate_robot(cls: Any) -> RobotCfg:
     changes = _sensor_changes(values)
     mounts = cfg.sensor_mounts
     plain = mounts == as_mounts(tuple(mount.sensor for mount in mounts)) and len(mounts) == len(changes["sensors"])
-    return replace_entries(cfg, changes) if plain else cfg
+    return replace_config_entries(cfg, changes) if plain else cfg
 
 
 BaseQuadCfg = TABLE.make_class("BaseQuadCfg", ROBOTS.get("base_quadrotor"))

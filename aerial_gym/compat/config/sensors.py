@@ -4,6 +4,7 @@ There a camera's frame is turned by ``euler_frame_rot_deg`` into the optical one
 Angles there are degrees, here radians.
 """
 
+import re
 from dataclasses import replace
 from math import degrees, radians
 from typing import Any
@@ -14,15 +15,31 @@ from aerial_gym.compat.config.fields import (
     ConfigField,
     ConfigTable,
     Values,
-    constant_field,
-    direct_field,
     idle_field,
+    native_field,
     same_fields,
+    unchangeable_field,
 )
-from aerial_gym.compat.config.registration import register_config
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.registry import Registry
 from aerial_gym.sensors import SENSORS
+
+
+def register_config(cls: Any, cfg: Any, registry: Registry[Any]) -> str:
+    """Register a configuration once and return its name: that of an equal entry, else that of its class.
+
+    A class that a script changes after it has been used gets a second name.
+    """
+    for known in registry:
+        if registry.get(known) == cfg:
+            return known
+    class_name = cls.__name__ if isinstance(cls, type) else type(cls).__name__
+    snake_case = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", class_name).lower()
+    taken = sum(known == snake_case or known.startswith(f"{snake_case}_") for known in registry)
+    name = f"{snake_case}_{taken + 1}" if taken else snake_case
+    registry.register(name, cfg)
+    return name
 
 
 def _sensor_type(cfg: RangeSensorCfg) -> str:
@@ -82,7 +99,7 @@ def _noise_field(name: str, native: str) -> ConfigField:
     def read(cfg: RangeSensorCfg) -> float:
         return getattr(cfg.noise or NoiseCfg(), native)
 
-    return direct_field(f"sensor_noise.{name}", f"noise.{native}", read, _noise_changes)
+    return native_field(f"sensor_noise.{name}", f"noise.{native}", read, _noise_changes)
 
 
 def _angles_in_degrees(entries: Any) -> list[float]:
@@ -91,38 +108,38 @@ def _angles_in_degrees(entries: Any) -> list[float]:
 
 _COMMON = (
     *same_fields(num_sensors="count"),
-    direct_field("sensor_type", "model", _sensor_type, _sensor_type_changes, "which class of file: pinhole, stereo, lidar"),
+    native_field("sensor_type", "model", _sensor_type, _sensor_type_changes, "which class of file: pinhole, stereo, lidar"),
     *same_fields("height", "width", "max_range", "min_range"),
-    direct_field("return_pointcloud", "points", lambda c: c.points is not None, _point_cloud_changes,
+    native_field("return_pointcloud", "points", lambda c: c.points is not None, _point_cloud_changes,
             "distances stay beside the points"),
-    direct_field("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _point_cloud_changes),
+    native_field("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _point_cloud_changes),
     *same_fields(segmentation_camera="segmentation"),
-    direct_field("normalize_range", "normalize", lambda c: c.normalize,
+    native_field("normalize_range", "normalize", lambda c: c.normalize,
             lambda v: {"normalize": bool(v["normalize_range"])}),
-    *(direct_field(f"{end}_out_of_range_value", f"{end}_out_of_range_value",
+    *(native_field(f"{end}_out_of_range_value", f"{end}_out_of_range_value",
               lambda c, end=end: getattr(c, f"{end}_pixel") * (c.max_range if c.normalize else 1.0))
       for end in ("far", "near")),
-    direct_field("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement_changes,
+    native_field("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement_changes,
             "without it the nominal pose holds; there the translation was then 0"),
-    direct_field("nominal_position", "position", lambda c: list(c.position), _placement_changes),
-    direct_field("nominal_orientation_euler_deg", "euler", lambda c: _angles_in_degrees(c.euler), _placement_changes),
-    *(direct_field(f"{end}_translation", native, lambda c, n=native: list(getattr(c, n) or c.position), _placement_changes)
+    native_field("nominal_position", "position", lambda c: list(c.position), _placement_changes),
+    native_field("nominal_orientation_euler_deg", "euler", lambda c: _angles_in_degrees(c.euler), _placement_changes),
+    *(native_field(f"{end}_translation", native, lambda c, n=native: list(getattr(c, n) or c.position), _placement_changes)
       for end, native in (("min", "position_low"), ("max", "position_high"))),
-    *(direct_field(f"{end}_euler_rotation_deg", native,
+    *(native_field(f"{end}_euler_rotation_deg", native,
             lambda c, n=native: _angles_in_degrees(getattr(c, n) or c.euler), _placement_changes)
       for end, native in (("min", "euler_low"), ("max", "euler_high"))),
-    constant_field("euler_frame_rot_deg", [-90.0, 0, -90.0],
+    unchangeable_field("euler_frame_rot_deg", [-90.0, 0, -90.0],
             "sensors look along their own x axis here; turn nominal_orientation_euler_deg"),
     idle_field("use_collision_geometry", False, "a shape is the same for rays and for contact"),
-    direct_field("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled,
+    native_field("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled,
             _noise_changes, "there it failed for cameras, and spoiled point clouds"),
     _noise_field("pixel_dropout_prob", "dropout"),
     _noise_field("pixel_std_dev_multiplier", "std_b"),
     _noise_field("std_a", "std_a"),
-    direct_field("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise_changes, "added to pixel_std_dev_multiplier"),
+    native_field("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise_changes, "added to pixel_std_dev_multiplier"),
     _noise_field("std_c", "std_c"),
     _noise_field("mean_offset", "mean_offset"),
-    direct_field("normal_in_world_frame", "normals", lambda c: c.normals != "sensor",
+    native_field("normal_in_world_frame", "normals", lambda c: c.normals != "sensor",
             lambda v: {"normals": "world" if v["normal_in_world_frame"] else "sensor"},
             "there normals in the sensor frame were no rotation of those in the world"),
 )  # fmt: skip
@@ -132,11 +149,10 @@ CAMERA = ConfigTable(
     fields=(
         *_COMMON,
         *same_fields(horizontal_fov_deg="hfov_deg"),
-        direct_field("calculate_depth", "kind", lambda c: c.kind == "depth",
+        native_field("calculate_depth", "kind", lambda c: c.kind == "depth",
                 lambda v: {"kind": "depth" if v["calculate_depth"] else "range"}),
-        direct_field("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
+        native_field("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
     ),
-    idle_sections={},
 )  # fmt: skip
 """Translation of the attributes of a camera class."""
 
@@ -147,7 +163,6 @@ LIDAR = ConfigTable(
         *same_fields(horizontal_fov_deg_min="azimuth_low_deg", horizontal_fov_deg_max="azimuth_high_deg"),
         *same_fields(vertical_fov_deg_min="elevation_low_deg", vertical_fov_deg_max="elevation_high_deg"),
     ),
-    idle_sections={},
 )
 """Translation of the attributes of a lidar class."""
 
@@ -160,7 +175,7 @@ def translate_sensor(cls: Any) -> RangeSensorCfg:
     return (LIDAR if isinstance(base, LidarCfg) else CAMERA).translate(cls, base)
 
 
-def sensor_name(cls: Any) -> str:
+def sensor_catalog_name(cls: Any) -> str:
     """Return the registered name of a sensor class, after registration if needed."""
     return register_config(cls, translate_sensor(cls), SENSORS)
 

@@ -1,6 +1,6 @@
 """Sims: ``class sim`` with time step and gravity; settings of PhysX and the viewer are ignored."""
 
-from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, constant_field, direct_field, idle_field
+from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, idle_field, native_field, unchangeable_field
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
@@ -19,15 +19,15 @@ def _gravity_changes(values: Values) -> Changes:
 TABLE = ConfigTable(
     kind="sim",
     fields=(
-        direct_field("sim.dt", "dt", lambda cfg: cfg.dt),
-        direct_field(
+        native_field("sim.dt", "dt", lambda cfg: cfg.dt),
+        native_field(
             "sim.gravity",
             "gravity",
             lambda cfg: [0.0, 0.0, -cfg.gravity],
             _gravity_changes,
             "here the amount, downwards",
         ),
-        constant_field(
+        unchangeable_field(
             "sim.substeps", 1, "must be 1 here; take a smaller dt and more physics steps per environment step"
         ),
         idle_field("sim.up_axis", 1, "z is up"),

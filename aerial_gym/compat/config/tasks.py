@@ -12,11 +12,11 @@ from aerial_gym.compat.config.fields import (
     Changes,
     ConfigTable,
     Values,
-    dependent_field,
-    direct_field,
+    class_only_field,
     idle_field,
-    lookup_field,
+    native_field,
     same_fields,
+    unchangeable_field,
 )
 from aerial_gym.config.task import POLICY, CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import CommandCfg
@@ -92,31 +92,30 @@ assert {name for name, _ in _CURRICULUM} | {"start_level"} == set(CurriculumCfg.
 TABLE = ConfigTable(
     kind="task",
     fields=(
-        *(direct_field(f"{kind}_name", kind, attrgetter(kind),
+        *(native_field(f"{kind}_name", kind, attrgetter(kind),
                   remark="the name of something registered, here or by the script")
           for kind in ("sim", "env", "robot", "controller")),
         *same_fields("num_envs"),
-        direct_field("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
+        native_field("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
                 remark="an episode has exactly as many steps; there one more"),
-        direct_field("reward_parameters", "rewards", _reward_numbers, _reward_changes,
+        native_field("reward_parameters", "rewards", _reward_numbers, _reward_changes,
                 "by the names of the task file, reward and number (near.height); four tasks there ignored theirs"),
-        direct_field("target_min_ratio", "command: low", _target_limit_reader("low"), _target_changes,
+        native_field("target_min_ratio", "command: low", _target_limit_reader("low"), _target_changes,
                 "of the generator drawn_point"),
-        direct_field("target_max_ratio", "command: high", _target_limit_reader("high"), _target_changes, "likewise"),
-        *(direct_field(f"curriculum.{script_name}", f"curriculum.{native}",
+        native_field("target_max_ratio", "command: high", _target_limit_reader("high"), _target_changes, "likewise"),
+        *(native_field(f"curriculum.{script_name}", f"curriculum.{native}",
                   lambda c, native=native: None if c.curriculum is None else getattr(c.curriculum, native))
           for native, script_name in _CURRICULUM),
-        dependent_field("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
-        dependent_field("action_space_dim", _num_actions, "follows from the action and the controller"),
-        lookup_field("device", "make_task(device=...)", lambda _: "auto"),
-        lookup_field("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
-        lookup_field("return_state_before_reset", 'info["final_observation"]', lambda _: False),
+        unchangeable_field("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
+        unchangeable_field("action_space_dim", _num_actions, "follows from the action and the controller"),
+        class_only_field("device", "make_task(device=...)", lambda _: "auto"),
+        class_only_field("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
+        class_only_field("return_state_before_reset", 'info["final_observation"]', lambda _: False),
         idle_field("privileged_observation_space_dim", 0, "a group of observations of its own name, such as `critic`"),
         idle_field("args", {}, "the command line is the script's own"),
         idle_field("use_warp", True, "sensors always are Warp's"),
         idle_field("headless", True, "there is no viewer window"),
     ),
-    idle_sections={},
 )  # fmt: skip
 """Translation of the attributes of a task configuration class."""
 

@@ -140,7 +140,7 @@ class _Observer(AlgoObserver):
         )
         if self._run.report_update(report, self._summaries, algo.save_checkpoint):
             algo.max_epochs = epoch_num  # the agent ends, and saves, after this epoch
-        limit, lowest_log_std = self._run.present_limits
+        limit, lowest_log_std = self._run.learning_rate_and_std_limits
         algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
         algo.model.a2c_network.sigma.data.clamp_(min=lowest_log_std)
 

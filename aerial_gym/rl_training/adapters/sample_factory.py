@@ -157,7 +157,7 @@ class _Observer(AlgoObserver):
         )
         if self._run.report_update(report, runner.summaries, runner.save):
             runner.total_train_seconds = OFF  # the runner compares it with its limit right after this call
-        learner, (limit, lowest_log_std) = runner.learners[0].learner, self._run.present_limits
+        learner, (limit, lowest_log_std) = runner.learners[0].learner, self._run.learning_rate_and_std_limits
         learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
         learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=lowest_log_std)
 

@@ -176,7 +176,7 @@ def train_encoder(
     figures: dict[str, Any] = {}
     if not interrupted:
         tell("measuring", 0.0)
-        figures = session.write_encoder()
+        figures = session.write_encoder_and_figures()
     result = EncoderResult(
         encoder=None if interrupted else str(folder.encoder), robot=cfg.robot, epochs=session.fit.epochs,
         interrupted=interrupted, time_s=time.perf_counter() - started, **figures,
@@ -252,7 +252,7 @@ class _Session:
         csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *self.curve])
         write_atomic(self.folder.curve, text.getvalue())
 
-    def write_encoder(self) -> dict[str, Any]:
+    def write_encoder_and_figures(self) -> dict[str, Any]:
         """Write the encoder, draw the picture, and return the results of a comparison with the baselines."""
         cfg, test, largest = self.cfg, self.test, self.sensor.max_range
         trained = {

@@ -155,7 +155,7 @@ class FusedPpo(Ppo):
         )  # fmt: skip
         return out, action, command
 
-    def _draw_action(
+    def _draw_action_and_command(
         self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         del begins

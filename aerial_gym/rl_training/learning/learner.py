@@ -71,14 +71,14 @@ class Learner:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         return {"begins": self._begins, "sums": self.sums} | add_prefix("observation", self._observation)
 
-    def tensors_of_all_processes(self) -> list[Tensor]:
+    def tensors_to_share(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
         return [*self.network.parameters(), *self.network.buffers(), self.sums]
 
     @torch.no_grad()
-    def join(self) -> None:
+    def copy_tensors_from_leader(self) -> None:
         """Copy the shared tensors from rank 0."""
-        self.ranks.share_(self.tensors_of_all_processes())
+        self.ranks.share_(self.tensors_to_share())
 
 
 def last_observations(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:

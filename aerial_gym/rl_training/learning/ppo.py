@@ -132,7 +132,7 @@ class Ppo(Learner):
         acting, _ = memory.split(self.network.memory_sizes, dim=-1)
         seen, begins, finals, steps = [dict(self._observation)], [self._begins], [], []
         for t in range(self._ppo.horizon):
-            mean, action, command, acting = self._draw_action(seen[-1], acting, begins[-1], noise[t])
+            mean, action, command, acting = self._draw_action_and_command(seen[-1], acting, begins[-1], noise[t])
             observation, reward, terminated, truncated, info = task.step(command)
             finals.append(last_observations(info, keys))
             begins.append(terminated | truncated)
@@ -157,7 +157,7 @@ class Ppo(Learner):
         self._begins.copy_(begins[-1])
         return flown
 
-    def _draw_action(
+    def _draw_action_and_command(
         self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the mean action, one drawn about it, that as the simulation takes it, and the policy's memory."""
@@ -250,6 +250,6 @@ class Ppo(Learner):
         own = {"memory": self._memory, "rate": self._rate}
         return super().state_tensors() | own | add_prefix("adam", self._adam.state_tensors())
 
-    def tensors_of_all_processes(self) -> list[Tensor]:
+    def tensors_to_share(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
-        return [*super().tensors_of_all_processes(), *self._adam.state_tensors().values(), self._rate]
+        return [*super().tensors_to_share(), *self._adam.state_tensors().values(), self._rate]

@@ -18,7 +18,7 @@ from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.run.run_folder import RunFolder, find_run_folder
+from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of_checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 from aerial_gym.task import Task
@@ -70,7 +70,7 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
 def find_checkpoint(source: str | Path) -> tuple[Path, TrainingCfg]:
     """Return the given checkpoint, or the last one of a run folder, and the settings of the run."""
     source = Path(source)
-    folder = RunFolder(source) if source.is_dir() else find_run_folder(source)
+    folder = RunFolder(source) if source.is_dir() else run_folder_of_checkpoint(source)
     return folder.last_checkpoint() if source.is_dir() else source, folder.config()
 
 

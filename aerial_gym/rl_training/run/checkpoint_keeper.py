@@ -60,7 +60,7 @@ class CheckpointKeeper:
         run, first = self._run_state(env_steps), env_steps == 0
         rank_states = self._ranks.gather({name: state[name] for name in own} | {"task_random": run["task_random"]})
         if self._ranks.is_leader:
-            self._folder.keep_checkpoint(env_steps, {**state, "run": run, "others": rank_states})
+            self._folder.write_checkpoint(env_steps, {**state, "run": run, "others": rank_states})
         self._saved_at = time.perf_counter()
         self._interval = min(FIRST_INTERVAL_S, self._cfg.checkpoint_every_s) if first else self._cfg.checkpoint_every_s
 
@@ -79,7 +79,7 @@ class CheckpointKeeper:
         assert self._resumed is not None
         path, payload = self._resumed
         try:
-            payload = self._rank_checkpoint(payload, path, own)
+            payload = self._payload_for_rank(payload, path, own)
             load(payload)
             self._restore_run(payload.get("run", {}))
             self.ready = True
@@ -90,7 +90,7 @@ class CheckpointKeeper:
                 "more). Start a new run in another --out"
             ) from None
 
-    def _rank_checkpoint(self, payload: dict[str, Any], path: Path, own: Sequence[str]) -> dict[str, Any]:
+    def _payload_for_rank(self, payload: dict[str, Any], path: Path, own: Sequence[str]) -> dict[str, Any]:
         """Return the part of a checkpoint that belongs to this process; a new rank gets the shared part alone."""
         rank_states, ranks = payload.get("others", []), self._ranks
         if len(rank_states) + 1 != ranks.size and ranks.is_leader:

@@ -39,7 +39,7 @@ class LibraryRun:
         return ends
 
     @property
-    def present_limits(self) -> tuple[float, float]:
+    def learning_rate_and_std_limits(self) -> tuple[float, float]:
         """Upper bound of the learning rate at this share of the training; lower bound of the actions' log deviation."""
         ppo = self.cfg.section(PpoCfg)
         return ppo.learning_rate_limit(self.progress.share), log(ppo.min_std)

@@ -103,7 +103,7 @@ class Progress:
         return share >= 1.0
 
     def _show_bar(self, report: Report, share: float, now: float) -> None:
-        seconds = self._time_left(report, now)
+        seconds = self._seconds_left(report, now)
         reward = "-" if report.episode_return is None else f"{report.episode_return:.0f}"
         rate, left = f"{self.steps_per_s:,.0f}", f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
         self._bar.update(self._task, completed=min(share, 1.0), reward=reward, rate=rate, left=left)
@@ -112,7 +112,7 @@ class Progress:
             done = f"{self._cfg.trainer} {min(share, 1.0):4.0%}  {report.env_steps:,} steps  return {reward}"
             print(f"{done}  {rate} steps/s  {left} left", file=self._lines, flush=True)
 
-    def _time_left(self, report: Report, now: float) -> float:
+    def _seconds_left(self, report: Report, now: float) -> float:
         times = []
         if self._cfg.max_time_s is not None:
             times.append(self._cfg.max_time_s - now)

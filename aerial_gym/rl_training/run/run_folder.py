@@ -115,7 +115,7 @@ class RunFolder:
             raise ConfigError(f"{'; '.join(reason for _, reason in reasons)}. Start a new run in another --out")
         return None
 
-    def keep_checkpoint(self, env_steps: int, payload: dict[str, object]) -> Path:
+    def write_checkpoint(self, env_steps: int, payload: dict[str, object]) -> Path:
         """Write a checkpoint after so many steps of all sessions, then remove all but the last two."""
         path = self.checkpoint_folder / f"checkpoint_{env_steps:015d}.pth"
         try:
@@ -174,7 +174,7 @@ def append_session(folder: Path, *, seed: int, device: str) -> None:
     write_atomic(file, json.dumps(sessions, indent=1) + "\n")
 
 
-def find_run_folder(checkpoint: str | Path) -> RunFolder:
+def run_folder_of_checkpoint(checkpoint: str | Path) -> RunFolder:
     """Return the run folder in which a checkpoint lies."""
     checkpoint = Path(checkpoint).resolve()
     if not checkpoint.is_file():

@@ -24,6 +24,6 @@ for _name, _class in (
     TRAINERS.register_later(_name, _home.make, summary=_home.summary)
 
 
-def trainer_names(feature: str) -> str:
+def trainers_with_feature(feature: str) -> str:
     """Return the names of the trainers with a feature, a class variable of ``Trainer``, joined by 'or'."""
     return " or ".join(name for name in TRAINERS if getattr(TRAINERS.get(name), feature))

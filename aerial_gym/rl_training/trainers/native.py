@@ -98,7 +98,7 @@ class NativeTraining(Generic[AnyLearner]):
         if task.curriculum is not None and self._ranks.joined:
             task.curriculum.of_all = self._ranks.sum_
         learner.restart_episodes()
-        learner.join()
+        learner.copy_tensors_from_leader()
         self._repeat = IterationGraph(
             learner.iterate,
             task.device,
@@ -153,9 +153,9 @@ class NativeTraining(Generic[AnyLearner]):
                 break
         numbers = self._numbers.copy_to_host()
         _ = self.task.num_non_finite if self.task.device.type == "cpu" else 0
-        return self._session_report(numbers)
+        return self._progress_report(numbers)
 
-    def _session_report(self, numbers: list[float]) -> Report:
+    def _progress_report(self, numbers: list[float]) -> Report:
         recent, self.known = self._recent, dict(zip(self.learner.GAUGES, numbers[len(SUMS) :], strict=True))
         recent.append(numbers[: len(SUMS)])
         while len(recent) > 2 and recent[-1][1] - recent[1][1] >= RECENT_EPISODES:
@@ -194,7 +194,7 @@ class NativeTraining(Generic[AnyLearner]):
         if cfg.trainer != self.cfg.trainer or not isinstance(model, Mapping):
             raise ConfigError(f"{file}: holds no networks of a training with {self.cfg.trainer}")
         load_initial_weights(self.learner.network, model, where=str(file))
-        self.learner.join()
+        self.learner.copy_tensors_from_leader()
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Resume from a result of ``state``."""
@@ -206,7 +206,7 @@ class NativeTraining(Generic[AnyLearner]):
             self.learner.generator.set_state(state["generator"])
             now = self.task.save_state()
             self.task.load_state({name: state["task"].get(name, now[name]) for name in now})
-        self.learner.join()
+        self.learner.copy_tensors_from_leader()
         self.env_steps = int(state["env_steps"])
         self._recent = deque([self.learner.sums.tolist()])
 

@@ -21,7 +21,7 @@ from aerial_gym.task.values import Values
 FIRST_GATE = "first_gate"  # Buffer of the gate with which an episode begins, int32, (E,)
 
 
-class PracticeCommand(Command):
+class GateCommand(Command):
     """A command of gates whose training episodes start behind a gate other than the last, as if just passed."""
 
     def _declare_practice(self, gates: tuple[Tensor, Tensor], *, share: float, speed: float, offset: Vec3) -> None:
@@ -65,7 +65,7 @@ def gate_crossing_flags(before: Tensor, now: Tensor, *, half: tuple[float, float
     return crossed, crossed & (left.abs() <= half[0]) & (up.abs() <= half[1])
 
 
-def declare_gates(values: Values) -> None:
+def declare_gate_flags(values: Values) -> None:
     """Declare the index of the next gate and its crossing flags."""
     values.declare("target_index", dtype=torch.int32, meaning="which point or gate is next, from 0 on")
     for name, meaning in (
@@ -77,14 +77,14 @@ def declare_gates(values: Values) -> None:
     values.find("previous_position", "a command of gates")
 
 
-def next_gate(values: Mapping[str, Tensor], count: int, *, loop: bool) -> Tensor:
+def next_gate_index(values: Mapping[str, Tensor], count: int, *, loop: bool) -> Tensor:
     """Return the index of the next one of ``count`` gates, int32, (E,): ``first_gate`` where an episode begins."""
     index = next_index(values, values["gate_passed"], count, loop=loop)
     return torch.where(values["begun"], values[FIRST_GATE], index).int()
 
 
 @COMMANDS.generator("gates")
-class Gates(PracticeCommand):
+class Gates(GateCommand):
     """The next gate's centre is the target, ``target_direction`` and ``target_orientation`` the way through it.
 
     ``following_position`` and ``following_direction`` are those of the gate behind it. A reset begins with the first gate;
@@ -137,7 +137,7 @@ class Gates(PracticeCommand):
             "following_position", (3,), unit="m", frame="world", meaning="centre of the gate after the next one"
         )
         values.declare("following_direction", (2,), frame="world", meaning="way through that: x and y, unit")
-        declare_gates(values)
+        declare_gate_flags(values)
         rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
         poses = rows[..., :3].contiguous(), rows[..., 5:].contiguous()
         self._declare_practice(poses, share=practice_share, speed=practice_speed, offset=practice_offset)
@@ -160,7 +160,7 @@ class Gates(PracticeCommand):
 
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step."""
-        index = next_gate(values, len(self._gates), loop=self._loop)
+        index = next_gate_index(values, len(self._gates), loop=self._loop)
         gate, following = row_at_index(index, self._gates), row_at_index(index, self._following)
         buffers = {"target_index": index, "target_orientation": gate[:, 5:]}
         for name, row in (("target", gate), ("following", following)):

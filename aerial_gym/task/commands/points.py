@@ -14,12 +14,12 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
-from aerial_gym.task.kernels.draws import Goals, UniformDraws
+from aerial_gym.task.kernels.draws import GoalDraws, UniformDraws
 from aerial_gym.task.values import Values
 
 
 @COMMANDS.generator("point")
-class PointCommand(Command):
+class ConstantPoint(Command):
     """The same point in every episode."""
 
     def __init__(self, values: Values, env: EnvManager, *, position: Vec3 = (0.0, 0.0, 0.0)) -> None:
@@ -101,7 +101,7 @@ class PointSequence(Command):
         return {"target_index": index, TARGET: row_at_index(index, self._points)}
 
 
-def make_goals(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> Goals:
+def make_goals(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> GoalDraws:
     """Return the launch that draws a goal (E, 3) between two shares of the bounds; ``name`` is the command's, for errors."""
     if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
         raise ConfigError(
@@ -109,7 +109,7 @@ def make_goals(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) 
             "They are shares of the bounds"
         )
     bounds = (env.gtd["env_bounds_min"], env.gtd["env_bounds_max"])
-    return Goals(goal, bounds=bounds, ratios=(low, high), random=env.random)
+    return GoalDraws(goal, bounds=bounds, ratios=(low, high), random=env.random)
 
 
 def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop: bool) -> Tensor:

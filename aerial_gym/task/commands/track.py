@@ -13,7 +13,13 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task.commands.command import COMMANDS, TARGET
-from aerial_gym.task.commands.gates import FIRST_GATE, PracticeCommand, declare_gates, gate_crossing_flags, next_gate
+from aerial_gym.task.commands.gates import (
+    FIRST_GATE,
+    GateCommand,
+    declare_gate_flags,
+    gate_crossing_flags,
+    next_gate_index,
+)
 from aerial_gym.task.terms.observations import rows_at_index
 from aerial_gym.task.values import Values
 
@@ -24,7 +30,7 @@ SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
 
 
 @COMMANDS.generator("track_gates")
-class TrackGates(PracticeCommand):
+class TrackGates(GateCommand):
     """The next gate of the track, the first at a reset: its centre is the target, ``target_orientation`` its orientation.
 
     ``gate_passed``, ``gate_missed`` and ``sequence_done`` are as those of ``gates``. ``gates_seen`` and ``poles_seen`` mark
@@ -70,7 +76,7 @@ class TrackGates(PracticeCommand):
         self._count = gates
         self._target()
         values.declare("target_orientation", (4,), frame="world", meaning="orientation of the next gate to world, xyzw")
-        declare_gates(values)
+        declare_gate_flags(values)
         for name, count, kind in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
             values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {kind}")
         poses = env.gtd[GATE_KEYS[0]], env.gtd[GATE_KEYS[1]]
@@ -92,7 +98,7 @@ class TrackGates(PracticeCommand):
 
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step, and the flags of gates and poles seen so far."""
-        index = next_gate(values, self._count, loop=False)
+        index = next_gate_index(values, self._count, loop=False)
         position, orientation = (rows_at_index(index, values[key]) for key in GATE_KEYS)
         buffers = {"target_index": index, TARGET: position, "target_orientation": orientation}
         for name, key in SEEN.items():

@@ -61,7 +61,7 @@ def _draw_goals(
     goal_out[env] = bounds_min[env] + wp.cw_mul(ratio, bounds_max[env] - bounds_min[env])
 
 
-class Goals(MaskLaunch):
+class GoalDraws(MaskLaunch):
     """Draws the goals of masked environments."""
 
     def __init__(

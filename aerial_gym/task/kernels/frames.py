@@ -10,12 +10,12 @@ import warp as wp
 
 
 @cache
-def make_frame_kernel(source: Any, target: Any, history: int) -> wp.Kernel:
+def make_image_history_kernel(source: Any, target: Any, history: int) -> wp.Kernel:
     """Return the kernel for a type of Warp in, one out, and a number of frames."""
     rounding = 0.5 if target is wp.uint8 else 0.0
 
     @wp.kernel(module="unique", enable_backward=False)
-    def take(
+    def write_frame(
         image: wp.array2d[source],  # (E, P), negative where a pixel has nothing
         mask: wp.array[wp.bool],  # (E,) whose images are taken
         begun: wp.array[wp.bool],  # (E,) whose episode has just begun
@@ -37,4 +37,4 @@ def make_frame_kernel(source: Any, target: Any, history: int) -> wp.Kernel:
             frames_out[env, k, pixel] = wp.where(begun[env], new, frames_out[env, k + 1, pixel])
         frames_out[env, wp.static(history - 1), pixel] = new
 
-    return take
+    return write_frame

@@ -22,7 +22,7 @@ STEPS, DRAWS = "fault_steps", "fault_draws"
 """Begin and duration of each fault, (E, 2 F); a share and offsets of each, (E, F (1 + W))."""
 
 
-class Faults:
+class SensorFaults:
     """Sensor faults of a task: draws at reset and their effect on a term."""
 
     def __init__(
@@ -141,7 +141,7 @@ class Observer:
         faults: Mapping[str, FaultCfg] | None = None,
     ) -> None:
         """Take the terms of each group in order with their widths; ``values`` receives their delay lines."""
-        self._faults = Faults([term for terms in groups.values() for term in terms], faults or {}, values, random)
+        self._faults = SensorFaults([term for terms in groups.values() for term in terms], faults or {}, values, random)
         self.groups: dict[str, list[ObservationEntry]] = {}  # Entries in order
         noise: dict[int, tuple[float, float]] = {}
         ranges: list[tuple[int, int]] = []

@@ -75,7 +75,7 @@ class GradientGraph:
         self._own: dict[str, Tensor] = {}
         self._places: dict[str, Tensor] = {}
 
-    def select(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def tensors_with_gradients(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return tensors by name: with their gradients where they have any, else as copies."""
         motion = self._simulation.gradient_tensors
         tensors: dict[str, Tensor] = {}
@@ -154,7 +154,7 @@ class StepKernel:
         return dict(zip(self._results, results, strict=True))
 
     def _run_with_gradients(self, graph: GradientGraph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        values = {**graph.select(self._reads), **changing}
+        values = {**graph.tensors_with_gradients(self._reads), **changing}
         outputs = self._results_with_gradients(*(values[name] for name in self._names))
         results = dict(zip(self._results, outputs, strict=True))
         with torch.no_grad():

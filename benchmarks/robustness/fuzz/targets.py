@@ -74,7 +74,7 @@ def _checkpoint_bytes(folder: Path) -> bytes:
         run.create(replace(cfg, ppo=replace(cfg.ppo, hidden_layers=(8,))))
     model = {"a2c_network.actor_mlp.0.weight": torch.zeros(8, 13), "a2c_network.actor_mlp.0.bias": torch.zeros(8)}
     model |= {"a2c_network.mu.weight": torch.zeros(4, 8), "a2c_network.mu.bias": torch.zeros(4)}
-    return run.keep_checkpoint(1, {"model": model, "run": {"trainer": "rl_games", "env_steps": 1}}).read_bytes()
+    return run.write_checkpoint(1, {"model": model, "run": {"trainer": "rl_games", "env_steps": 1}}).read_bytes()
 
 
 URDF = b"""<robot name="lamp"><material name="red"><color rgba="1 0 0 1"/></material>

@@ -19,11 +19,8 @@ from aerial_gym.rl_training.trainers.native import NativeTraining
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry
 
-ENVS = 64
-"""Environments of all processes together."""
-
-STEPS_OF_ONE = 16 * ENVS
-"""Environment steps of an iteration, in all processes together."""
+ENVS = 64  # Environments of all processes together
+STEPS_OF_ONE = 16 * ENVS  # Environment steps of an iteration, in all processes together
 
 
 def settings(size: int, **ppo: object) -> TrainingCfg:

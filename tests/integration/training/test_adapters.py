@@ -12,8 +12,7 @@ from torch import Tensor
 
 from aerial_gym import Task, task_registry
 
-ENVS, STEPS = 64, 24
-"""Enough for episodes to end by their length: each of 500 steps at a random age."""
+ENVS, STEPS = 64, 24  # Enough for episodes to end by their length: each of 500 steps at a random age
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "other_libraries"
 

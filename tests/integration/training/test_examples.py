@@ -12,8 +12,7 @@ from aerial_gym import task_registry
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
-TASKS = task_registry.names()
-"""Those of the package: examples that run in the same process register more."""
+TASKS = task_registry.names()  # Those of the package: examples that run in the same process register more
 
 
 @pytest.mark.slow

@@ -16,8 +16,7 @@ from aerial_gym.rl_training.ranks import ALONE
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from tests.integration.training.ranks_worker import STEPS_OF_ONE, settings, train_ranks
 
-LIMIT_S = 300.0
-"""After that a test takes two processes for hung; they need 20 s."""
+LIMIT_S = 300.0  # After that a test takes two processes for hung; they need 20 s
 
 
 def free_ports(count: int) -> list[str]:

@@ -169,7 +169,7 @@ def test_a_resumed_run_refuses_a_checkpoint_of_another_network(trainer, tmp_path
     folder = RunFolder(tmp_path)
     cfg = load_settings(settings_for(trainer, "position_setpoint_task"))
     folder.create(replace(cfg, num_envs=128, device="cpu"))
-    path = folder.keep_checkpoint(5, {"model": {}, "run": {"trainer": trainer, "env_steps": 5}})
+    path = folder.write_checkpoint(5, {"model": {}, "run": {"trainer": trainer, "env_steps": 5}})
     assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1"]) == 2
     assert f"checkpoint {path}: does not fit the settings of its run" in capsys.readouterr().err
 

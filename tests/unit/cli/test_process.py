@@ -59,7 +59,7 @@ def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "list"])
     assert process.start_time() == pytest.approx(time.perf_counter(), abs=0.1)
     used = time.process_time()
-    process.prepare_process()
+    process.start_clock_and_preload()
     assert process.start_time() == pytest.approx(time.perf_counter() - used, abs=0.1)
 
 
@@ -72,5 +72,5 @@ def test_a_training_loads_libraries_for_its_device(given, device, monkeypatch) -
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(process, "preload", loaded.append)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "train", *given])
-    process.prepare_process()
+    process.start_clock_and_preload()
     assert loaded == [device]

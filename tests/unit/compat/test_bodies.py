@@ -9,8 +9,8 @@ import torch
 
 from aerial_gym.compat import SimBuilder, robot_registry
 from aerial_gym.compat.config import robots
-from aerial_gym.compat.config.bodies import allocation_matrix
 from aerial_gym.compat.config.fields import values_equal
+from aerial_gym.compat.config.robots import allocation_matrix
 from aerial_gym.compat.registries import BaseMultirotor
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS

@@ -248,11 +248,11 @@ def test_depth_of_cameras_there_is_divided_by_the_range() -> None:
     cfg = sensors.translate_sensor(sensors.CLASSES["base_depth_camera"])
     assert cfg.normalize
     assert (cfg.far_pixel, cfg.near_pixel) == (1.0, -1.0)
-    assert sensors.sensor_name(sensors.CLASSES["stereo_camera"]) == "stereo_camera"
+    assert sensors.sensor_catalog_name(sensors.CLASSES["stereo_camera"]) == "stereo_camera"
 
 
 def test_an_imu_of_one_s_own() -> None:
-    assert imus.imu_name(imus.CLASSES["bmi088"]) == "bmi088"
+    assert imus.imu_catalog_name(imus.CLASSES["bmi088"]) == "bmi088"
 
     class Noisy(sensors.BaseSensorConfig):
         sensor_type = "imu"
@@ -263,9 +263,9 @@ def test_an_imu_of_one_s_own() -> None:
     cfg = imus.translate_imu(Noisy)
     assert (cfg.accel_noise_density, cfg.gyro_noise_density) == ((0.1, 0.1, 0.2), (0.01, 0.01, 0.02))
     assert cfg.accel_bias_walk == cfg.gyro_bias_walk == cfg.gyro_initial_bias == (0.0,) * 3
-    name = imus.imu_name(Noisy)
+    name = imus.imu_catalog_name(Noisy)
     assert name == "noisy"
-    assert imus.imu_name(Noisy) == name
+    assert imus.imu_catalog_name(Noisy) == name
     turned = {"randomize_placement": True}
     turned |= {"min_euler_rotation_deg": [-1.0, -2.0, 0.0], "max_euler_rotation_deg": [1.0, 2.0, 0.0]}
     assert imus.translate_imu(make_subclass(Noisy, turned)).misalignment_deg == (1.0, 2.0, 0.0)

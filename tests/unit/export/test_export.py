@@ -24,8 +24,7 @@ from tests.unit.export.policies import HOVER, TRANSFORMS, hover, hover_policy, l
 from tests.unit.task.hover import build_task
 
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
-TOLERANCE = 1e-5
-"""Of commands and actions: some ulps of sums of a few dozen products of order 1 to 10."""
+TOLERANCE = 1e-5  # Of commands and actions: some ulps of sums of a few dozen products of order 1 to 10
 
 
 KINDS = [("elu", 0, True), ("relu", 16, False), ("relu", 0, False), ("tanh", 0, True), ("elu", 16, True)]

@@ -23,8 +23,7 @@ from tests.unit.export.policies import training
 from tests.unit.task.hover import build_task
 
 NAME, OBSERVATIONS, IMAGE = "pixel_navigation_task", (17,), (1, 24, 40)
-TOLERANCE = 1e-5
-"""Of commands and actions, as for vectors: sums of some thousand products that are much smaller than 1."""
+TOLERANCE = 1e-5  # Of commands and actions, as for vectors: sums of some thousand products that are much smaller than 1
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
 
 

@@ -37,8 +37,7 @@ SETTINGS: dict[str, Callable[[], AbstractContextManager[object]]] = {
 }
 
 
-CHANGING = ("float64", "meta", "inference mode")
-"""Settings that change what torch makes, one of each kind."""
+CHANGING = ("float64", "meta", "inference mode")  # Settings that change what torch makes, one of each kind
 
 
 def test_settings_are_usual_inside_and_the_callers_elsewhere() -> None:

@@ -76,10 +76,10 @@ def test_bad_files_are_refused_without_the_advice_of_torch(tmp_path: Path) -> No
 
 def test_a_full_disk_leaves_the_old_checkpoints_and_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = RunFolder(tmp_path)
-    kept = folder.keep_checkpoint(10, payload())
+    kept = folder.write_checkpoint(10, payload())
     monkeypatch.setattr(os, "fsync", full_disk)
     with pytest.raises(StorageError, match=r"disk is full.*last checkpoint is .*10.pth; --resume"):
-        folder.keep_checkpoint(20, payload())
+        folder.write_checkpoint(20, payload())
     assert list(folder.checkpoint_folder.iterdir()) == [kept]
 
 
@@ -88,7 +88,7 @@ def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one
     assert folder.newest_readable_checkpoint() is None
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / ".checkpoint_7.pth.partial").write_bytes(b"torn by a kill")
-    first, second, third = (folder.keep_checkpoint(steps, payload()) for steps in (9, 10, 11))
+    first, second, third = (folder.write_checkpoint(steps, payload()) for steps in (9, 10, 11))
     assert folder.checkpoints() == [second, third]
     assert sorted(folder.checkpoint_folder.iterdir()) == [second, third]
     assert not first.exists()

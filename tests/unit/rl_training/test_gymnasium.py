@@ -10,8 +10,7 @@ from aerial_gym.rl_training import GymnasiumVectorEnv
 from aerial_gym.rl_training.gymnasium import FINAL
 from aerial_gym.task import Task, task_registry
 
-AWAY = np.array([0.0, 0.8, 0.0, 0.0], dtype=np.float32)
-"""Rolls: the robot flies off sideways."""
+AWAY = np.array([0.0, 0.8, 0.0, 0.0], dtype=np.float32)  # Rolls: the robot flies off sideways
 
 
 def make(num_envs: int = 3, *, output: str = "numpy") -> GymnasiumVectorEnv:

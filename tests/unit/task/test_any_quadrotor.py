@@ -12,7 +12,7 @@ from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
-from aerial_gym.task.rotor_range import quadrotor_mix, rotor_order, with_rotor_range
+from aerial_gym.task.rotor_range import quadrotor_to_rotors_matrix, rotor_order, with_rotor_range
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import begin
 
@@ -80,7 +80,7 @@ def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> N
 
 @pytest.mark.parametrize("robot", ["base_quadrotor", "x500", "tinyprop"])
 def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -> None:
-    mix = torch.tensor(quadrotor_mix(ROBOTS.get(robot)))
+    mix = torch.tensor(quadrotor_to_rotors_matrix(ROBOTS.get(robot)))
     order = rotor_order([mount.position for mount in ROBOTS.get(robot).mounts.layout])
     torch.testing.assert_close(mix, torch.eye(4)[list(order)], rtol=0.0, atol=1e-6)
 
@@ -119,7 +119,7 @@ def test_what_cannot_turn_about_each_axis_is_refused() -> None:
     places = zip(robot.mounts.layout, (0.2, 0.1, -0.1, -0.2), strict=True)
     row = tuple(replace(mount, position=(x, 0.0, 0.0)) for mount, x in places)
     with pytest.raises(ConfigError, match="cannot lift this robot and turn it about each axis by itself"):
-        quadrotor_mix(replace(robot, mounts=replace(robot.mounts, layout=row)))
+        quadrotor_to_rotors_matrix(replace(robot, mounts=replace(robot.mounts, layout=row)))
 
 
 @pytest.mark.parametrize(("robot", "joints"), [("snakey6", "yaw_1 velocity, .*"), ("tilt_tricopter", "[a-z_]+ p.*")])

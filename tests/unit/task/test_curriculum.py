@@ -45,8 +45,7 @@ def test_a_held_level_stays() -> None:
     assert decide(17, 10, 10, held) == decide(17, 10, 0, held) == (17, 0, 0)
 
 
-HOVER = torch.tensor([-1.0, 0.0, 0.0, 0.0])
-"""Speed 0."""
+HOVER = torch.tensor([-1.0, 0.0, 0.0, 0.0])  # Speed 0
 
 
 def rows_present(task: Task) -> list[int]:

@@ -23,8 +23,7 @@ from tests.unit.task.rewards import term_reward
 
 CFG = task_registry.get("navigation_task")
 RATIOS = (CFG.command.params["low"], CFG.command.params["high"])
-ROUNDING = 2e-6
-"""Of distances below 20 m in float32 [m]."""
+ROUNDING = 2e-6  # Of distances below 20 m in float32 [m]
 
 
 def noiseless() -> dict[str, object]:

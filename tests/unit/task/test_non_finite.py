@@ -22,8 +22,7 @@ from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import begin, build_task
 
-BAD = 2
-"""The row that is spoilt, of four."""
+BAD = 2  # The row that is spoilt, of four
 
 
 def make(backend: str = "auto") -> Task:

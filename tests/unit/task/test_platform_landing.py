@@ -135,8 +135,7 @@ def test_a_robot_without_a_load_is_refused_and_so_are_shares_beyond_the_bounds()
         make_hover(2, command=CommandCfg(generator="drawn_point", params={**ends, "high": (0.9, 0.9, 1.1)}))
 
 
-FAILURE_TASK, HOVER = "motor_failure_task", -0.387
-"""The action for 0.613 N of each rotor, a quarter of the weight."""
+FAILURE_TASK, HOVER = "motor_failure_task", -0.387  # The action for 0.613 N of each rotor, a quarter of the weight
 
 
 def draws(task: Task) -> list[torch.Tensor]:
@@ -186,8 +185,7 @@ def test_up_is_told_in_the_body() -> None:
     torch.testing.assert_close(OBSERVATIONS.get("up_body").value(turn), expected)
 
 
-SPLIT_S_TASK, UPPER, LOWER = "racing_split_s_task", 3, 4
-"""Numbers of the gates that stand one over the other."""
+SPLIT_S_TASK, UPPER, LOWER = "racing_split_s_task", 3, 4  # Numbers of the gates that stand one over the other
 
 
 def at_gate(task: Task, number: int) -> None:

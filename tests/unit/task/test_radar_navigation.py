@@ -17,8 +17,7 @@ from tests.unit.task.test_lidar_navigation import at_the_goal
 from tests.unit.task.test_lidar_navigation import make as make_lidar
 
 CFG = task_registry.get("radar_navigation_task")
-SHARE = 0.8
-"""Of cells without a return."""
+SHARE = 0.8  # Of cells without a return
 
 
 @cache

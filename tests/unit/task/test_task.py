@@ -104,8 +104,7 @@ def make_state(position: list[float], *, attitude: list[float], ang_vel: list[fl
 
 
 LEVEL = [0.0, 0.0, 0.0, 1.0]
-ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]
-"""By 90 degrees: body z is horizontal, R33 = 0."""
+ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]  # By 90 degrees: body z is horizontal, R33 = 0
 
 
 @pytest.mark.parametrize(("position", "attitude", "ang_vel", "expected"), [

@@ -204,8 +204,7 @@ def test_settings_that_do_not_fit_are_refused() -> None:
             replace(cfg.apg, **change)
 
 
-UPDATES = 30
-"""About 8 s of one core: half of what brings the error to 0.02 m."""
+UPDATES = 30  # About 8 s of one core: half of what brings the error to 0.02 m
 
 
 @pytest.mark.slow

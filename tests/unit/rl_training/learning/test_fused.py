@@ -58,7 +58,7 @@ def test_gradient_values_and_actions_are_those_of_torch(activation, clip_value, 
             seen = fused._samples_as_vectors(samples) if learner is fused else samples
             gradient = learner._loss_gradient(seen, chosen, old_log_std)
             with torch.no_grad():
-                acts = learner._draw_action(observation, flown.memory, flown.begins[0], noise)[:3]
+                acts = learner._draw_action_and_command(observation, flown.memory, flown.begins[0], noise)[:3]
                 values = learner._segment_values(prepared, final, flown)[:2]
             result[name] = {
                 "gradient": gradient[0].detach(), "numbers": gradient[1].detach(),

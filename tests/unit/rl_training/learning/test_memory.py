@@ -26,10 +26,8 @@ class GuessTask:
 
     num_envs, num_actions, device = 64, 1, torch.device("cpu")
     observation_shapes: ClassVar = {"observations": (1,)}
-    length = 5
-    """Steps of an episode."""
-    truncated = False
-    """Whether episodes end as truncated, and not as terminated."""
+    length = 5  # Steps of an episode
+    truncated = False  # Whether episodes end as truncated, and not as terminated
 
     def __init__(self) -> None:
         self.generator, self.age = torch.Generator().manual_seed(0), torch.arange(self.num_envs) % self.length

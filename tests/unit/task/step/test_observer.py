@@ -17,8 +17,7 @@ from aerial_gym.task.terms.actions import Action
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import make
 
-LENGTH = 9
-"""Steps of an episode."""
+LENGTH = 9  # Steps of an episode
 
 
 def fly(**entry: object) -> tuple[Task, Tensor, Tensor]:
@@ -176,8 +175,7 @@ def test_a_long_past_of_a_wide_term_is_still_one_kernel() -> None:
     assert not torch.equal(obs["observations"][:, :13], first)
 
 
-FAULT_LENGTH = 12
-"""Steps of an episode."""
+FAULT_LENGTH = 12  # Steps of an episode
 
 LOST = FaultCfg(how="lost", begin_steps=(2, 5), duration_steps=(1, 4))
 JUMP = FaultCfg(how="jump", begin_steps=3, duration_steps=(2, 6), size=0.5)

@@ -22,8 +22,7 @@ from aerial_gym.task.terms.heading import (
 
 ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
 HALF_A_METRE = torch.tensor([[0.3, 0.0, -0.4]], dtype=torch.float64)
-SIX_METRES = torch.tensor([[-6.0, 0.0, 0.0]], dtype=torch.float64)
-"""Positions; targets are the origin."""
+SIX_METRES = torch.tensor([[-6.0, 0.0, 0.0]], dtype=torch.float64)  # Positions; targets are the origin
 
 
 def row(*numbers: float) -> Tensor:
