@@ -30,8 +30,7 @@ DEFAULT_COLORS: dict[str, Vec3] = {
 }
 """Default colours of shapes. Plain choices: muted and distinct."""
 
-NO_ENTRY = wp.constant(-1)
-"""Marks the absence of coloured triangles or of a texture."""
+NO_ENTRY = wp.constant(-1)  # Marks the absence of coloured triangles or of a texture
 
 
 @wp.struct

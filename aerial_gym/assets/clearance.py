@@ -17,11 +17,8 @@ from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attit
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.math.random import take_mask
 
-NUM_ATTEMPTS = 16
-"""Largest number of redraws of an instance. If half of its range is blocked, 1 in 65,000 is parked."""
-
-START, GOAL = 0, 1
-"""Indices of the points that are kept clear."""
+NUM_ATTEMPTS = 16  # Largest number of redraws of an instance. If half of its range is blocked, 1 in 65,000 is parked
+START, GOAL = 0, 1  # Indices of the points that are kept clear
 
 
 @wp.func

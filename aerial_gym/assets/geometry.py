@@ -10,8 +10,7 @@ import warp as wp
 
 from aerial_gym.assets.scene_arrays import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, TRIANGLE, Shape
 
-TINY = wp.constant(1.0e-20)
-"""Replaces a direction component of 0, so that its reciprocal stays finite."""
+TINY = wp.constant(1.0e-20)  # Replaces a direction component of 0, so that its reciprocal stays finite
 
 
 @wp.func

@@ -12,8 +12,7 @@ from aerial_gym.assets.scene_arrays import CYLINDER, SceneArrays, part_attitude,
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.interop import ReusableLaunch
 
-FARTHEST = wp.constant(1.0e4)
-"""Length of the ray [m]; surfaces beyond it are ignored."""
+FARTHEST = wp.constant(1.0e4)  # Length of the ray [m]; surfaces beyond it are ignored
 
 
 @wp.func

@@ -24,8 +24,7 @@ from aerial_gym.assets.geometry import (
 )
 from aerial_gym.assets.scene_arrays import BOX, CYLINDER, MESH, PLANE, TRIANGLE, Shape
 
-BISECTIONS = wp.constant(14)
-"""Bisections of an edge; they locate its minimum to 3e-5 of its length."""
+BISECTIONS = wp.constant(14)  # Bisections of an edge; they locate its minimum to 3e-5 of its length
 
 
 @wp.struct
@@ -201,8 +200,7 @@ def _search_other_edges(shape: Shape, core: Core, best: Nearest) -> Nearest:
     return best
 
 
-PIERCED = wp.constant(1.0e-6)
-"""Depth [m] assigned to an edge that pierces a mesh, because an open sheet has no depth."""
+PIERCED = wp.constant(1.0e-6)  # Depth [m] assigned to an edge that pierces a mesh, because an open sheet has no depth
 
 
 @wp.func

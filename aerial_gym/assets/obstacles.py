@@ -17,11 +17,8 @@ from aerial_gym.interop import make_struct, start_warp
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
-STILL, TWIST, WAYPOINTS = (wp.constant(i) for i in range(len(MOTIONS)))
-"""Kinds of motion, in the order of ``MOTIONS``."""
-
-PASS, BOUNCE, WRAP = (wp.constant(i) for i in range(len(AT_BOUNDS)))
-"""Behaviour at the bounds, in the order of ``AT_BOUNDS``."""
+STILL, TWIST, WAYPOINTS = (wp.constant(i) for i in range(len(MOTIONS)))  # Kinds of motion, in the order of `MOTIONS`
+PASS, BOUNCE, WRAP = (wp.constant(i) for i in range(len(AT_BOUNDS)))  # Behaviour at the bounds, as in `AT_BOUNDS`
 
 
 @wp.struct

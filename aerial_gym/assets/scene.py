@@ -28,8 +28,7 @@ from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import make_struct, on_torch_stream, start_warp
 
-PARKED_Z = -1000.0
-"""Height of an absent instance [m]. Source: Aerial Gym parks its obstacles there (parity 4.8)."""
+PARKED_Z = -1000.0  # Height of an absent instance [m]. Source: Aerial Gym parks its obstacles there (parity 4.8)
 
 
 class Scene:

@@ -11,10 +11,8 @@ SPHERE = wp.constant(1)
 CYLINDER = wp.constant(2)
 CAPSULE = wp.constant(3)
 MESH = wp.constant(4)
-PLANE = wp.constant(5)
-"""Half space below z = 0 of its own frame."""
-TRIANGLE = wp.constant(6)
-"""One face of a mesh, made during a sweep and in no table; its corners are ``size``, ``center`` and ``half``."""
+PLANE = wp.constant(5)  # Half space below z = 0 of its own frame
+TRIANGLE = wp.constant(6)  # One face of a mesh in a sweep, in no table; corners are `size`, `center` and `half`
 
 
 @wp.struct
@@ -32,12 +30,8 @@ class Shape:
     half: wp.vec3  # half edges of the bounding box [m]
 
 
-ABSENT_BELOW = wp.constant(-500.0)
-"""Height [m] below which an instance is absent: half of the parking depth, so that drift of parked ones is harmless."""
-
-
-WORLD, BODY = wp.constant(-1), wp.constant(-2)
-"""Carriers of parts without instance: the world and the robot's body; link k of the robot is ``BODY - k``."""
+ABSENT_BELOW = wp.constant(-500.0)  # Height of absent instances [m]: half the parking depth, against drift
+WORLD, BODY = wp.constant(-1), wp.constant(-2)  # Carriers of other parts; link k of the robot is `BODY - k`
 
 
 @wp.struct

@@ -17,11 +17,8 @@ from aerial_gym.math.quaternion import quat_from_euler
 
 _KINDS = {"box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "capsule": CAPSULE, "mesh": MESH, "plane": PLANE}
 
-_MARGIN = 1.0 + 1e-5
-"""Bounding spheres are larger by this factor, so that float32 rounding (6e-8) never rejects a shape that is hit."""
-
-_FLAT = 1e-4
-"""Bounding boxes of meshes are thicker by this share of their radius, so that a flat sheet has a volume too."""
+_MARGIN = 1.0 + 1e-5  # Factor on bounding spheres, so that float32 rounding (6e-8) rejects no shape that is hit
+_FLAT = 1e-4  # Added thickness of mesh bounding boxes per radius, so that a flat sheet has a volume
 
 
 RAY_TREE = {"bvh_constructor": "cubql", "bvh_leaf_size": 4}

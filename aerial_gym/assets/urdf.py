@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 PACKAGE_LEVELS = 2
 """Folders above that of a URDF in which packages are looked for: its package, as a rule, and the one that holds packages."""
 
-MAX_LINKS = 10_000
-"""Of a URDF; a tree of links is walked one by one."""
+MAX_LINKS = 10_000  # Of a URDF; a tree of links is walked one by one
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 

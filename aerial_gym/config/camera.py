@@ -14,14 +14,9 @@ from aerial_gym.config.range_sensor import RangeSensorCfg
 class CameraCfg(RangeSensorCfg):
     """A pinhole camera, with rays through pixel centres."""
 
-    model: str = "pinhole"
-    """Name of this model in a file."""
-
-    hfov_deg: float
-    """Horizontal field of view, from left edge to right edge [deg], 0 < hfov < 180; the vertical one follows."""
-
-    kind: str = "depth"
-    """``depth``: distance along the optical axis; ``range``: distance along the ray. The limits are of the same kind."""
+    model: str = "pinhole"  # Name of this model in a file
+    hfov_deg: float  # Horizontal field of view, left edge to right edge [deg], 0 < hfov < 180; the vertical one follows
+    kind: str = "depth"  # `depth`: distance along the optical axis; `range`: along the ray. Limits are of the same kind
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -41,11 +36,8 @@ class StereoCfg(CameraCfg):
     A pixel is valid only if the second camera sees the same point, unobstructed; otherwise it holds ``near_pixel``.
     """
 
-    model: str = "stereo"
-    """Name of this model in a file."""
-
-    baseline: float
-    """Second camera from the first along the sensor's y axis [m], left positive; not 0. The mount is that of the first."""
+    model: str = "stereo"  # Name of this model in a file
+    baseline: float  # Second camera from the first, which is mounted, along y [m], left positive; not 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,8 +56,7 @@ class FisheyeCfg(RangeSensorCfg):
     Every pixel of the rectangle has a ray; corners lie further off the axis than the edges do.
     """
 
-    model: str = "fisheye"
-    """Name of this model in a file."""
+    model: str = "fisheye"  # Name of this model in a file
 
     hfov_deg: float
     """Horizontal field of view, from left edge to right edge [deg], 0 < hfov <= 360. The vertical and the diagonal one

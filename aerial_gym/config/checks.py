@@ -5,14 +5,9 @@ from math import inf, isfinite, pi
 
 from aerial_gym.errors import ConfigError
 
-MAX_COUNT = 2**31 - 1
-"""Kernels count with 32 bits."""
-
-MAX_MADE = 10**6
-"""Things that are made one by one, such as shapes and rows of obstacles of one environment."""
-
-LARGEST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
-"""The largest number of single precision, in which tasks count."""
+MAX_COUNT = 2**31 - 1  # Kernels count with 32 bits
+MAX_MADE = 10**6  # Things that are made one by one, such as shapes and rows of obstacles of one environment
+LARGEST_SINGLE = (2.0 - 2.0**-23) * 2.0**127  # The largest number of single precision, in which tasks count
 
 Vec3 = tuple[float, float, float]
 

@@ -13,14 +13,9 @@ from aerial_gym.config.shape import BASE, PartCfg, ShapeCfg
 class SphereCfg:
     """A collision sphere."""
 
-    center: Vec3
-    """From the body origin [m], body axes."""
-
-    radius: float
-    """Radius [m], > 0."""
-
-    link: str = BASE
-    """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
+    center: Vec3  # From the body origin [m], body axes
+    radius: float  # Radius [m], > 0
+    link: str = BASE  # For robots with joints: the carrier, `base` or the joint whose link carries it
 
     def __post_init__(self) -> None:
         require_finite(self, "center")
@@ -31,17 +26,10 @@ class SphereCfg:
 class BoxCfg:
     """A collision box."""
 
-    center: Vec3 = (0.0, 0.0, 0.0)
-    """From the body origin [m], body axes."""
-
-    size: Vec3
-    """Edge lengths [m], each > 0."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from body to box [rad], within +-2 pi."""
-
-    link: str = BASE
-    """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
+    center: Vec3 = (0.0, 0.0, 0.0)  # From the body origin [m], body axes
+    size: Vec3  # Edge lengths [m], each > 0
+    euler: Vec3 = (0.0, 0.0, 0.0)  # ZYX roll, pitch, yaw from body to box [rad], within +-2 pi
+    link: str = BASE  # For robots with joints: the carrier, `base` or the joint whose link carries it
 
     def __post_init__(self) -> None:
         require_finite(self, "center", "size")
@@ -53,20 +41,11 @@ class BoxCfg:
 class CapsuleCfg:
     """A collision capsule: all points within ``radius`` of a line along its own z."""
 
-    center: Vec3 = (0.0, 0.0, 0.0)
-    """Of the line, from the body origin [m], body axes."""
-
-    radius: float
-    """Radius [m], > 0."""
-
-    height: float
-    """Length of the line [m], > 0; the capsule is longer by twice its radius."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from body to capsule [rad], within +-2 pi."""
-
-    link: str = BASE
-    """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
+    center: Vec3 = (0.0, 0.0, 0.0)  # Of the line, from the body origin [m], body axes
+    radius: float  # Radius [m], > 0
+    height: float  # Length of the line [m], > 0; the capsule is longer by twice its radius
+    euler: Vec3 = (0.0, 0.0, 0.0)  # ZYX roll, pitch, yaw from body to capsule [rad], within +-2 pi
+    link: str = BASE  # For robots with joints: the carrier, `base` or the joint whose link carries it
 
     def __post_init__(self) -> None:
         require_finite(self, "center")
@@ -81,21 +60,15 @@ CollisionShape = SphereCfg | BoxCfg | CapsuleCfg
 class CollisionCfg:
     """Collision and landing shapes of a robot, as their union."""
 
-    spheres: tuple[SphereCfg, ...] = ()
-    """Spheres; a vehicle that lands on one rolls."""
-
-    boxes: tuple[BoxCfg, ...] = ()
-    """Boxes, which touch surfaces with their corners, and obstacles with their deepest point as well."""
-
-    capsules: tuple[CapsuleCfg, ...] = ()
-    """Capsules, such as skids, arms and rods."""
+    spheres: tuple[SphereCfg, ...] = ()  # Spheres; a vehicle that lands on one rolls
+    boxes: tuple[BoxCfg, ...] = ()  # Boxes: corners touch surfaces, and also the deepest point touches obstacles
+    capsules: tuple[CapsuleCfg, ...] = ()  # Capsules, such as skids, arms and rods
 
     between_links: bool = False
     """Whether links of a robot with joints collide with each other too: every two shapes on different links but those whose
     links a joint connects (links without shapes between are passed over), and those that touch in the reference pose."""
 
-    source: str
-    """Source of the numbers."""
+    source: str  # Source of the numbers
 
     def link_shapes(self, link: str) -> tuple[CollisionShape, ...]:
         """Return the shapes on a link."""

@@ -5,8 +5,7 @@ import json
 import sys
 import unicodedata
 
-PLAIN = "aerial_gym.plain"
-"""Name of the error handler for characters that an encoding lacks."""
+PLAIN = "aerial_gym.plain"  # Name of the error handler for characters that an encoding lacks
 
 SIGNS = {
     "→": "->", "←": "<-", "±": "+-", "×": "x", "·": "*", "−": "-", "–": "-", "—": "-", "≤": "<=", "≥": ">=", "≈": "~",

@@ -11,15 +11,13 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 class ContactCfg:
     """A spring, a damper and Coulomb friction at every collision sphere; they scale with the robot's mass."""
 
-    friction: float
-    """Coulomb coefficient, friction per normal force, >= 0."""
+    friction: float  # Coulomb coefficient, friction per normal force, >= 0
 
     sinking: float = 1e-3
     """Depth to which the robot's weight on Earth presses one sphere into a surface [m], > 0. The default is the rest offset
     of PhysX in the Aerial Gym Simulator."""
 
-    damping_ratio: float = 1.0
-    """Damping of the robot's mass on one sphere as a share of the critical one, >= 0. The default leaves no bounce."""
+    damping_ratio: float = 1.0  # Damping of the robot's mass on one sphere per critical damping, >= 0; 1: no bounce
 
     crash_speed: float = 0.0
     """A touch is a crash where the surfaces approach at this speed or faster [m/s], >= 0: every touch with 0, none with inf."""

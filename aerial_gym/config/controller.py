@@ -19,8 +19,7 @@ _DRAWN_BY_NAME = (
 AUTOPILOTS = ("px4", "betaflight", "mellinger", "crazyflie_pid", "crazyflie_lee", "brescianini")
 """Fields of ``ControllerCfg`` and ``ControlCfg`` with the parameters of a real autopilot; a controller has one at most."""
 
-EFFECTIVENESS = ("nominal", "actual")
-"""Of which vehicle an allocation inverts the control effectiveness."""
+EFFECTIVENESS = ("nominal", "actual")  # Of which vehicle an allocation inverts the control effectiveness
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,26 +35,16 @@ class LeeGainsCfg:
         },
     }
 
-    position: Vec3
-    """Acceleration per position error [1/s²], >= 0, world axes."""
-
-    velocity: Vec3
-    """Acceleration per velocity error [1/s], >= 0, world axes."""
-
-    attitude: Vec3
-    """Torque per attitude error [N m/rad], >= 0, body axes."""
-
-    rate: Vec3
-    """Torque per rate error [N m s/rad], >= 0, body axes."""
-
-    max_yaw_rate: float
-    """Yaw rate commands are clamped to this [rad/s], > 0."""
+    position: Vec3  # Acceleration per position error [1/s²], >= 0, world axes
+    velocity: Vec3  # Acceleration per velocity error [1/s], >= 0, world axes
+    attitude: Vec3  # Torque per attitude error [N m/rad], >= 0, body axes
+    rate: Vec3  # Torque per rate error [N m s/rad], >= 0, body axes
+    max_yaw_rate: float  # Yaw rate commands are clamped to this [rad/s], > 0
 
     max_inclination: float
     """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2."""
 
-    source: str
-    """Source of the numbers."""
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_positive(self, "max_yaw_rate", "max_inclination")
@@ -78,53 +67,32 @@ class ControlCfg:
     attitude_frequency: Vec3 | None = None
     """Natural frequencies about the body axes [rad/s], >= 0, in place of the derived ones; 0 leaves an axis alone."""
 
-    attitude_damping: Vec3 | None = None
-    """Damping ratios about the body axes, >= 0, in place of the derived ones."""
-
+    attitude_damping: Vec3 | None = None  # Damping ratios about the body axes, >= 0, in place of the derived ones
     position_frequency: Vec3 | None = None
     """Natural frequencies along the world axes [rad/s], >= 0, in place of the derived ones."""
 
-    position_damping: Vec3 | None = None
-    """Damping ratios along the world axes, >= 0, in place of the derived ones."""
-
-    max_yaw_rate: float = pi / 3
-    """Limit of yaw rate commands [rad/s], > 0. The default is from the Aerial Gym Simulator."""
+    position_damping: Vec3 | None = None  # Damping ratios along the world axes, >= 0, in place of the derived ones
+    max_yaw_rate: float = pi / 3  # Limit of yaw rate commands [rad/s], > 0; default of the Aerial Gym Simulator
 
     max_inclination: float | None = None
     """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2. If not given it leaves half
     of the thrust beyond the weight for climbing and turning, and is pi/3 at most."""
 
-    buoyancy: float = 0.0
-    """Buoyancy that the autopilot assumes [N], >= 0: the value of the effect ``buoyancy``, if known."""
-
-    gains: LeeGainsCfg | None = None
-    """Explicit gains in place of all of the above, as identified or published for this robot."""
-
-    px4: Px4Cfg | None = None
-    """Parameters of PX4's cascade, as flown or published for this robot; derived if not given."""
-
-    betaflight: BetaflightCfg | None = None
-    """Parameters of Betaflight's rate loop, likewise."""
-
-    mellinger: MellingerCfg | None = None
-    """Parameters of the Crazyflie's Mellinger controller, likewise."""
-
-    crazyflie_pid: CrazyfliePidCfg | None = None
-    """Parameters of the Crazyflie's cascade of PID controllers, likewise."""
-
-    crazyflie_lee: CrazyflieLeeCfg | None = None
-    """Parameters of the Crazyflie's controller of Lee, likewise."""
-
-    brescianini: BrescianiniCfg | None = None
-    """Parameters of the Crazyflie's controller of Brescianini, likewise."""
+    buoyancy: float = 0.0  # Buoyancy that the autopilot assumes [N], >= 0: the value of the effect `buoyancy`, if known
+    gains: LeeGainsCfg | None = None  # Explicit gains in place of all above, identified or published for this robot
+    px4: Px4Cfg | None = None  # Parameters of PX4's cascade, as flown or published for this robot; derived if not given
+    betaflight: BetaflightCfg | None = None  # Parameters of Betaflight's rate loop, likewise
+    mellinger: MellingerCfg | None = None  # Parameters of the Crazyflie's Mellinger controller, likewise
+    crazyflie_pid: CrazyfliePidCfg | None = None  # Parameters of the Crazyflie's cascade of PID controllers, likewise
+    crazyflie_lee: CrazyflieLeeCfg | None = None  # Parameters of the Crazyflie's controller of Lee, likewise
+    brescianini: BrescianiniCfg | None = None  # Parameters of the Crazyflie's controller of Brescianini, likewise
 
     effectiveness: str = "nominal"
     """``nominal`` or ``actual``: which control effectiveness matrix the allocation inverts, and with which thrust maps it goes
     on to the rotors. With ``nominal`` those of the robot file, one for all; with ``actual`` those of each environment's own
     vehicle, with what a reset has drawn and the effects on its parameters. Gains are those of the robot file in either case."""
 
-    source: str = "Derived: aerial_gym.control.gains"
-    """Source of the numbers."""
+    source: str = "Derived: aerial_gym.control.gains"  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_choice(self, "effectiveness", EFFECTIVENESS)
@@ -147,11 +115,8 @@ class RateLoopCfg:
     rate_hz: float | None = None
     """Rate [1/s], > 0; every physics step if not given. A whole number of physics steps must fit between."""
 
-    proportional: Vec3 | None = None
-    """Angular acceleration per rate error [1/s], >= 0, body axes."""
-
-    integral: Vec3 | None = None
-    """Growth of angular acceleration per rate error [1/s²], >= 0, body axes; 0 for none."""
+    proportional: Vec3 | None = None  # Angular acceleration per rate error [1/s], >= 0, body axes
+    integral: Vec3 | None = None  # Growth of angular acceleration per rate error [1/s²], >= 0, body axes; 0 for none
 
     integral_limit: Vec3 | None = None
     """Largest angular acceleration of the integral [rad/s²], > 0. If not given it is half of what the rotors can give at
@@ -161,11 +126,8 @@ class RateLoopCfg:
     """Share of the measured angular acceleration that is taken back [-], >= 0; 0 for none. It is not derived: what it gains
     depends on the noise of the gyro."""
 
-    cutoff_hz: float | None = None
-    """Of the first-order low-pass on the derivative [1/s], > 0; no low-pass if not given."""
-
-    source: str = "Derived: aerial_gym.control.gains"
-    """Source of the numbers."""
+    cutoff_hz: float | None = None  # Of the first-order low-pass on the derivative [1/s], > 0; no low-pass if not given
+    source: str = "Derived: aerial_gym.control.gains"  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_positive(self, "rate_hz", "cutoff_hz")
@@ -176,14 +138,9 @@ class RateLoopCfg:
 class ControllerCfg:
     """A controller: law, gains, and priorities under rotor saturation."""
 
-    summary: str
-    """One line for people who choose a controller."""
-
-    law: str
-    """Name in ``aerial_gym.control.laws.LAWS`` or ``aerial_gym.control.CONTROL_LAWS``."""
-
-    gains: LeeGainsCfg | None = None
-    """Explicit gains for any robot; if not given, the robot's own gains (``RobotCfg.control``)."""
+    summary: str  # One line for people who choose a controller
+    law: str  # Name in `aerial_gym.control.laws.LAWS` or `aerial_gym.control.CONTROL_LAWS`
+    gains: LeeGainsCfg | None = None  # Explicit gains for any robot; if not given, the robot's own (`RobotCfg.control`)
 
     allocation: Literal["prioritised", "clamp"] = "prioritised"
     """Priority under rotor saturation: with ``prioritised`` yaw first, then thrust, then roll and pitch; with
@@ -196,27 +153,17 @@ class ControllerCfg:
     px4: Px4Cfg | None = None
     """PX4's cascade with these parameters in place of gains and rate loop; those of the robot if all are left out."""
 
-    betaflight: BetaflightCfg | None = None
-    """Betaflight's rate loop with these parameters, likewise."""
-
-    mellinger: MellingerCfg | None = None
-    """The Crazyflie's Mellinger controller, likewise."""
-
-    crazyflie_pid: CrazyfliePidCfg | None = None
-    """The Crazyflie's cascade of PID controllers, likewise."""
-
-    crazyflie_lee: CrazyflieLeeCfg | None = None
-    """The Crazyflie's controller of Lee, with integrals, likewise."""
-
-    brescianini: BrescianiniCfg | None = None
-    """The Crazyflie's controller of Brescianini, likewise."""
+    betaflight: BetaflightCfg | None = None  # Betaflight's rate loop with these parameters, likewise
+    mellinger: MellingerCfg | None = None  # The Crazyflie's Mellinger controller, likewise
+    crazyflie_pid: CrazyfliePidCfg | None = None  # The Crazyflie's cascade of PID controllers, likewise
+    crazyflie_lee: CrazyflieLeeCfg | None = None  # The Crazyflie's controller of Lee, with integrals, likewise
+    brescianini: BrescianiniCfg | None = None  # The Crazyflie's controller of Brescianini, likewise
 
     rate_hz: float | None = None
     """Rate of the law [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
     wants is held in between."""
 
-    delay: float = 0.0
-    """Delay between the law and its rate loop [s], >= 0: a whole number of physics steps."""
+    delay: float = 0.0  # Delay between the law and its rate loop [s], >= 0: a whole number of physics steps
 
     action_delay: float = 0.0
     """Until an action has reached the law [s], >= 0: a whole number of physics steps. The first one after a reset acts at

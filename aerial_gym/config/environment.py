@@ -34,11 +34,8 @@ from aerial_gym.config.shape import (
 from aerial_gym.config.track import TrackCfg
 from aerial_gym.errors import ConfigError
 
-MOTIONS = ("none", "twist", "waypoints")
-"""Kinds of obstacle motion between resets."""
-
-AT_BOUNDS = ("pass", "bounce", "wrap")
-"""Behaviours at the bounds of an asset that moves by its twist."""
+MOTIONS = ("none", "twist", "waypoints")  # Kinds of obstacle motion between resets
+AT_BOUNDS = ("pass", "bounce", "wrap")  # Behaviours at the bounds of an asset that moves by its twist
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,23 +46,12 @@ class MotionCfg:
     """``none``; ``twist``: straight on and turning, with a twist that the user may overwrite at any time;
     ``waypoints``: back and forth between the place of the reset and a second one, drawn like it."""
 
-    lin_vel_low: Vec3 = (0.0, 0.0, 0.0)
-    """Lowest velocity of ``twist`` [m/s], world."""
-
-    lin_vel_high: Vec3 = (0.0, 0.0, 0.0)
-    """Highest velocity [m/s], world."""
-
-    speed: tuple[float, float] = (0.0, 0.0)
-    """Lowest and highest speed along ``waypoints`` [m/s], >= 0."""
-
-    ang_vel_low: Vec3 = (0.0, 0.0, 0.0)
-    """Lowest angular velocity [rad/s], world; for both."""
-
-    ang_vel_high: Vec3 = (0.0, 0.0, 0.0)
-    """Highest angular velocity [rad/s], world."""
-
-    at_bounds: str = "pass"
-    """Behaviour of ``twist`` when the origin reaches the bounds: ``pass`` on, ``bounce`` off, ``wrap`` to the other side."""
+    lin_vel_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest velocity of `twist` [m/s], world
+    lin_vel_high: Vec3 = (0.0, 0.0, 0.0)  # Highest velocity [m/s], world
+    speed: tuple[float, float] = (0.0, 0.0)  # Lowest and highest speed along `waypoints` [m/s], >= 0
+    ang_vel_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest angular velocity [rad/s], world; for both
+    ang_vel_high: Vec3 = (0.0, 0.0, 0.0)  # Highest angular velocity [rad/s], world
+    at_bounds: str = "pass"  # Where `twist` brings the origin to the bounds: `pass` on, `bounce` off, `wrap` around
 
     def __post_init__(self) -> None:
         require_choice(self, "kind", MOTIONS)
@@ -86,15 +72,13 @@ class MotionCfg:
 class LampCfg:
     """A lamp that shines to all sides alike. At the distance r a white surface that faces it has the brightness I c / r²."""
 
-    position: Vec3
-    """Position [m], world. The lamp itself is not seen and throws no shadow; a shape around it would."""
+    position: Vec3  # Position [m], world. The lamp itself is not seen and throws no shadow; a shape around it would
 
     intensity: float
     """I: brightness of a white surface that faces it, times the squared distance [m²], > 0; brightness 1 is that of full
     sun and sky, and the brightest that a pixel can show."""
 
-    color: Vec3 = (1.0, 1.0, 1.0)
-    """c: red, green, blue of the light, each 0 to 1."""
+    color: Vec3 = (1.0, 1.0, 1.0)  # c: red, green, blue of the light, each 0 to 1
 
     def __post_init__(self) -> None:
         require_finite(self, "position")
@@ -123,43 +107,26 @@ __all__ = [
 class AssetCfg:
     """One kind of obstacle: its shapes, how many, and where a reset puts them."""
 
-    name: str
-    """Name in messages, unique in its environment."""
-
-    shapes: tuple[ShapeCfg, ...] = ()
-    """Each instance is one of these, drawn once at construction with equal chances."""
-
-    family: FamilyCfg | None = None
-    """Family of generated shapes, in place of a list."""
-
-    count: int
-    """Instances in every environment, >= 1."""
+    name: str  # Name in messages, unique in its environment
+    shapes: tuple[ShapeCfg, ...] = ()  # Each instance is one of these, drawn once at construction with equal chances
+    family: FamilyCfg | None = None  # Family of generated shapes, in place of a list
+    count: int  # Instances in every environment, >= 1
 
     keep: bool = False
     """Whether it is always present; the others can be reduced in number (curriculum). Only ``clearance`` goes first:
     what has no place beside the robot is parked, also if it is kept."""
 
-    semantic_id: int = -1
-    """Segmentation id, 0 to 99; -1 for the instance's own id (100 + its row in the environment)."""
-
-    position_ratio_low: Vec3
-    """Lowest position of the shape's origin as a share of the bounds (0 lower face, 1 upper face)."""
-
-    position_ratio_high: Vec3
-    """Highest position, likewise."""
+    semantic_id: int = -1  # Segmentation id, 0 to 99; -1 for the instance's own id (100 + its row in the environment)
+    position_ratio_low: Vec3  # Lowest position of the shape's origin as a share of the bounds (0 lower, 1 upper face)
+    position_ratio_high: Vec3  # Highest position, likewise
 
     offset: Vec3 = (0.0, 0.0, 0.0)
     """Added to the position [m], world. A wall whose ratio puts its centre on a face of the bounds has half its
     thickness along the outward normal here, so that its inner face lies exactly on the bound."""
 
-    euler_low: Vec3 = (0.0, 0.0, 0.0)
-    """Lowest ZYX roll, pitch, yaw [rad], within +-2 pi."""
-
-    euler_high: Vec3 = (0.0, 0.0, 0.0)
-    """Highest roll, pitch, yaw [rad], within +-2 pi."""
-
-    motion: MotionCfg = field(default_factory=MotionCfg)
-    """Motion of the instances between resets."""
+    euler_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest ZYX roll, pitch, yaw [rad], within +-2 pi
+    euler_high: Vec3 = (0.0, 0.0, 0.0)  # Highest roll, pitch, yaw [rad], within +-2 pi
+    motion: MotionCfg = field(default_factory=MotionCfg)  # Motion of the instances between resets
 
     def __post_init__(self) -> None:
         checks.require(self, "name", bool(self.name), "must not be empty")
@@ -180,29 +147,14 @@ class AssetCfg:
 class EnvironmentCfg:
     """A box of space with its obstacles. Each environment draws its bounds uniformly at reset."""
 
-    summary: str
-    """One line for people who choose an environment."""
-
-    physics_steps_per_env_step: int
-    """Physics steps for which an action is held, >= 1."""
-
-    bounds_lower_low: Vec3
-    """Lowest lower corner of the bounds [m], world."""
-
-    bounds_lower_high: Vec3
-    """Highest lower corner [m], world; below ``bounds_upper_low`` on every axis."""
-
-    bounds_upper_low: Vec3
-    """Lowest upper corner [m], world."""
-
-    bounds_upper_high: Vec3
-    """Highest upper corner [m], world."""
-
-    assets: tuple[AssetCfg, ...] = ()
-    """Obstacles; an empty list is open space."""
-
-    track: TrackCfg | None = None
-    """A race track; its gates and poles are the first assets, ``gates`` and ``poles``, and are always kept."""
+    summary: str  # One line for people who choose an environment
+    physics_steps_per_env_step: int  # Physics steps for which an action is held, >= 1
+    bounds_lower_low: Vec3  # Lowest lower corner of the bounds [m], world
+    bounds_lower_high: Vec3  # Highest lower corner [m], world; below `bounds_upper_low` on every axis
+    bounds_upper_low: Vec3  # Lowest upper corner [m], world
+    bounds_upper_high: Vec3  # Highest upper corner [m], world
+    assets: tuple[AssetCfg, ...] = ()  # Obstacles; an empty list is open space
+    track: TrackCfg | None = None  # Race track; its gates and poles are the first assets, `gates` and `poles`, all kept
 
     clearance: float = 0.0
     """A reset leaves at least this much room around the robot's collision shapes [m], >= 0; 0 asks for nothing.
@@ -216,14 +168,9 @@ class EnvironmentCfg:
     """Height of the ceiling [m], world, for effects on the rotors near it; none in open air. It is nothing to touch or see: put
     a wall there for that."""
 
-    ground_semantic_id: int = GROUND_ID
-    """Segmentation id of the ground, 0 to 99."""
-
-    ground_color: Vec3 = (0.42, 0.45, 0.36)
-    """Red, green, blue of the ground, each 0 to 1."""
-
-    ground_checker: CheckerCfg | None = None
-    """Fields of a second colour on the ground."""
+    ground_semantic_id: int = GROUND_ID  # Segmentation id of the ground, 0 to 99
+    ground_color: Vec3 = (0.42, 0.45, 0.36)  # Red, green, blue of the ground, each 0 to 1
+    ground_checker: CheckerCfg | None = None  # Fields of a second colour on the ground
 
     contact: ContactCfg | None = None
     """Contact law of ground and obstacles, and the touches that are crashes; without it, there is no contact force and every
@@ -237,8 +184,7 @@ class EnvironmentCfg:
     """Robot quantities drawn at every reset here, such as the wind, in addition to those of the robot file; a name here
     replaces the robot's."""
 
-    source: str
-    """Source of the numbers."""
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "ground_height", "ceiling_height")

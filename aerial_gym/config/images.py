@@ -14,8 +14,7 @@ from aerial_gym.config.shape import require_color
 if TYPE_CHECKING:
     from aerial_gym.config.range_sensor import RangeSensorCfg
 
-FRAMES = ("world", "sensor")
-"""Frames of points and normals."""
+FRAMES = ("world", "sensor")  # Frames of points and normals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,17 +27,10 @@ class LightCfg:
     its image.
     """
 
-    sun: Vec3 | None = (0.4, 0.3, 0.866)
-    """Direction to the sun, world, of any length > 0; None for none, which leaves the sky and the lamps."""
-
-    ambient: float = 0.35
-    """Share of the light that comes from the sky, 0 to 1; the rest comes from the sun."""
-
-    shadows: bool = True
-    """Whether sun and lamps throw shadows: one more ray for every lit pixel and light."""
-
-    sky: Vec3 = (0.6, 0.75, 0.9)
-    """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
+    sun: Vec3 | None = (0.4, 0.3, 0.866)  # Direction to the sun, world, any length > 0; None: sky and lamps alone
+    ambient: float = 0.35  # Share of the light that comes from the sky, 0 to 1; the rest comes from the sun
+    shadows: bool = True  # Whether sun and lamps throw shadows: one more ray for every lit pixel and light
+    sky: Vec3 = (0.6, 0.75, 0.9)  # Red, green, blue of a pixel that sees nothing, each 0 to 1
 
     def __post_init__(self) -> None:
         require_finite(self, "sun")
@@ -51,24 +43,16 @@ class LightCfg:
 class ImagesCfg:
     """Images of a sensor besides the distance."""
 
-    segmentation: bool = True
-    """Whether it also writes the segmentation id of each pixel."""
-
-    points: str | None = None
-    """Frame in which it also writes the point that each pixel sees [m]: ``world`` or ``sensor``; None writes none."""
-
-    normals: str | None = None
-    """Frame in which it also writes the unit normal of the surface: ``world`` or ``sensor``; None writes none."""
-
-    face_ids: bool = False
-    """Whether it also writes which face of its shape each pixel sees."""
+    segmentation: bool = True  # Whether it also writes the segmentation id of each pixel
+    points: str | None = None  # Frame of the image of points seen [m]: `world` or `sensor`; None for no such image
+    normals: str | None = None  # Frame of the image of unit surface normals: `world` or `sensor`; None for no image
+    face_ids: bool = False  # Whether it also writes which face of its shape each pixel sees
 
     optical_flow: bool = False
     """Whether a camera also writes how fast the image of what each pixel sees moves [pixel/s]: right, down. Sensors without an
     image plane refuse it."""
 
-    light: LightCfg | None = None
-    """Light by which it also writes a colour image; None writes none."""
+    light: LightCfg | None = None  # Light by which it also writes a colour image; None writes none
 
     @property
     def has_image_plane(self) -> bool:
@@ -82,34 +66,20 @@ class ImagesCfg:
 
 
 PixelValue = float | Vec3
-SensorText = Callable[["RangeSensorCfg"], str]
-"""Unit, frame or meaning of an image as a function of its sensor."""
+SensorText = Callable[["RangeSensorCfg"], str]  # Unit, frame or meaning of an image as a function of its sensor
 
 
 @dataclass(frozen=True, kw_only=True)
 class Image:
     """Declaration of an image; its pixels are numbers or vectors."""
 
-    key: str
-    """In the Global Tensor Dictionary, for the first sensor."""
-
-    wanted: Callable[["RangeSensorCfg"], bool] | None = None
-    """Whether a sensor has it; None: every one."""
-
-    unit: str | SensorText = "-"
-    """Unit."""
-
-    frame: str | SensorText = "sensor"
-    """Frame."""
-
-    meaning: str | SensorText
-    """One line."""
-
-    ids: bool = False
-    """Whether pixels are whole numbers, int32; else they are float32."""
-
-    components: int = 1
-    """Numbers of a pixel: 1, 2 or 3."""
+    key: str  # In the Global Tensor Dictionary, for the first sensor
+    wanted: Callable[["RangeSensorCfg"], bool] | None = None  # Whether a sensor has it; None: every one
+    unit: str | SensorText = "-"  # Unit
+    frame: str | SensorText = "sensor"  # Frame
+    meaning: str | SensorText  # One line
+    ids: bool = False  # Whether pixels are whole numbers, int32; else they are float32
+    components: int = 1  # Numbers of a pixel: 1, 2 or 3
 
     empty_pixel: PixelValue | Callable[["RangeSensorCfg"], PixelValue] | None = None
     """Pixel value without a hit; None if it depends on the sensor's pose and motion."""
@@ -131,11 +101,8 @@ class Image:
         return self.meaning if isinstance(self.meaning, str) else self.meaning(cfg)
 
 
-MISS_ID = -2
-"""Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
-
-MISS_FACE = -1
-"""Face of a pixel that sees nothing within its range."""
+MISS_ID = -2  # Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)
+MISS_FACE = -1  # Face of a pixel that sees nothing within its range
 
 
 def _distance_meaning(cfg: "RangeSensorCfg") -> str:

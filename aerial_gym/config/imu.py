@@ -13,57 +13,35 @@ from aerial_gym.config.checks import Vec3, require, require_choice, require_not_
 from aerial_gym.config.loader import load
 from aerial_gym.config.sensor_mount import PlacementCfg
 
-MOST_MISALIGNMENT_DEG = 45.0
-"""Largest misalignment; use ``euler`` for larger rotations of the axes."""
+MOST_MISALIGNMENT_DEG = 45.0  # Largest misalignment; use `euler` for larger rotations of the axes
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImuCfg(PlacementCfg):
     """Three accelerometers and three gyros at one point of the body."""
 
-    model: str = "imu"
-    """Name of this model in a sensor file; an IMU's own file may leave it out."""
-
-    summary: str
-    """One line for people who choose a sensor."""
+    model: str = "imu"  # Name of this model in a sensor file; an IMU's own file may leave it out
+    summary: str  # One line for people who choose a sensor
 
     misalignment_deg: Vec3 = (0.0, 0.0, 0.0)
     """Each reset turns the IMU further, about its own axes (ZYX), by roll, pitch, yaw drawn uniformly within +- these [deg],
     0 to 45."""
 
-    accel_noise_density: Vec3
-    """White noise of each accelerometer [m/s²/sqrt(Hz)], >= 0."""
-
-    gyro_noise_density: Vec3
-    """White noise of each gyro [rad/s/sqrt(Hz)], >= 0."""
-
-    accel_bias_walk: Vec3
-    """Random walk of each accelerometer's bias [m/s²/sqrt(s)], >= 0."""
-
-    gyro_bias_walk: Vec3
-    """Random walk of each gyro's bias [rad/s/sqrt(s)], >= 0."""
-
-    accel_initial_bias: Vec3
-    """Each reset draws the bias of each accelerometer uniformly within +- these [m/s²], >= 0."""
-
-    gyro_initial_bias: Vec3
-    """Each reset draws the bias of each gyro uniformly within +- these [rad/s], >= 0."""
-
-    accel_range: float
-    """Accelerometers saturate at +- this [m/s²], > 0."""
-
-    gyro_range: float
-    """Gyros saturate at +- this [rad/s], > 0."""
+    accel_noise_density: Vec3  # White noise of each accelerometer [m/s²/sqrt(Hz)], >= 0
+    gyro_noise_density: Vec3  # White noise of each gyro [rad/s/sqrt(Hz)], >= 0
+    accel_bias_walk: Vec3  # Random walk of each accelerometer's bias [m/s²/sqrt(s)], >= 0
+    gyro_bias_walk: Vec3  # Random walk of each gyro's bias [rad/s/sqrt(s)], >= 0
+    accel_initial_bias: Vec3  # Each reset draws the bias of each accelerometer uniformly within +- these [m/s²], >= 0
+    gyro_initial_bias: Vec3  # Each reset draws the bias of each gyro uniformly within +- these [rad/s], >= 0
+    accel_range: float  # Accelerometers saturate at +- this [m/s²], > 0
+    gyro_range: float  # Gyros saturate at +- this [rad/s], > 0
 
     rate_hz: float | None = None
     """Measurements per second of simulated time [Hz], > 0 and at most one per environment step, between which the last one
     stays; each is the mean over its own period. None: one at every step."""
 
-    latency_s: float = 0.0
-    """Age of a measurement when it appears [s], >= 0, rounded to whole environment steps."""
-
-    source: str
-    """Source of the numbers."""
+    latency_s: float = 0.0  # Age of a measurement when it appears [s], >= 0, rounded to whole environment steps
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_choice(self, "model", ("imu",))

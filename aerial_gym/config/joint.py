@@ -21,11 +21,8 @@ DRIVE_MODES = ("position", "velocity", "effort")
 class LinkCfg:
     """Mass and inertia of a joint's link; the base has the rest of the vehicle's mass."""
 
-    mass: float
-    """[kg], > 0."""
-
-    com: Vec3
-    """Centre of mass from the body origin [m], body axes, reference pose."""
+    mass: float  # [kg], > 0
+    com: Vec3  # Centre of mass from the body origin [m], body axes, reference pose
 
     inertia: tuple[Vec3, Vec3, Vec3]
     """About that centre of mass [kg m²], body axes, reference pose; symmetric, none of the principal moments negative or
@@ -41,11 +38,8 @@ class LinkCfg:
 class CreepCfg:
     """A Maxwell element (spring and dashpot in series) parallel to a joint's spring: it relaxes under constant load."""
 
-    stiffness: float
-    """Of the spring [N m/rad], > 0."""
-
-    time: float
-    """After which 63 % of its effort are gone [s], > 0."""
+    stiffness: float  # Of the spring [N m/rad], > 0
+    time: float  # After which 63 % of its effort are gone [s], > 0
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "stiffness", "time")
@@ -55,26 +49,13 @@ class CreepCfg:
 class SpringCfg:
     """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q' - friction sign(q')``, plus creep."""
 
-    stiffness: float = 0.0
-    """k [N m/rad], >= 0."""
-
-    quadratic: float = 0.0
-    """k2 [N m/rad²], >= 0."""
-
-    damping: float = 0.0
-    """[N m s/rad], >= 0."""
-
-    friction: float = 0.0
-    """Dry friction [N m], >= 0: it holds the joint against less."""
-
-    rest: float = 0.0
-    """[rad]."""
-
-    preload: float = 0.0
-    """Torque at the rest angle [N m], such as against the weight of an arm."""
-
-    creep: tuple[CreepCfg, ...] = ()
-    """Elements that relax; all have where an episode begins."""
+    stiffness: float = 0.0  # k [N m/rad], >= 0
+    quadratic: float = 0.0  # k2 [N m/rad²], >= 0
+    damping: float = 0.0  # [N m s/rad], >= 0
+    friction: float = 0.0  # Dry friction [N m], >= 0: it holds the joint against less
+    rest: float = 0.0  # [rad]
+    preload: float = 0.0  # Torque at the rest angle [N m], such as against the weight of an arm
+    creep: tuple[CreepCfg, ...] = ()  # Elements that relax; all have where an episode begins
 
     def __post_init__(self) -> None:
         checks.require_not_negative(self, "stiffness", "quadratic", "damping", "friction")
@@ -89,17 +70,10 @@ class DriveCfg:
     """``position``: ``stiffness (command - q) - damping q'``; ``velocity``: ``damping (command - q')``; ``effort``: the
     command itself. In rad, rad/s and N m."""
 
-    stiffness: float = 0.0
-    """[N m/rad], > 0 in position mode, and only there."""
-
-    damping: float = 0.0
-    """[N m s/rad], > 0 in velocity mode, >= 0 in position mode."""
-
-    limit: float
-    """Largest effort [N m], > 0."""
-
-    command_range: tuple[float, float]
-    """Lowest and highest command."""
+    stiffness: float = 0.0  # [N m/rad], > 0 in position mode, and only there
+    damping: float = 0.0  # [N m s/rad], > 0 in velocity mode, >= 0 in position mode
+    limit: float  # Largest effort [N m], > 0
+    command_range: tuple[float, float]  # Lowest and highest command
 
     def __post_init__(self) -> None:
         checks.require_choice(self, "mode", DRIVE_MODES)
@@ -118,13 +92,10 @@ class DriveCfg:
 class EndsCfg:
     """Soft ends of a joint's range: beyond them a spring with a damper pushes back, and never pulls."""
 
-    low: float
-    high: float
-    stiffness: float
-    """[N m/rad], > 0."""
-
-    damping: float = 0.0
-    """[N m s/rad], >= 0."""
+    low: float  # Lowest coordinate without an end [rad]
+    high: float  # Highest [rad]
+    stiffness: float  # [N m/rad], > 0
+    damping: float = 0.0  # [N m s/rad], >= 0
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "low", "high")
@@ -137,36 +108,18 @@ class EndsCfg:
 class JointCfg:
     """One joint of one degree of freedom; a universal joint is two, the first without a link."""
 
-    name: str
-    """By which mounts and other joints name its link."""
-
-    parent: str = BASE
-    """Parent: the joint whose link carries it, or ``base``."""
-
-    kind: str = "revolute"
-    """``revolute`` or ``prismatic``."""
-
-    axis: Vec3
-    """Unit vector that it turns about or moves along, body axes, reference pose."""
-
-    position: Vec3
-    """A point of the axis from the body origin [m], body axes, reference pose."""
-
-    reference: float = 0.0
-    """Its coordinate in the reference pose [rad] or [m]."""
-
-    link: LinkCfg | None = None
-    """Mass of its link besides joints and rotors; none if not given."""
-
-    spring: SpringCfg | None = None
-    drive: DriveCfg | None = None
-    ends: EndsCfg | None = None
-
-    initial: tuple[float, float] | None = None
-    """Range from which a reset draws its coordinate; ``reference`` if not given."""
-
-    initial_rate: tuple[float, float] = (0.0, 0.0)
-    """Likewise its rate."""
+    name: str  # By which mounts and other joints name its link
+    parent: str = BASE  # Parent: the joint whose link carries it, or `base`
+    kind: str = "revolute"  # `revolute` or `prismatic`
+    axis: Vec3  # Unit vector that it turns about or moves along, body axes, reference pose
+    position: Vec3  # A point of the axis from the body origin [m], body axes, reference pose
+    reference: float = 0.0  # Its coordinate in the reference pose [rad] or [m]
+    link: LinkCfg | None = None  # Mass of its link besides joints and rotors; none if not given
+    spring: SpringCfg | None = None  # Passive torque; none if not given
+    drive: DriveCfg | None = None  # Commanded torque, likewise
+    ends: EndsCfg | None = None  # Soft ends of its range, likewise
+    initial: tuple[float, float] | None = None  # Range of its coordinate at a reset; `reference` if not given
+    initial_rate: tuple[float, float] = (0.0, 0.0)  # Likewise its rate
 
     def __post_init__(self) -> None:
         checks.require(self, "name", self.name not in ("", BASE), f"{BASE!r} is the body itself. Choose another name")
@@ -187,14 +140,9 @@ class JointCfg:
 class JointsCfg:
     """All joints, in the order of joint states."""
 
-    layout: tuple[JointCfg, ...]
-    """Joints, each after its parent."""
-
-    floating: bool = True
-    """Whether the base flies; else it is held where a reset puts it."""
-
-    source: str
-    """Source of the numbers."""
+    layout: tuple[JointCfg, ...]  # Joints, each after its parent
+    floating: bool = True  # Whether the base flies; else it is held where a reset puts it
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         known = [BASE]

@@ -18,11 +18,8 @@ Row = tuple[float, ...]
 class LayerCfg:
     """One fully connected layer, ``W x + b``."""
 
-    weights: tuple[Row, ...]
-    """W, one row per output."""
-
-    bias: Row
-    """b, one number per output."""
+    weights: tuple[Row, ...]  # W, one row per output
+    bias: Row  # b, one number per output
 
     def __post_init__(self) -> None:
         widths = {len(row) for row in self.weights}
@@ -43,32 +40,18 @@ class LayerCfg:
 class LearnedResidualCfg:
     """The network, and where its training data end; made by ``aerial-gym close-loop --learn-residual``."""
 
-    low: Row
-    """Least inputs [m/s, rad/s, rad²/s²], (D,): inputs are held within the training data."""
-
-    high: Row
-    """Greatest inputs, (D,)."""
-
-    centre: Row
-    """Subtracted from inputs, (D,)."""
-
-    scale: Row
-    """Inputs are divided by it, > 0, (D,)."""
+    low: Row  # Least inputs [m/s, rad/s, rad²/s²], (D,): inputs are held within the training data
+    high: Row  # Greatest inputs, (D,)
+    centre: Row  # Subtracted from inputs, (D,)
+    scale: Row  # Inputs are divided by it, > 0, (D,)
 
     whitening: tuple[Row, ...]
     """(D, D). Of standardised inputs x, |whitening x| = 1 where the training data end, 2 where the output is zero."""
 
-    hidden: tuple[LayerCfg, ...]
-    """Layers with tanh, from standardised inputs on; at least one."""
-
-    output: LayerCfg
-    """The last layer, to force [N] and torque [N m], (6,)."""
-
-    limit: Row
-    """Largest magnitude of each output [N, N m], >= 0, (6,)."""
-
-    source: str
-    """Flights that it was trained on."""
+    hidden: tuple[LayerCfg, ...]  # Layers with tanh, from standardised inputs on; at least one
+    output: LayerCfg  # The last layer, to force [N] and torque [N m], (6,)
+    limit: Row  # Largest magnitude of each output [N, N m], >= 0, (6,)
+    source: str  # Flights that it was trained on
 
     def __post_init__(self) -> None:
         self._check_shapes()

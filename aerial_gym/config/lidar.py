@@ -31,20 +31,11 @@ class LidarCfg(RangeSensorCfg):
     +-90 degrees, where all columns look the same way, keeps half a step from that end.
     """
 
-    model: str = "lidar"
-    """Name of this model in a file."""
-
-    azimuth_low_deg: float = -180.0
-    """Azimuth at the right [deg], within +-360."""
-
-    azimuth_high_deg: float = 180.0
-    """Azimuth at the left [deg], > azimuth_low_deg, by at most 360."""
-
-    elevation_low_deg: float | None = None
-    """Elevation of the lowest row [deg], within +-90. Both limits, or ``beam_elevations_deg``, are given."""
-
-    elevation_high_deg: float | None = None
-    """Elevation of the highest row [deg], > elevation_low_deg, within +-90."""
+    model: str = "lidar"  # Name of this model in a file
+    azimuth_low_deg: float = -180.0  # Azimuth at the right [deg], within +-360
+    azimuth_high_deg: float = 180.0  # Azimuth at the left [deg], > azimuth_low_deg, by at most 360
+    elevation_low_deg: float | None = None  # Elevation of the lowest row [deg], within +-90; or `beam_elevations_deg`
+    elevation_high_deg: float | None = None  # Elevation of the highest row [deg], > elevation_low_deg, within +-90
 
     beam_elevations_deg: tuple[float, ...] | None = None
     """Elevation of every row [deg], H of them, within +-90, each smaller than the one before: row 0 is on top."""
@@ -131,15 +122,13 @@ class RayTableCfg(RangeSensorCfg):
     Rays are traced in small groups of neighbouring pixels: a list in which neighbours look the same way is faster.
     """
 
-    model: str = "ray_table"
-    """Name of this model in a file."""
+    model: str = "ray_table"  # Name of this model in a file
 
     path: str | None = None
     """CSV file with one ray a line under the header ``x,y,z`` or ``azimuth_deg,elevation_deg``; in a YAML file relative to
     that file. Exactly one of this and ``rays`` is given."""
 
-    rays: tuple[Vec3, ...] | None = None
-    """Directions, sensor frame, H * W of them, of any length but 0."""
+    rays: tuple[Vec3, ...] | None = None  # Directions, sensor frame, H * W of them, of any length but 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,17 +152,10 @@ Angles = tuple[float, float]
 class PrismCfg:
     """A wedge of glass that turns about the sensor's x axis, seen by the beam as air, glass, air."""
 
-    wedge_deg: float
-    """Angle between its faces [deg], 0 < wedge < 45."""
-
-    turns_hz: float
-    """Turns per second about +x [Hz], negative for the other sense."""
-
-    refractive_index: float
-    """Of the glass at the wavelength of the laser, > 1."""
-
-    inclined_face: str = "entry"
-    """Face that is inclined, ``entry`` or ``exit``; the other is normal to the x axis."""
+    wedge_deg: float  # Angle between its faces [deg], 0 < wedge < 45
+    turns_hz: float  # Turns per second about +x [Hz], negative for the other sense
+    refractive_index: float  # Of the glass at the wavelength of the laser, > 1
+    inclined_face: str = "entry"  # Face that is inclined, `entry` or `exit`; the other is normal to the x axis
 
     def __post_init__(self) -> None:
         require_finite(self, "turns_hz")
@@ -191,22 +173,16 @@ class RosetteCfg(RangeSensorCfg):
     does (``LidarCfg.scan_s``). After ``frames`` frames the scan repeats.
     """
 
-    model: str = "rosette"
-    """Name of this model in a file."""
-
-    prisms: tuple[PrismCfg, ...] = ()
-    """Prisms in the order of the beam. Exactly one of this and ``path`` is given."""
-
-    lasers_deg: tuple[Angles, ...] = ((0.0, 0.0),)
-    """Azimuth and elevation of each laser before the prisms [deg], H of them, within +-45."""
+    model: str = "rosette"  # Name of this model in a file
+    prisms: tuple[PrismCfg, ...] = ()  # Prisms in the order of the beam. Exactly one of this and `path` is given
+    lasers_deg: tuple[Angles, ...] = ((0.0, 0.0),)  # Azimuth, elevation of H lasers before the prisms [deg], +-45
 
     path: str | None = None
     """CSV file with the rays in order of time, one a line, under the header ``azimuth_deg,elevation_deg`` or ``x,y,z``; of H
     lasers the rays of one pulse follow each other. In a YAML file relative to that file. Scans that makers publish
     (for example of the Livox Mid-360 and Horizon) can be given so. Needs ``frames`` W H lines."""
 
-    frames: int = 100
-    """Frames K in the table, >= 1: 12 bytes a ray."""
+    frames: int = 100  # Frames K in the table, >= 1: 12 bytes a ray
 
     scan_columns: int = 128
     """Neighbouring columns that share one pose, that of the middle of their time, from 1 (exact) to W. Multiples of 128 are

@@ -15,11 +15,8 @@ from aerial_gym.errors import ConfigError, suggest_name
 
 T = TypeVar("T")
 
-LONGEST_SHOWN = 200
-"""Characters of a value in a message."""
-
-CONFIG_DIR = Path(__file__).parent
-"""Folder of the configurations that come with the package."""
+LONGEST_SHOWN = 200  # Characters of a value in a message
+CONFIG_DIR = Path(__file__).parent  # Folder of the configurations that come with the package
 
 
 def family_files(family: str) -> dict[str, Path]:
@@ -28,8 +25,7 @@ def family_files(family: str) -> dict[str, Path]:
     return {path.stem: path for path in paths}
 
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The safe loader; the one in C, ten times as fast, where PyYAML has it."""
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # The safe loader; in C, ten times as fast, where PyYAML has it
 
 
 def read_yaml(path: str | Path) -> dict[str, object]:

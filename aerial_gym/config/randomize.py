@@ -19,45 +19,31 @@ from math import inf, isfinite
 from aerial_gym.config.checks import require, require_choice
 from aerial_gym.errors import ConfigError
 
-HOW = ("scale", "offset", "value")
-"""Kinds of draws: a factor on the declared value, an offset to it, or the value itself."""
+HOW = ("scale", "offset", "value")  # Kinds of draws: factor on the declared value, offset to it, or the value itself
 
 DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "integer")
 """Distributions. A normal one is truncated at ``low`` and ``high``, where they are given; an integer one draws whole
 numbers from ``low`` to ``high``, all equally often."""
 
 
-LARGEST_NORMAL = 5.4
-"""Standard deviations: float32 shares of probability, from which normal draws are made, lead no further."""
+LARGEST_NORMAL = 5.4  # Largest normal draw by float32 shares of probability [standard deviations]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomizeCfg:
     """Distribution of one quantity, drawn for each environment and episode."""
 
-    how: str = "scale"
-    """One of ``HOW``."""
-
-    distribution: str = "uniform"
-    """One of ``DISTRIBUTIONS``."""
+    how: str = "scale"  # One of `HOW`
+    distribution: str = "uniform"  # One of `DISTRIBUTIONS`
 
     low: float | tuple[float, ...] | None = None
     """Lowest draw, one number or one for each component; in the unit of the quantity unless it is a factor."""
 
-    high: float | tuple[float, ...] | None = None
-    """Highest draw, likewise."""
-
-    mean: float | tuple[float, ...] | None = None
-    """Of a normal distribution."""
-
-    std: float | tuple[float, ...] | None = None
-    """Of a normal distribution, > 0."""
-
-    each_rotor: bool = False
-    """Whether every rotor has a draw of its own; else all rotors have the same. For ``rotor.`` and ``mounts.*.`` quantities."""
-
-    keep_inertia: bool = False
-    """Whether a drawn ``body.mass`` leaves the inertia; else that grows with the mass."""
+    high: float | tuple[float, ...] | None = None  # Highest draw, likewise
+    mean: float | tuple[float, ...] | None = None  # Of a normal distribution
+    std: float | tuple[float, ...] | None = None  # Of a normal distribution, > 0
+    each_rotor: bool = False  # Whether each rotor has a draw of its own; of `rotor.` and `mounts.*.` quantities
+    keep_inertia: bool = False  # Whether a drawn `body.mass` leaves the inertia; else that grows with the mass
 
     correlation: Mapping[str, float] = field(default_factory=dict)
     """Of a normal distribution of one number: correlation, -1 to 1, with others of that kind by their names, each pair at one
@@ -127,5 +113,4 @@ class RandomizeCfg:
         return list(zip(*rows, strict=True))
 
 
-Randomize = Mapping[str, RandomizeCfg]
-"""Distributions by the names of quantities."""
+Randomize = Mapping[str, RandomizeCfg]  # Distributions by the names of quantities

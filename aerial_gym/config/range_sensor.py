@@ -26,20 +26,11 @@ class NoiseCfg:
     distance. Segmentation, normals and face ids stay those of the true hit. A ray that hits nothing has no noise.
     """
 
-    std_a: float = 0.0
-    """Standard deviation per squared distance [1/m]."""
-
-    std_b: float = 0.0
-    """Standard deviation per distance [-]."""
-
-    std_c: float = 0.0
-    """Standard deviation at distance 0 [m]. The whole polynomial is >= 0 between the limits of the sensor."""
-
-    mean_offset: float = 0.0
-    """Mean amount by which distances are too short [m]; negative for too long."""
-
-    dropout: float = 0.0
-    """Probability that a pixel is dropped and holds ``near_pixel``; 0 <= dropout < 1."""
+    std_a: float = 0.0  # Standard deviation per squared distance [1/m]
+    std_b: float = 0.0  # Standard deviation per distance [-]
+    std_c: float = 0.0  # Standard deviation at distance 0 [m]; the polynomial is >= 0 between the sensor's limits
+    mean_offset: float = 0.0  # Mean amount by which distances are too short [m]; negative for too long
+    dropout: float = 0.0  # Probability that a pixel is dropped and holds `near_pixel`; 0 <= dropout < 1
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "std_a", "std_b", "std_c", "mean_offset")
@@ -63,54 +54,26 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
     ``far_pixel`` (beyond ``max_range``, or nothing there) or ``near_pixel`` (closer than ``min_range``, or dropped).
     """
 
-    model: str
-    """Ray model; its name in a file selects the class."""
-
-    summary: str
-    """One line for people who choose a sensor."""
-
-    width: int
-    """Pixels in a row, >= 1."""
-
-    height: int
-    """Pixels in a column, >= 1."""
-
-    min_range: float
-    """Shortest measured distance [m], >= 0."""
-
-    max_range: float
-    """Longest measured distance [m], > min_range."""
+    model: str  # Ray model; its name in a file selects the class
+    summary: str  # One line for people who choose a sensor
+    width: int  # Pixels in a row, >= 1
+    height: int  # Pixels in a column, >= 1
+    min_range: float  # Shortest measured distance [m], >= 0
+    max_range: float  # Longest measured distance [m], > min_range
 
     kind: str = "range"
     """``depth``: distance along the sensor's x axis, for rays that all look ahead; ``range``: distance along the ray. The
     limits are of the same kind."""
 
-    normalize: bool = False
-    """Whether pixels are divided by ``max_range``, which makes them dimensionless. Points stay in metres."""
-
-    noise: NoiseCfg | None = None
-    """Noise of the distances, from the same source as the other numbers; None has none."""
-
-    noise_enabled: bool = True
-    """False keeps the numbers of ``noise`` without applying them."""
-
-    count: int = 1
-    """Sensors S of this kind on the robot, >= 1; they share the mount unless the placement is drawn."""
-
-    rate_hz: float | None = None
-    """Images per second of simulated time [Hz], > 0; between two of them the last one stays. None: one at every step."""
-
-    latency_s: float = 0.0
-    """Age of an image when it appears [s], >= 0."""
-
-    far_out_of_range_value: float | None = None
-    """Distance [m] that marks "too far"; None takes max_range when normalising and -1 otherwise."""
-
-    near_out_of_range_value: float | None = None
-    """Distance [m] that marks "too near"; None takes -max_range when normalising and -1 otherwise."""
-
-    source: str
-    """Source of the numbers."""
+    normalize: bool = False  # Whether pixels are shares of `max_range`; points stay in metres
+    noise: NoiseCfg | None = None  # Noise of the distances, from the same source as the other numbers; None has none
+    noise_enabled: bool = True  # False keeps the numbers of `noise` without applying them
+    count: int = 1  # Sensors S of this kind on the robot, >= 1; they share the mount unless the placement is drawn
+    rate_hz: float | None = None  # Images per second of simulated time [Hz], > 0, held in between; None: at every step
+    latency_s: float = 0.0  # Age of an image when it appears [s], >= 0
+    far_out_of_range_value: float | None = None  # Pixel of "too far" [m]; None: max_range when normalising, else -1
+    near_out_of_range_value: float | None = None  # Pixel of "too near" [m]; None: -max_range when normalising, else -1
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         own = getattr(type(self), "model", None)

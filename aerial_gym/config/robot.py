@@ -46,18 +46,14 @@ __all__ = [
 class BodyCfg:
     """Mass and inertia of the whole vehicle, rotors and links included, in its reference pose."""
 
-    mass: float
-    """Mass [kg], > 0."""
+    mass: float  # Mass [kg], > 0
 
     inertia: tuple[Vec3, Vec3, Vec3]
     """Inertia about the composite centre of mass [kg m²], body axes; symmetric, positive definite, and each principal
     moment at most the sum of the others (no real body violates this)."""
 
-    com: Vec3 = (0.0, 0.0, 0.0)
-    """Centre of mass from the body origin [m], body axes."""
-
-    source: str
-    """Source of the numbers."""
+    com: Vec3 = (0.0, 0.0, 0.0)  # Centre of mass from the body origin [m], body axes
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "mass")
@@ -69,26 +65,13 @@ class BodyCfg:
 class BatteryCfg:
     """Voltage, internal resistance and capacity of the battery; only effects that depend on it need them."""
 
-    nominal_voltage: float
-    """At which the rotors reach the commanded speeds [V], > 0."""
-
-    full_voltage: float
-    """Without load, fully charged [V], > 0. Each reset starts here."""
-
-    empty_voltage: float
-    """Without load, when ``capacity`` is drawn [V], > 0 and at most ``full_voltage``."""
-
-    internal_resistance: float
-    """Of cells, wires and plugs together [Ohm], >= 0."""
-
-    capacity: float
-    """Charge from full to empty [A s], > 0; 1 A h is 3600 A s."""
-
-    efficiency: float = 1.0
-    """Mechanical power of the rotors per electrical power of the battery, in (0, 1]."""
-
-    source: str
-    """Source of the numbers."""
+    nominal_voltage: float  # At which the rotors reach the commanded speeds [V], > 0
+    full_voltage: float  # Without load, fully charged [V], > 0. Each reset starts here
+    empty_voltage: float  # Without load, when `capacity` is drawn [V], > 0 and at most `full_voltage`
+    internal_resistance: float  # Of cells, wires and plugs together [Ohm], >= 0
+    capacity: float  # Charge from full to empty [A s], > 0; 1 A h is 3600 A s
+    efficiency: float = 1.0  # Mechanical power of the rotors per electrical power of the battery, in (0, 1]
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "nominal_voltage", "full_voltage", "empty_voltage", "capacity", "efficiency")
@@ -102,20 +85,11 @@ class BatteryCfg:
 class MountCfg:
     """Place of one rotor."""
 
-    position: Vec3
-    """Hub from the body origin [m], body axes."""
-
-    axis: Vec3 = (0.0, 0.0, 1.0)
-    """Direction of positive thrust, body axes; made unit length."""
-
-    spin: int
-    """+1 if the rotor turns positively about its axis, -1 if negatively. The body feels ``-spin`` times the torque."""
-
-    rotor: str | None = None
-    """Name in ``rotors`` of its type; none where all mounts have the one type ``rotor``."""
-
-    link: str = BASE
-    """Carrier: ``base``, or the joint whose link carries it (``config.joint``)."""
+    position: Vec3  # Hub from the body origin [m], body axes
+    axis: Vec3 = (0.0, 0.0, 1.0)  # Direction of positive thrust, body axes; made unit length
+    spin: int  # +1 if the rotor turns positively about its axis, else -1. The body feels `-spin` times the torque
+    rotor: str | None = None  # Name in `rotors` of its type; none where all mounts have the one type `rotor`
+    link: str = BASE  # Carrier: `base`, or the joint whose link carries it (`config.joint`)
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "position", "axis")
@@ -127,11 +101,8 @@ class MountCfg:
 class MountsCfg:
     """Places of all rotors, in the order of commands and logs."""
 
-    layout: tuple[MountCfg, ...]
-    """At least one."""
-
-    source: str
-    """Source of the numbers."""
+    layout: tuple[MountCfg, ...]  # At least one
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require(self, "layout", bool(self.layout), "needs at least one rotor")
@@ -141,29 +112,14 @@ class MountsCfg:
 class InitialStateCfg:
     """Uniform ranges from which a reset draws."""
 
-    position_ratio_low: Vec3 = (0.1, 0.15, 0.15)
-    """Lowest position as a share of the environment's bounds (0 lower face, 1 upper face)."""
-
-    position_ratio_high: Vec3 = (0.2, 0.85, 0.85)
-    """Highest position, likewise."""
-
-    euler_low: Vec3 = (0.0, 0.0, -0.5235988)
-    """Lowest ZYX roll, pitch, yaw [rad]."""
-
-    euler_high: Vec3 = (0.0, 0.0, 0.5235988)
-    """Highest roll, pitch, yaw [rad]."""
-
-    lin_vel_low: Vec3 = (-0.2, -0.2, -0.2)
-    """Lowest velocity [m/s], world."""
-
-    lin_vel_high: Vec3 = (0.2, 0.2, 0.2)
-    """Highest velocity [m/s], world."""
-
-    ang_vel_low: Vec3 = (-0.2, -0.2, -0.2)
-    """Lowest angular velocity [rad/s], body."""
-
-    ang_vel_high: Vec3 = (0.2, 0.2, 0.2)
-    """Highest angular velocity [rad/s], body."""
+    position_ratio_low: Vec3 = (0.1, 0.15, 0.15)  # Lowest position, a share of the bounds (0 lower, 1 upper face)
+    position_ratio_high: Vec3 = (0.2, 0.85, 0.85)  # Highest position, likewise
+    euler_low: Vec3 = (0.0, 0.0, -0.5235988)  # Lowest ZYX roll, pitch, yaw [rad]
+    euler_high: Vec3 = (0.0, 0.0, 0.5235988)  # Highest roll, pitch, yaw [rad]
+    lin_vel_low: Vec3 = (-0.2, -0.2, -0.2)  # Lowest velocity [m/s], world
+    lin_vel_high: Vec3 = (0.2, 0.2, 0.2)  # Highest velocity [m/s], world
+    ang_vel_low: Vec3 = (-0.2, -0.2, -0.2)  # Lowest angular velocity [rad/s], body
+    ang_vel_high: Vec3 = (0.2, 0.2, 0.2)  # Highest angular velocity [rad/s], body
 
     def __post_init__(self) -> None:
         checks.require_ranges(self, "position_ratio", "euler", "lin_vel", "ang_vel")
@@ -173,44 +129,29 @@ class InitialStateCfg:
 class RobotCfg:
     """A multirotor."""
 
-    summary: str
-    """One line for people who choose a robot."""
-
-    body: BodyCfg
-    """Mass and inertia."""
-
-    rotor: RotorCfg | None = None
-    """The rotor type of all mounts. Exactly one of this and ``rotors`` is given."""
+    summary: str  # One line for people who choose a robot
+    body: BodyCfg  # Mass and inertia
+    rotor: RotorCfg | None = None  # The rotor type of all mounts. Exactly one of this and `rotors` is given
 
     rotors: Mapping[str, RotorCfg] = field(default_factory=dict)
     """Rotor types by name, where mounts differ; each mount then names its own (``rotor: name``)."""
 
-    mounts: MountsCfg
-    """Positions and axes of the rotors."""
-
-    joints: JointsCfg | None = None
-    """Joints; None for a rigid vehicle. All other numbers are for the reference pose."""
-
-    collision: CollisionCfg
-    """Collision shapes."""
-
-    initial_state: InitialStateCfg = InitialStateCfg()
-    """Initial state, drawn at reset."""
+    mounts: MountsCfg  # Positions and axes of the rotors
+    joints: JointsCfg | None = None  # Joints; None for a rigid vehicle. All other numbers are for the reference pose
+    collision: CollisionCfg  # Collision shapes
+    initial_state: InitialStateCfg = InitialStateCfg()  # Initial state, drawn at reset
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
     """Quantities drawn at every reset of an environment, by name (``docs/guides/randomise.md``)."""
 
-    battery: BatteryCfg | None = None
-    """The battery; only effects that depend on it need it."""
-
+    battery: BatteryCfg | None = None  # The battery; only effects that depend on it need it
     control: ControlCfg = field(default_factory=ControlCfg)
     """Control settings: bandwidths, damping, limits, or explicit gains; missing ones are derived."""
 
     sensors: tuple[str | SensorMountCfg, ...] = ()
     """Sensors and IMUs on board: a name or a file in the sensor's own place, or a mount of its own."""
 
-    imu: str | None = None
-    """Additional IMU, before those of ``sensors``, which writes ``imu_measurement``."""
+    imu: str | None = None  # Additional IMU, before those of `sensors`, which writes `imu_measurement`
 
     visible: bool = False
     """Whether sensors see it: its own, and the shadow that it throws in their colour images. It is never part of the
@@ -224,11 +165,8 @@ class RobotCfg:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Physical effects beyond rigid body and rotors: parameters by effect name (``aerial-gym list effects``)."""
 
-    effects_source: str = ""
-    """Source of the numbers of effects; required with effects."""
-
-    learned_residual: LearnedResidualCfg | None = None
-    """Force and torque, learned from flights, that no effect explains."""
+    effects_source: str = ""  # Source of the numbers of effects; required with effects
+    learned_residual: LearnedResidualCfg | None = None  # Force and torque learned from flights, beyond all effects
 
     @property
     def num_rotors(self) -> int:

@@ -18,8 +18,7 @@ from aerial_gym.config.checks import (
 )
 from aerial_gym.errors import ConfigError
 
-ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")
-"""Special features of rotors, beyond an unsigned speed that follows its command with a lag."""
+ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")  # Features beyond an unsigned, lagging speed
 
 
 POLYNOMIAL_MAP = "polynomial"
@@ -30,52 +29,24 @@ POLYNOMIAL_MAP = "polynomial"
 class RotorCfg:
     """Mode, thrust curve, drag torque, lag and limits of one rotor type."""
 
-    mode: str = "speed"
-    """``speed``: the state is the speed [rad/s]; ``force``: it is the thrust [N], and no thrust map is needed."""
-
-    rotor_map: str = field(default=POLYNOMIAL_MAP, repr=False)  # a state of release 0.1 has the digest of its repr
-    """Name in ``aerial_gym.physics.ROTOR_MAPS``: the terms of the speed that the coefficients below multiply."""
-
-    thrust_map: Vec3 = (0.0, 0.0, 0.0)
-    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s], c2 > 0, or coefficients of another ``rotor_map``. Needed in speed
-    mode, and only there."""
-
-    torque_ratio: float | None = None
-    """Drag torque per thrust [m], >= 0. Exactly one of this and ``torque_map`` is given."""
-
-    torque_map: Vec3 | None = None
-    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s], or coefficients of another ``rotor_map``; in speed mode."""
-
-    reverse_thrust_map: Vec3 | None = None
-    """Of a reversible rotor that turns backwards, of the size of w; as ``thrust_map`` if not given."""
-
-    reverse_torque_map: Vec3 | None = None
-    """Likewise; if not given, ``torque_map``, or ``torque_ratio`` times the reverse thrust map."""
-
-    time_constant_up: float
-    """First-order lag of a state that grows in size [s], > 0."""
-
-    time_constant_down: float
-    """First-order lag of a state that falls in size [s], > 0."""
+    mode: str = "speed"  # State: `speed` [rad/s], with a thrust map, or `force`, the thrust [N], without
+    thrust_map: Vec3 = (0.0, 0.0, 0.0)  # Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s], c2 > 0; speed mode only
+    torque_ratio: float | None = None  # Drag torque per thrust [m], >= 0. Exactly one of this and `torque_map` is given
+    torque_map: Vec3 | None = None  # Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s]; in speed mode
+    reverse_thrust_map: Vec3 | None = None  # Thrust of a reversible rotor in reverse, of |w|; `thrust_map` if not given
+    reverse_torque_map: Vec3 | None = None  # Likewise; default: `torque_map`, or `torque_ratio` times the reverse map
+    time_constant_up: float  # First-order lag of a state that grows in size [s], > 0
+    time_constant_down: float  # First-order lag of a state that falls in size [s], > 0
 
     thrust_range: tuple[float, float]
     """Lowest and highest thrust [N] that may be commanded, low < high, high > 0. A lowest one below 0 makes the rotor
     reversible."""
 
-    slew_rate: float | None = None
-    """Largest rate at which the size of the state grows [rad/s², in force mode N/s], > 0; no limit if not given."""
-
-    slew_rate_down: float | None = None
-    """Largest rate at which it falls, likewise; ``slew_rate`` if not given."""
-
-    dead_band: float = 0.0
-    """Dead band: a command of smaller size [rad/s, in force mode N] stops the rotor, >= 0."""
-
-    radius: float | None = None
-    """Of the propeller [m], > 0; only effects that depend on it need it."""
-
-    source: str
-    """Source of the numbers."""
+    slew_rate: float | None = None  # Largest growth of the state's size [rad/s², in force mode N/s], > 0; None: any
+    slew_rate_down: float | None = None  # Largest rate at which it falls, likewise; `slew_rate` if not given
+    dead_band: float = 0.0  # Dead band: a command of smaller size [rad/s, in force mode N] stops the rotor, >= 0
+    radius: float | None = None  # Of the propeller [m], > 0; only effects that depend on it need it
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_positive(self, "time_constant_up", "time_constant_down", "radius", "slew_rate", "slew_rate_down")

@@ -44,11 +44,8 @@ MODELS: dict[str, type[RangeSensorCfg]] = {
 """Class of each ``model``."""
 
 
-ScannedCfg = LidarCfg | RosetteCfg
-"""A sensor that measures its columns one after the other, if its ``column_s`` is not None."""
-
-SensorCfg = RangeSensorCfg | ImuCfg
-"""Any sensor of a robot."""
+ScannedCfg = LidarCfg | RosetteCfg  # A sensor that measures column after column, if its `column_s` is not None
+SensorCfg = RangeSensorCfg | ImuCfg  # Any sensor of a robot
 
 
 def load_sensor(path: str | Path) -> RangeSensorCfg:

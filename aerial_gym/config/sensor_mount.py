@@ -17,23 +17,12 @@ from aerial_gym.errors import ConfigError
 class PlacementCfg:
     """Nominal placement of a sensor, and the range of its draws at reset."""
 
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Nominal place from the body origin [m], body axes: where rays begin, where accelerometers are."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """Nominal ZYX roll, pitch, yaw from body to sensor [rad], within +-2 pi."""
-
-    position_low: Vec3 | None = None
-    """Lowest position [m], body axes, of the uniform draw per environment and sensor at reset; None keeps ``position``."""
-
-    position_high: Vec3 | None = None
-    """Highest one; given with ``position_low``, and ``position`` lies between them."""
-
-    euler_low: Vec3 | None = None
-    """Lowest Euler angles [rad] of the uniform draw per environment and sensor at reset; None keeps ``euler``."""
-
-    euler_high: Vec3 | None = None
-    """Highest ones; given with ``euler_low``, and ``euler`` lies between them."""
+    position: Vec3 = (0.0, 0.0, 0.0)  # Nominal place of rays or accelerometers from the body origin [m], body axes
+    euler: Vec3 = (0.0, 0.0, 0.0)  # Nominal ZYX roll, pitch, yaw from body to sensor [rad], within +-2 pi
+    position_low: Vec3 | None = None  # Lowest drawn position at a reset [m], body axes; None keeps `position`
+    position_high: Vec3 | None = None  # Highest one; given with `position_low`, and `position` lies between them
+    euler_low: Vec3 | None = None  # Lowest drawn Euler angles at a reset [rad]; None keeps `euler`
+    euler_high: Vec3 | None = None  # Highest ones; given with `euler_low`, and `euler` lies between them
 
     def check_placement(self) -> None:
         """Raise ``ConfigError`` unless the numbers are finite and each nominal one lies between its ends."""
@@ -51,8 +40,7 @@ class PlacementCfg:
 
 Quat = tuple[float, float, float, float]
 
-BODY = "body"
-"""Default carrier of sensors; the name of a joint stands for its link."""
+BODY = "body"  # Default carrier of sensors; the name of a joint stands for its link
 
 
 def is_file(name: str) -> bool:
@@ -71,8 +59,7 @@ class SensorMountCfg:
     its own axes.
     """
 
-    sensor: str
-    """Registered sensor or IMU, or the path of a sensor's or IMU's YAML file, relative to the robot's own file."""
+    sensor: str  # Registered sensor or IMU, or the path of its YAML file, relative to the robot's own file
 
     name: str | None = None
     """Its own name on this robot, in ``snake_case``; that of the sensor, or of its file, if not given. It stands in front of
@@ -82,20 +69,11 @@ class SensorMountCfg:
     """Carrier: ``body``, or the joint whose link carries it. The pose is relative to its frame; that of a
     link is the body's in the reference pose, so that the place of a sensor on an arm counts from the body origin."""
 
-    position: Vec3 | None = None
-    """Of the sensor in its parent's frame [m]."""
-
-    euler: Vec3 | None = None
-    """ZYX roll, pitch, yaw from parent to sensor [rad], within +-2 pi. At most one of this and ``quaternion``."""
-
-    quaternion: Quat | None = None
-    """Attitude of the sensor, sensor to parent, xyzw; made unit length."""
-
-    rate_hz: float | None = None
-    """Measurements per second of simulated time [Hz], > 0; the sensor's own if not given."""
-
-    latency_s: float | None = None
-    """Age of a measurement when it appears [s], >= 0; the sensor's own if not given."""
+    position: Vec3 | None = None  # Of the sensor in its parent's frame [m]
+    euler: Vec3 | None = None  # ZYX roll, pitch, yaw from parent to sensor [rad], within +-2 pi; or `quaternion`
+    quaternion: Quat | None = None  # Attitude of the sensor, sensor to parent, xyzw; made unit length
+    rate_hz: float | None = None  # Measurements per second of simulated time [Hz], > 0; the sensor's own if not given
+    latency_s: float | None = None  # Age of a measurement when it appears [s], >= 0; the sensor's own if not given
 
     @property
     def link(self) -> str:

@@ -12,17 +12,10 @@ from aerial_gym.config import checks
 from aerial_gym.config.checks import MAX_MADE, Vec3
 from aerial_gym.errors import ConfigError
 
-FIRST_INSTANCE_ID = 100
-"""Instance ids start here, so that the semantic ids 0 to 99 never meet one. Source: parity with Aerial Gym (3.5)."""
-
-ROBOT_ID = 0
-"""Segmentation id of a visible robot. Source: parity with Aerial Gym (3.5)."""
-
-GROUND_ID = 15
-"""Segmentation id of the ground: the first after those of the walls, 9 to 14 (parity 2.2)."""
-
-BASE = "base"
-"""Name of the link of a robot that is no joint's: the body itself."""
+FIRST_INSTANCE_ID = 100  # First instance id, beyond semantic ids 0 to 99. Source: parity with Aerial Gym (3.5)
+ROBOT_ID = 0  # Segmentation id of a visible robot. Source: parity with Aerial Gym (3.5)
+GROUND_ID = 15  # Segmentation id of the ground: the first after those of the walls, 9 to 14 (parity 2.2)
+BASE = "base"  # Name of the link of a robot that is no joint's: the body itself
 
 _FIELDS_OF_KIND = {
     "box": ("size",),
@@ -58,11 +51,8 @@ class CheckerCfg:
     and turns with the shape. Each pixel shows the field that its ray meets; far fields are not blurred.
     """
 
-    size: float
-    """Edge of a field [m], > 0."""
-
-    color: Vec3 = (0.25, 0.25, 0.25)
-    """Red, green, blue of every second field, each 0 to 1."""
+    size: float  # Edge of a field [m], > 0
+    color: Vec3 = (0.25, 0.25, 0.25)  # Red, green, blue of every second field, each 0 to 1
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "size")
@@ -73,20 +63,11 @@ class CheckerCfg:
 class PartCfg:
     """A shape at its place in a compound: a link of a URDF, a branch of a tree."""
 
-    shape: "ShapeCfg"
-    """A shape that is one body: anything but a compound or a URDF."""
-
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Of the shape's origin in the frame of the compound [m]."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from the compound to the shape [rad], within +-2 pi."""
-
-    semantic_id: int | None = None
-    """Segmentation id of this part; the asset's own if not given."""
-
-    link: str = BASE
-    """For robots with joints: the joint whose link carries it; its pose is in body axes, in the reference pose."""
+    shape: "ShapeCfg"  # A shape that is one body: anything but a compound or a URDF
+    position: Vec3 = (0.0, 0.0, 0.0)  # Of the shape's origin in the frame of the compound [m]
+    euler: Vec3 = (0.0, 0.0, 0.0)  # ZYX roll, pitch, yaw from the compound to the shape [rad], within +-2 pi
+    semantic_id: int | None = None  # Segmentation id of this part; the asset's own if not given
+    link: str = BASE  # For robots with joints: the joint whose link carries it; pose in body axes, reference pose
 
     def __post_init__(self) -> None:
         if self.shape.kind in ("compound", "urdf"):
@@ -105,20 +86,11 @@ class ShapeCfg:
     below its z = 0, without end), ``mesh`` (path), ``compound`` (parts), ``urdf`` (path: every link becomes a part,
     joints at zero)."""
 
-    size: Vec3 | None = None
-    """Edge lengths of a box [m], each > 0."""
-
-    radius: float | None = None
-    """Radius [m], > 0."""
-
-    height: float | None = None
-    """Length of the cylindrical part along z [m], > 0; a capsule is longer by twice its radius."""
-
-    path: str | None = None
-    """Mesh file that trimesh reads, or URDF; ``load_environment`` takes it relative to the environment's own file."""
-
-    parts: tuple[PartCfg, ...] | None = None
-    """Parts of a compound; at least one."""
+    size: Vec3 | None = None  # Edge lengths of a box [m], each > 0
+    radius: float | None = None  # Radius [m], > 0
+    height: float | None = None  # Length of the cylindrical part along z [m], > 0; a capsule adds twice its radius
+    path: str | None = None  # Mesh file for trimesh, or URDF; `load_environment` counts from the environment's own file
+    parts: tuple[PartCfg, ...] | None = None  # Parts of a compound; at least one
 
     color: Vec3 | None = None
     """Red, green, blue of its surface as colour cameras see it, each 0 to 1. If not given: a mesh has the colours of its
@@ -129,18 +101,14 @@ class ShapeCfg:
     checker: CheckerCfg | None = None
     """Fields of a second colour, in the shape's own frame; a compound and a URDF have none, but their parts may."""
 
-    scale: float = 1.0
-    """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
+    scale: float = 1.0  # Factor on the coordinates of a mesh, > 0; 1 for every other kind
 
     up: str | None = None
     """Axis of the mesh file that points up: ``x``, ``y`` or ``z``. If not given: ``y`` of a glTF file, what a Collada file
     says (in a URDF ``z``, as RViz, MoveIt and Gazebo take it), and ``z`` of all other files."""
 
-    link_ids: Mapping[str, int] | None = None
-    """Segmentation ids of named links of a URDF, 0 to 99; every name must be one of its links."""
-
-    first_link_id: int | None = None
-    """First id of the other links of a URDF, counting up; if not given, they have the asset's id."""
+    link_ids: Mapping[str, int] | None = None  # Segmentation ids of named links of a URDF, 0 to 99
+    first_link_id: int | None = None  # First id of other links of a URDF, counting up; if not given, the asset's
 
     def __post_init__(self) -> None:
         checks.require_choice(self, "kind", _FIELDS_OF_KIND)
@@ -182,14 +150,9 @@ class ShapeCfg:
 class FamilyCfg:
     """Shapes made by a rule from a seed: see ``aerial_gym.assets.families`` for the rules and their numbers."""
 
-    name: str
-    """Name of the family."""
-
-    variants: int
-    """Number of different shapes, >= 1; the first n of them do not depend on this number."""
-
-    seed: int = 0
-    """Same seed, same shapes; >= 0."""
+    name: str  # Name of the family
+    variants: int  # Number of different shapes, >= 1; the first n of them do not depend on this number
+    seed: int = 0  # Same seed, same shapes; >= 0
 
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Lowest and highest value of numbers that shall differ from the family's own."""

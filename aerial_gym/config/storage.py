@@ -14,8 +14,7 @@ from typing import Any
 
 from aerial_gym.errors import AerialGymError, ConfigError, StorageError
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Codes of a disk, a quota or a limit that is reached."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Codes of a disk, a quota or a limit that is reached
 
 
 def write_atomic(path: str | Path, content: bytes | str) -> None:

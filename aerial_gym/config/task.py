@@ -21,14 +21,9 @@ from aerial_gym.config.task_terms import (
 )
 from aerial_gym.errors import ConfigError
 
-POLICY = "policy"
-"""Group of observations that the policy sees."""
-
-OBSERVATIONS = "observations"
-"""Name under which a task gives the group ``policy``; no other group or image has it."""
-
-ENDS = ("crash", "success")
-"""Names under which rewards of ends are logged, reserved for them."""
+POLICY = "policy"  # Group of observations that the policy sees
+OBSERVATIONS = "observations"  # Name under which a task gives the group `policy`; no other group or image has it
+ENDS = ("crash", "success")  # Names under which rewards of ends are logged, reserved for them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,29 +34,14 @@ class CurriculumCfg:
     finished episodes of all environments together it is raised, lowered or left, and holds from the next resets on.
     """
 
-    min_level: int
-    """Fewest rows, >= 0; at least the rows that the environment always keeps."""
-
-    max_level: int
-    """Most rows, > min_level; at most the rows of the environment."""
-
-    check_after: int
-    """Finished episodes between two decisions, >= 1."""
-
-    raise_above: float
-    """Share of successes above which the level is raised, lower_below <= raise_above <= 1."""
-
-    lower_below: float
-    """Share of successes below which it is lowered, 0 <= lower_below <= raise_above."""
-
-    raise_by: int
-    """Rows by which it is raised, >= 0."""
-
-    lower_by: int
-    """Rows by which it is lowered, >= 0; 0, and ``raise_by`` 0 as well, keeps the first level for ever."""
-
-    start_level: int | None = None
-    """First level, from min_level to max_level; min_level if not given."""
+    min_level: int  # Fewest rows, >= 0; at least the rows that the environment always keeps
+    max_level: int  # Most rows, > min_level; at most the rows of the environment
+    check_after: int  # Finished episodes between two decisions, >= 1
+    raise_above: float  # Share of successes above which the level is raised, lower_below <= raise_above <= 1
+    lower_below: float  # Share of successes below which it is lowered, 0 <= lower_below <= raise_above
+    raise_by: int  # Rows by which it is raised, >= 0
+    lower_by: int  # Rows by which it is lowered, >= 0; 0, and `raise_by` 0 as well, keeps the first level for ever
+    start_level: int | None = None  # First level, from min_level to max_level; min_level if not given
 
     def __post_init__(self) -> None:
         low, high = self.min_level, self.max_level
@@ -97,32 +77,15 @@ class TaskCfg:
     }
     """Fields that it no longer has."""
 
-    summary: str
-    """One line for people who choose a task."""
-
-    sim: str
-    """Registered sim."""
-
-    env: str | EnvironmentCfg
-    """Registered environment, path of an environment file, or an environment itself."""
-
-    robot: str
-    """Registered robot."""
-
-    controller: str
-    """Registered controller."""
-
-    num_envs: int
-    """Default number of environments, >= 1."""
-
-    episode_len_steps: int
-    """Steps after which an episode times out, >= 1."""
-
-    start: InitialStateCfg | None = None
-    """Initial state of episodes in place of the robot's own, used by ``make_task``."""
-
-    time_out_bootstraps: bool = True
-    """Whether the value continues after such an end (``truncated``), or is 0 (``terminated``)."""
+    summary: str  # One line for people who choose a task
+    sim: str  # Registered sim
+    env: str | EnvironmentCfg  # Registered environment, path of an environment file, or an environment itself
+    robot: str  # Registered robot
+    controller: str  # Registered controller
+    num_envs: int  # Default number of environments, >= 1
+    episode_len_steps: int  # Steps after which an episode times out, >= 1
+    start: InitialStateCfg | None = None  # Initial state of episodes in place of the robot's own, used by `make_task`
+    time_out_bootstraps: bool = True  # Whether the value goes on after that end (`truncated`), or is 0 (`terminated`)
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
     """Quantities drawn at every reset, in addition to those of robot and environment; equal names replace them."""
@@ -130,43 +93,29 @@ class TaskCfg:
     command: CommandCfg | None = field(default_factory=lambda: CommandCfg(generator="point"))
     """Command generator; None for a task without a target."""
 
-    action: ActionCfg = field(default_factory=ActionCfg)
-    """Conversion of actions to controller commands."""
+    action: ActionCfg = field(default_factory=ActionCfg)  # Conversion of actions to controller commands
 
     observations: Mapping[str, tuple[ObservationCfg, ...]]
     """Groups of terms in the order in which they stand side by side: ``policy``, and as many others as wanted, such as
     ``critic`` with what only a simulation knows."""
 
-    faults: Mapping[str, FaultCfg] = field(default_factory=dict)
-    """Sensor faults by the names that observations refer to."""
+    faults: Mapping[str, FaultCfg] = field(default_factory=dict)  # Sensor faults by the names in observations
 
     encoder: str | None = None
     """Encoder file (``aerial-gym train-encoder``), or one that comes with the package, whose latents of the first range
     sensor's image the term ``image_latents`` shows."""
 
-    images: Mapping[str, ImageCfg] = field(default_factory=dict)
-    """Raw images besides the groups, by their observation key."""
-
-    rewards: Mapping[str, RewardCfg]
-    """Reward terms by the names under which they are logged; the reward is their sum."""
-
-    crash_reward: EndRewardCfg | None = None
-    """Reward of a crash; None: that of the terms alone."""
-
-    success_reward: EndRewardCfg | None = None
-    """Reward of a success in the step in which it counts, likewise."""
-
-    terminations: Mapping[str, TerminationCfg]
-    """Conditions that end episodes, besides the time limit, by name."""
-
-    curriculum: CurriculumCfg | None = None
-    """Number of obstacles by the share of successes; None has all of them from the start."""
+    images: Mapping[str, ImageCfg] = field(default_factory=dict)  # Raw images besides the groups, by observation key
+    rewards: Mapping[str, RewardCfg]  # Reward terms by the names under which they are logged; the reward is their sum
+    crash_reward: EndRewardCfg | None = None  # Reward of a crash; None: that of the terms alone
+    success_reward: EndRewardCfg | None = None  # Reward of a success in the step in which it counts, likewise
+    terminations: Mapping[str, TerminationCfg]  # Conditions that end episodes, besides the time limit, by name
+    curriculum: CurriculumCfg | None = None  # Number of obstacles by the share of successes; None: all from the start
 
     imports: tuple[str, ...] = ()
     """Python files, from the folder of the task's own file on, or modules, that register what this task chooses by name."""
 
-    source: str
-    """Source of the numbers."""
+    source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_count(self, "num_envs", "episode_len_steps")

@@ -10,11 +10,8 @@ from math import inf, isfinite
 from aerial_gym.config import checks
 from aerial_gym.config.checks import MAX_MADE
 
-Params = Mapping[str, object]
-"""Numbers, texts and lists of them by name; the term's signature gives their types."""
-
-Steps = int | tuple[int, int]
-"""Steps, or the fewest and the most, of which every episode draws one number."""
+Params = Mapping[str, object]  # Numbers, texts and lists of them by name; the term's signature gives their types
+Steps = int | tuple[int, int]  # Steps, or the fewest and the most, of which every episode draws one number
 
 
 def _require_steps(config: object, name: str) -> None:
@@ -27,8 +24,7 @@ def steps_range(steps: Steps) -> tuple[int, int]:
     return (steps, steps) if isinstance(steps, int) else steps
 
 
-FAULTS = ("lost", "jump")
-"""Kinds of sensor faults."""
+FAULTS = ("lost", "jump")  # Kinds of sensor faults
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,14 +39,9 @@ class FaultCfg:
     """Environment step of the episode at which it begins, >= 0; two numbers: each episode draws one from the first to the
     second."""
 
-    duration_steps: Steps
-    """Duration in steps, likewise."""
-
-    size: float = 0.0
-    """Largest offset of a jump, in the unit of the term, > 0; of each entry it is uniform from minus it to it."""
-
-    share: float = 1.0
-    """Of the episodes that have it, > 0 and <= 1."""
+    duration_steps: Steps  # Duration in steps, likewise
+    size: float = 0.0  # Largest offset of a jump, in the unit of the term, > 0; each entry's is uniform within +- it
+    share: float = 1.0  # Of the episodes that have it, > 0 and <= 1
 
     def __post_init__(self) -> None:
         checks.require_choice(self, "how", FAULTS)
@@ -65,37 +56,24 @@ class FaultCfg:
 class ObservationCfg:
     """One term of a group of observations: noise, dropout, fault, then delay, history and scale, in this order."""
 
-    term: str
-    """Name in ``aerial_gym.task.OBSERVATIONS``, or a key of the GTD or a task buffer itself."""
-
-    params: Params = field(default_factory=dict)
-    """Numbers of the term by name."""
-
-    noise_std: float = 0.0
-    """Standard deviation of white noise added to every entry, in the unit of the term, >= 0."""
-
-    dropout: float = 0.0
-    """Probability that an entry is dropped, of each by itself at every step, 0 <= dropout < 1."""
-
-    dropout_value: float = 0.0
-    """Value of a dropped or lost entry, in the unit of the term; finite."""
+    term: str  # Name in `aerial_gym.task.OBSERVATIONS`, or a key of the GTD or a task buffer itself
+    params: Params = field(default_factory=dict)  # Numbers of the term by name
+    noise_std: float = 0.0  # Standard deviation of white noise added to every entry, in the unit of the term, >= 0
+    dropout: float = 0.0  # Probability that an entry is dropped, of each by itself at every step, 0 <= dropout < 1
+    dropout_value: float = 0.0  # Value of a dropped or lost entry, in the unit of the term; finite
 
     hold_steps: int = 0
     """Steps for which a dropped entry shows what it held last, noise included, before it shows ``dropout_value``, >= 0. An
     entry dropped in the first observation of an episode held ``dropout_value``."""
 
-    fault: str | None = None
-    """Name in ``TaskCfg.faults``."""
+    fault: str | None = None  # Name in `TaskCfg.faults`
 
     delay_steps: Steps = 0
     """Environment steps by which it is late, >= 0; two numbers: each episode draws one from the first to the second. Before
     so many steps have passed it shows the first observation of the episode."""
 
-    history: int = 1
-    """Number of successive values in the observation, oldest first, >= 1."""
-
-    scale: float = 1.0
-    """Factor on every entry, noise included; finite and not 0."""
+    history: int = 1  # Number of successive values in the observation, oldest first, >= 1
+    scale: float = 1.0  # Factor on every entry, noise included; finite and not 0
 
     def __post_init__(self) -> None:
         checks.require_not_negative(self, "noise_std")
@@ -108,25 +86,17 @@ class ObservationCfg:
         checks.require(self, "scale", isfinite(self.scale) and self.scale != 0.0, "must be finite and not 0")
 
 
-IMAGE_TYPES = ("uint8", "float16", "float32")
-"""Types in which an image can be observed."""
+IMAGE_TYPES = ("uint8", "float16", "float32")  # Types in which an image can be observed
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageCfg:
     """A raw image among the observations."""
 
-    key: str = "depth_range_pixels"
-    """Of the GTD, (E, S, H, W) or (E, S, H, W, K)."""
-
-    dtype: str = "uint8"
-    """``uint8``: 0 to 255; ``float16``, ``float32``: 0 to 1."""
-
-    largest: float | None = None
-    """Image value for 255 or 1, in the unit of the image, > 0; that of its range sensor if not given."""
-
-    history: int = 1
-    """Number of successive images, oldest first, the axis before the sensors, >= 1."""
+    key: str = "depth_range_pixels"  # Of the GTD, (E, S, H, W) or (E, S, H, W, K)
+    dtype: str = "uint8"  # `uint8`: 0 to 255; `float16`, `float32`: 0 to 1
+    largest: float | None = None  # Image value of 255 or 1, in its unit, > 0; that of its range sensor if not given
+    history: int = 1  # Number of successive images, oldest first, the axis before the sensors, >= 1
 
     def __post_init__(self) -> None:
         checks.require_choice(self, "dtype", IMAGE_TYPES)
@@ -138,20 +108,11 @@ class ImageCfg:
 class RewardCfg:
     """One term of the reward: ``(weight + difficulty_weight c) value (sum of the terms in times)``, c the difficulty."""
 
-    term: str
-    """Name in ``aerial_gym.task.REWARDS``."""
-
-    params: Params = field(default_factory=dict)
-    """Numbers of the term by name."""
-
-    weight: float = 1.0
-    """Finite."""
-
-    difficulty_weight: float = 0.0
-    """Added to the weight where the curriculum has come to its highest level, a share of it before; finite."""
-
-    times: tuple[str, ...] = ()
-    """Names of reward terms, without factors of their own, whose sum multiplies this term; none: 1."""
+    term: str  # Name in `aerial_gym.task.REWARDS`
+    params: Params = field(default_factory=dict)  # Numbers of the term by name
+    weight: float = 1.0  # Finite
+    difficulty_weight: float = 0.0  # Added to the weight at the highest level, a share of it before; finite
+    times: tuple[str, ...] = ()  # Names of reward terms without factors whose sum multiplies this term; none: 1
 
     def __post_init__(self) -> None:
         checks.require_float32(self, "weight", "difficulty_weight")
@@ -161,39 +122,26 @@ class RewardCfg:
 class EndRewardCfg:
     """Reward of an end: ``value + difficulty_value c``, c the difficulty."""
 
-    value: float
-    """Finite."""
-
-    difficulty_value: float = 0.0
-    """Added to the value where the curriculum has come to its highest level, a share of it before; finite."""
-
-    how: str = "replace"
-    """``replace``: the reward of that step is this alone; ``add``: it comes on top."""
+    value: float  # Finite
+    difficulty_value: float = 0.0  # Added to the value at the highest level, a share of it before; finite
+    how: str = "replace"  # `replace`: the reward of that step is this alone; `add`: it comes on top
 
     def __post_init__(self) -> None:
         checks.require_float32(self, "value", "difficulty_value")
         checks.require_choice(self, "how", ("replace", "add"))
 
 
-KINDS = ("crash", "success", "time_out")
-"""Kinds of episode ends."""
-
-WHENS = ("now", "counts", "at_end")
-"""Consequences of a true condition."""
+KINDS = ("crash", "success", "time_out")  # Kinds of episode ends
+WHENS = ("now", "counts", "at_end")  # Consequences of a true condition
 
 
 @dataclass(frozen=True, kw_only=True)
 class TerminationCfg:
     """A condition that ends episodes, and the kind of that end."""
 
-    term: str
-    """Name in ``aerial_gym.task.TERMINATIONS``."""
-
-    params: Params = field(default_factory=dict)
-    """Numbers of the term by name."""
-
-    kind: str
-    """``crash``, ``success`` or ``time_out``; a crash goes before a success in the same step."""
+    term: str  # Name in `aerial_gym.task.TERMINATIONS`
+    params: Params = field(default_factory=dict)  # Numbers of the term by name
+    kind: str  # `crash`, `success` or `time_out`; a crash goes before a success in the same step
 
     when: str = "now"
     """``now``: the episode ends where it is true. Of a success also ``counts``: the episode goes on, and ends as a success
@@ -221,22 +169,16 @@ class TerminationCfg:
 class CommandCfg:
     """Command generator of a task: a point, points, a trajectory, gates."""
 
-    generator: str
-    """Name in ``aerial_gym.task.COMMANDS``."""
-
-    params: Params = field(default_factory=dict)
-    """Numbers of the generator by name."""
+    generator: str  # Name in `aerial_gym.task.COMMANDS`
+    params: Params = field(default_factory=dict)  # Numbers of the generator by name
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActionCfg:
     """Conversion of actions to commands: transform, delay, filter and noise."""
 
-    transform: str = "direct"
-    """Name in ``aerial_gym.task.ACTIONS``."""
-
-    params: Params = field(default_factory=dict)
-    """Numbers of the transform by name."""
+    transform: str = "direct"  # Name in `aerial_gym.task.ACTIONS`
+    params: Params = field(default_factory=dict)  # Numbers of the transform by name
 
     delay_steps: Steps = 0
     """Environment steps by which the command is late, >= 0; two numbers: each episode draws one from the first to the

@@ -9,8 +9,7 @@ from math import pi
 from aerial_gym.config import checks
 from aerial_gym.config.checks import Vec3
 
-GATES, POLES = "gates", "poles"
-"""Names of the first two assets of an environment with a track: one instance for each gate, one for each pole."""
+GATES, POLES = "gates", "poles"  # First two assets of a track: an instance for each gate and for each pole
 
 Vec2 = tuple[float, float]
 
@@ -19,11 +18,8 @@ Vec2 = tuple[float, float]
 class GatePlaceCfg:
     """Nominal place of a gate."""
 
-    position: Vec3
-    """Middle of the opening [m], world."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw [rad], within +-2 pi; with yaw 0 it is flown through along x."""
+    position: Vec3  # Middle of the opening [m], world
+    euler: Vec3 = (0.0, 0.0, 0.0)  # ZYX roll, pitch, yaw [rad], within +-2 pi; with yaw 0 it is flown through along x
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "position")
@@ -43,29 +39,14 @@ class LayoutCfg:
     (there on a grid of 10 cm).
     """
 
-    lower: Vec2
-    """Lowest x and y of gates and poles [m]."""
-
-    upper: Vec2
-    """Highest x and y [m]."""
-
-    start_distance: float = 1.0
-    """Least distance of gates and poles to the robot's start [m], >= 0."""
-
-    gate_distance: float = 1.0
-    """Least distance between gates [m], >= 0."""
-
-    pole_to_gate: float = 0.8
-    """Least distance between a pole and a gate [m], >= 0."""
-
-    pole_distance: float = 0.3
-    """Least distance between poles [m], >= 0."""
-
-    corridor: float = 0.5
-    """Largest distance of a pole to the line from one gate to the next [m], > 0."""
-
-    yaw_range: float = 0.75
-    """Largest angle between a gate and the direction of travel [rad], 0 to pi."""
+    lower: Vec2  # Lowest x and y of gates and poles [m]
+    upper: Vec2  # Highest x and y [m]
+    start_distance: float = 1.0  # Least distance of gates and poles to the robot's start [m], >= 0
+    gate_distance: float = 1.0  # Least distance between gates [m], >= 0
+    pole_to_gate: float = 0.8  # Least distance between a pole and a gate [m], >= 0
+    pole_distance: float = 0.3  # Least distance between poles [m], >= 0
+    corridor: float = 0.5  # Largest distance of a pole to the line from one gate to the next [m], > 0
+    yaw_range: float = 0.75  # Largest angle between a gate and the direction of travel [rad], 0 to pi
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "lower", "upper")
@@ -82,32 +63,15 @@ class TrackCfg:
     A reset adds uniform offsets to the nominal places.
     """
 
-    gates: tuple[GatePlaceCfg, ...]
-    """In the order in which they are flown through; at least one."""
-
-    poles: tuple[Vec3, ...] = ()
-    """Nominal tops of the poles [m], world."""
-
-    gate_position_low: Vec3 = (0.0, 0.0, 0.0)
-    """Lowest offset of a gate [m], world."""
-
-    gate_position_high: Vec3 = (0.0, 0.0, 0.0)
-    """Highest offset of a gate [m], world."""
-
-    gate_euler_low: Vec3 = (0.0, 0.0, 0.0)
-    """Lowest offset of a gate's roll, pitch, yaw [rad]."""
-
-    gate_euler_high: Vec3 = (0.0, 0.0, 0.0)
-    """Highest offset of a gate's roll, pitch, yaw [rad]."""
-
-    pole_low: Vec3 = (0.0, 0.0, 0.0)
-    """Lowest offset of a pole [m], world."""
-
-    pole_high: Vec3 = (0.0, 0.0, 0.0)
-    """Highest offset of a pole [m], world."""
-
-    layout: LayoutCfg | None = None
-    """Random layout of the whole track; None keeps the listed one."""
+    gates: tuple[GatePlaceCfg, ...]  # In the order in which they are flown through; at least one
+    poles: tuple[Vec3, ...] = ()  # Nominal tops of the poles [m], world
+    gate_position_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest offset of a gate [m], world
+    gate_position_high: Vec3 = (0.0, 0.0, 0.0)  # Highest offset of a gate [m], world
+    gate_euler_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest offset of a gate's roll, pitch, yaw [rad]
+    gate_euler_high: Vec3 = (0.0, 0.0, 0.0)  # Highest offset of a gate's roll, pitch, yaw [rad]
+    pole_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest offset of a pole [m], world
+    pole_high: Vec3 = (0.0, 0.0, 0.0)  # Highest offset of a pole [m], world
+    layout: LayoutCfg | None = None  # Random layout of the whole track; None keeps the listed one
 
     def __post_init__(self) -> None:
         checks.require(self, "gates", bool(self.gates), "needs at least one")

@@ -26,8 +26,7 @@ from aerial_gym.robots.catalog import robot_by_name
 OUT_OF_MEMORY = ("allocate memory", "out of memory", "not enough memory", "overflow", "Failed to allocate", "too large")
 """Parts of out-of-memory messages of torch and Warp."""
 
-LEAST_BYTES = 100
-"""Of an environment without anything around it: pose, twist, four rotors and a target take more."""
+LEAST_BYTES = 100  # Of an environment without anything around it: pose, twist, four rotors and a target take more
 
 
 def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:

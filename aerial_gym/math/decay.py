@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NEGLIGIBLE_SHARE = 1e-18
-"""Relative size of a term that is negligible in float64."""
+NEGLIGIBLE_SHARE = 1e-18  # Relative size of a term that is negligible in float64
 
 
 def exponential_sum(added: Array, kept: float) -> Array:

@@ -12,8 +12,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-Word = TypeVar("Word", int, Tensor)
-"""32 bits in an int, or in each element of an int64 tensor."""
+Word = TypeVar("Word", int, Tensor)  # 32 bits in an int, or in each element of an int64 tensor
 
 
 class Purpose(IntEnum):

@@ -15,13 +15,11 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import _get_current_dispatch_mode
 
-WHOLE_ROWS = 64
-"""Number of rows that fill whole vectors at any row width: a vector has 16 float32 with AVX-512, and loops take 4."""
+WHOLE_ROWS = 64  # Rows that fill whole vectors at any width: a vector has 16 float32 with AVX-512, loops take 4
 
 Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
 
-MOST_TERMS = 8
-"""Largest number of terms of an unrolled product of rows on a GPU."""
+MOST_TERMS = 8  # Largest number of terms of an unrolled product of rows on a GPU
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:

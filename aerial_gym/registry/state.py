@@ -14,11 +14,8 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 
-PACKAGE = Path(__file__).resolve().parents[1]
-"""Folder of the package, left out of digests so that they do not depend on the place of installation."""
-
-IDENTITY = "identity."
-"""Prefix of the names of digests, which identify the simulation of a state."""
+PACKAGE = Path(__file__).resolve().parents[1]  # Left out of digests: they hold in any place of installation
+IDENTITY = "identity."  # Prefix of the names of digests, which identify the simulation of a state
 
 
 def config_digest(config: object) -> Tensor:

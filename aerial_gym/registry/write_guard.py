@@ -23,7 +23,6 @@ class WriteGuardTensor(Tensor):
     _plain: Tensor
     _before: Callable[[], None]
     _after: Callable[[], None]
-
     # results are no guarded tensors by themselves
     __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore[reportAssignmentType]
 

@@ -23,8 +23,7 @@ from aerial_gym.interop import make_struct
 from aerial_gym.math.warp_functions import rotate, vector_type
 from aerial_gym.physics.fused.contact import point_velocity, rows_type
 
-MAX_CONTACTS = 8
-"""Pairs of sphere and part that push in one step; of more, the deepest."""
+MAX_CONTACTS = 8  # Pairs of sphere and part that push in one step; of more, the deepest
 
 _gaps_type, _rows_type = vector_type(MAX_CONTACTS), rows_type(MAX_CONTACTS)
 
@@ -103,8 +102,7 @@ def surface_velocity(around: ContactScene, env: int, a: int, place: wp.vec3) -> 
     return around.lin_vel[env, a] + wp.cross(around.ang_vel[env, a], place - around.scene.position[env, a])
 
 
-CORNER = wp.constant(1.0e-3)
-"""Share of half an edge within which a point is taken for the corner, which pushes anyway."""
+CORNER = wp.constant(1.0e-3)  # Share of half an edge within which a point is taken for the corner, which pushes anyway
 
 
 @wp.func

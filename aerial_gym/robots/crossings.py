@@ -43,11 +43,8 @@ from aerial_gym.physics.fused.contact import point_velocity
 from aerial_gym.physics.fused.hook import Substep
 from aerial_gym.robots.contact_pairs import ContactPairs, ContactScene
 
-MAX_PLANES = 3
-"""Planes that fix a robot in a corner, as many as a shift has directions."""
-
-ROUNDS = wp.constant(MAX_PLANES + 1)
-"""Largest number of sweeps of a substep: one for each plane, and one that shows that the shifted path is clear."""
+MAX_PLANES = 3  # Planes that fix a robot in a corner, as many as a shift has directions
+ROUNDS = wp.constant(MAX_PLANES + 1)  # Most sweeps of a substep: one for each plane, and one of the clear path
 
 CORNER_ANGLE, CORNER_REMAINDER = pi / 4.0, 1.0 / 256.0
 """Angle of a sharp corner between two planes [rad], and share of the depth that the shifts leave in it for the next sweep."""

@@ -98,8 +98,7 @@ def make_slung_load(
 FOLLOWS = {"robot_mass": ("body.mass", "payload_mass"), "robot_inertia": ("body.inertia", "inertia_error")}
 """Keys that follow from the robot: the quantity that may be drawn, and the effect that may be written, in their place."""
 
-LIVE = ("drawn_parameters", "downwash_position")
-"""Writable keys besides those of effects; the next step uses the new values."""
+LIVE = ("drawn_parameters", "downwash_position")  # Writable keys besides those of effects, read by the next step
 
 
 def guard_parameters(

@@ -19,11 +19,8 @@ from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots.non_finite_rows import KEPT_ROWS, NonFinite, NonFiniteRows, take_place
 
-KEPT_STEPS = 64
-"""Last steps of a row that are kept."""
-
-LOOK_EVERY = 64
-"""Steps between two reads of a GPU's table by the host."""
+KEPT_STEPS = 64  # Last steps of a row that are kept
+LOOK_EVERY = 64  # Steps between two reads of a GPU's table by the host
 
 _log = logging.getLogger(__name__)
 

@@ -27,8 +27,7 @@ class NonFinite(IntFlag):
         return " and ".join(str(flag.name).lower() for flag in NonFinite if flag in self)
 
 
-KEPT_ROWS = 8
-"""Rows K that are written down: the first ones."""
+KEPT_ROWS = 8  # Rows K that are written down: the first ones
 
 
 @wp.func
@@ -45,12 +44,8 @@ class NonFiniteRows:
 
     bits: Tensor  # Bits of ``NonFinite`` of the step that ends, int32 (E,)
     episode_step: Tensor  # Number of that step within the episode, int32 (E,)
-
-    flags: tuple[Tensor, Tensor]
-    """Reasons for its end: ``crashes`` and ``truncations``, each bool (E,). A reset clears these and the two above."""
-
-    record: Tensor
-    """Count; environment, episode, step and bits of the first K rows, int32 (1 + 4 K,); one copy brings all to the host."""
+    flags: tuple[Tensor, Tensor]  # Reasons for its end, `crashes` and `truncations`, bool (E,), cleared by a reset
+    record: Tensor  # Count; environment, episode, step and bits of the first K rows, int32 (1 + 4 K,): one copy
 
     @property
     def count(self) -> Tensor:

@@ -24,8 +24,7 @@ from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots.robot_draws import RobotDraws, add_effects_to_randomise
 
-SPREAD = 3.0
-"""Standard deviations at which a normal range ends: 99.7 % of its draws are within."""
+SPREAD = 3.0  # Standard deviations at which a normal range ends: 99.7 % of its draws are within
 
 
 def report_range_faults(
@@ -103,8 +102,7 @@ def _vehicle_quantities(randomize: Randomize, effects: set[str]) -> Randomize:
     return chosen
 
 
-End = tuple[str, str, Tensor]
-"""Quantity, value of its end, and all numbers with it, (K,)."""
+End = tuple[str, str, Tensor]  # Quantity, value of its end, and all numbers with it, (K,)
 
 
 def _range_ends(ranges: RobotDraws) -> Iterator[End]:

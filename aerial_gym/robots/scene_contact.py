@@ -43,8 +43,7 @@ from aerial_gym.robots.crossings import make_stop_search
 
 _velocity_change = make_velocity_change(MAX_CONTACTS)
 
-_FIRST_MOTION = ("position", "attitude", "lin_vel", "ang_vel")
-"""Motion of the centre of mass that is stored before a substep."""
+_FIRST_MOTION = ("position", "attitude", "lin_vel", "ang_vel")  # Stored motion of the centre of mass before a substep
 
 
 @wp.struct

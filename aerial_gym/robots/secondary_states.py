@@ -16,8 +16,7 @@ from aerial_gym.math.warp_functions import euler_angles
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.non_finite_rows import NonFinite
 
-RootRow = wp.types.vector(length=13, dtype=wp.float32)
-"""Position, attitude, velocity and angular velocity, side by side."""
+RootRow = wp.types.vector(length=13, dtype=wp.float32)  # Position, attitude, velocity, angular velocity
 
 
 @wp.struct

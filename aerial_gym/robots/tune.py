@@ -17,8 +17,7 @@ from aerial_gym.control.tuner import tune_attitude, tune_position
 from aerial_gym.physics.model import build_model, robot_effects
 from aerial_gym.physics.vehicle import vehicle_from_config
 
-GRAVITY = 9.81
-"""[m/s²]."""
+GRAVITY = 9.81  # [m/s²]
 
 
 @dataclass(frozen=True, kw_only=True)

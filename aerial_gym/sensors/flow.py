@@ -24,8 +24,7 @@ from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.sensors.rays import ray_table
 from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
 
-LEAST_DISTANCE = wp.constant(1.0e-6)
-"""Lower limit of the distance [m], as flow diverges at the pupil."""
+LEAST_DISTANCE = wp.constant(1.0e-6)  # Lower limit of the distance [m], as flow diverges at the pupil
 
 
 @wp.struct

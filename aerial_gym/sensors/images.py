@@ -24,8 +24,7 @@ class SensorImages(Mapping[str, Tensor]):
     Each is contiguous, (E, S, H, W) or with the components of a pixel behind, float32 or int32.
     """
 
-    distance: Tensor
-    """Distances [m], or shares of max_range if the sensor normalises, float32, (E, S, H, W)."""
+    distance: Tensor  # Distances [m], or shares of max_range if the sensor normalises, float32, (E, S, H, W)
 
     def __init__(self, **images: Tensor | None) -> None:
         """Take the tensors; None stands for an image that the sensor has not."""
@@ -74,8 +73,7 @@ def image_shape(cfg: RangeSensorCfg, image: Image, num_envs: int) -> tuple[int, 
     return (num_envs, cfg.count, cfg.height, cfg.width, *more)
 
 
-POISON = {torch.float32: float("nan"), torch.int32: -(2**31)}
-"""Values that no kernel writes, by dtype: they reveal an unwritten pixel."""
+POISON = {torch.float32: float("nan"), torch.int32: -(2**31)}  # Pixels that no kernel writes, by dtype
 
 
 def make_images(cfg: RangeSensorCfg, num_envs: int, *, device: torch.device, poisoned: bool = False) -> SensorImages:
@@ -105,8 +103,7 @@ def declare_images(
     })  # fmt: skip
 
 
-_PIXEL = {1: wp.float32, 2: wp.vec2, 3: wp.vec3}
-"""Type of a pixel by the number of its components."""
+_PIXEL = {1: wp.float32, 2: wp.vec2, 3: wp.vec3}  # Type of a pixel by the number of its components
 
 
 def _pixel_type(image: Image) -> type:
@@ -136,8 +133,7 @@ def make_arrays(images: SensorImages) -> object:
     return arrays
 
 
-CLOCK_MARGIN = 1e-4
-"""Share of a period by which a measurement may come early: steps do not add up to a period exactly in float32."""
+CLOCK_MARGIN = 1e-4  # Share of a period by which a measurement may be early: float32 sums of steps are not exact
 
 
 def latency_steps(latency_s: float, dt: float) -> int:

@@ -22,8 +22,7 @@ from aerial_gym.sensors.catalog import IMUS, SENSORS
 
 Cfg = TypeVar("Cfg", RangeSensorCfg, ImuCfg)
 
-PLACE = ("position", "euler")
-"""Components of a sensor's placement that can be random."""
+PLACE = ("position", "euler")  # Components of a sensor's placement that can be random
 
 
 @dataclass(frozen=True, kw_only=True)

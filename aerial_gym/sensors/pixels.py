@@ -73,8 +73,7 @@ def ray_limit(limits: DistanceLimits, ray: wp.vec3) -> float:
     return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
 
 
-SURFACE_SKIN = wp.constant(1.0e-4)
-"""Relative distance by which a point may lie behind the second camera's hit, for rounding."""
+SURFACE_SKIN = wp.constant(1.0e-4)  # Relative distance of a point behind the second camera's hit, for rounding
 
 
 @wp.func

@@ -42,11 +42,8 @@ from aerial_gym.sensors.shading import Light
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
 
-GPU_TILE, CPU_TILE = (4, 8), (8, 16)
-"""Rows and columns of pixels whose rays are traced together; a warp has 32 threads."""
-
-BLOCK_DIM = 64
-"""Threads of a block; 128 is 1 % and 256 is 7 to 24 % slower (docs/results/rendering.md)."""
+GPU_TILE, CPU_TILE = (4, 8), (8, 16)  # Rows and columns of pixels whose rays are traced together; a warp has 32 threads
+BLOCK_DIM = 64  # Threads of a block; 128 is 1 % and 256 is 7 to 24 % slower (docs/results/rendering.md)
 
 
 @with_usual_settings

@@ -16,8 +16,7 @@ from torch import Tensor
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, PrismCfg, RangeSensorCfg, RayTableCfg, RosetteCfg
 from aerial_gym.errors import ConfigError
 
-_LEAST_COSINE = 1e-3
-"""Rays of a depth sensor look at least this far ahead (89.94 deg off the axis): depth divides by it, in float32."""
+_LEAST_COSINE = 1e-3  # Least cosine to the axis of a depth sensor's rays (89.94 deg): depth divides by it, in float32
 
 _HEADERS = (["x", "y", "z"], ["azimuth_deg", "elevation_deg"])
 
@@ -220,8 +219,7 @@ def _unit_float32(rays: Tensor, device: torch.device) -> Tensor:
     return (rays / rays.norm(dim=-1, keepdim=True)).to(device=device, dtype=torch.float32)
 
 
-_MARGIN = 1e-5
-"""Bounds of a tile are wider by this, so that rounding (6e-8) never rejects a hit."""
+_MARGIN = 1e-5  # Bounds of a tile are wider by this, so that rounding (6e-8) never rejects a hit
 
 
 @dataclass(frozen=True, kw_only=True)

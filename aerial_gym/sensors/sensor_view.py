@@ -22,8 +22,7 @@ from aerial_gym.assets.scene_arrays import (
 )
 from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
 
-ABSENT = wp.constant(-1)
-"""Kind of an instance that is parked or out of reach."""
+ABSENT = wp.constant(-1)  # Kind of an instance that is parked or out of reach
 
 
 @wp.struct

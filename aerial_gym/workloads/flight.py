@@ -23,10 +23,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.workloads.measure import WorkloadError, make_batch
 
 LAUNCHES_PER_BATCH = 20  # Launches in one CUDA graph: the cost of starting a replay is shared by them
-
-STRETCH_S = 20.0
-"""Longest simulated time before the start is put back [s]; the bare plant drifts a few hundred metres in it."""
-
+STRETCH_S = 20.0  # Longest simulated time from the start [s]; the bare plant drifts some hundred metres in it
 MAX_DISTANCE = 1000.0  # Distance from the origin beyond which a vehicle no longer flies [m]
 MAX_SPEED = 100.0  # Speed beyond which a vehicle no longer flies [m/s]
 MAX_NORM_ERROR = 1e-3  # Largest distance of a quaternion's norm from 1; float32 round-off stays below 1e-6

@@ -16,10 +16,7 @@ class PhysicsBench:
     num_envs: int = 4096  # Environments stepped side by side
     substeps: int = 1  # Substeps in one launch
     integrator: str = "euler"  # Stepper: euler or rk4
-
-    controller: str = "rotor_speed_control"
-    """Registered controller, run in every substep; rotor_speed_control is the bare plant."""
-
+    controller: str = "rotor_speed_control"  # Registered controller, run in every substep; default: the bare plant
     robot: str = "base_quadrotor"  # Registered robot, or a robot file; effects in the file are not used
     effects: tuple[str, ...] = ("rotor_drag",)  # Registered effects, each a moderate size away from neutral
     threads: int | None = None  # Threads on the CPU; torch's own number if not given

@@ -25,22 +25,15 @@ class RenderBench:
     height: int = 64  # Pixels in a column
     segmentation: bool = False  # Whether the camera also writes segmentation ids
     lidar: bool = False  # Whether a lidar of a full turn, 45 degrees high, sees the scene instead of the camera
-
-    scan_columns: int | None = None
-    """Columns of a lidar that share a pose while it turns in 0.1 s and moves at 1 m/s; all at once if not given."""
+    scan_columns: int | None = None  # Columns of a lidar with one pose, turning in 0.1 s, at 1 m/s; None: all at once
 
     against: tuple[str, ...] = ()
     """Renderers measured beside ours: merged (one triangle mesh per environment), shared_mesh (one for all, where they
     are alike), newton, mujoco, mujoco_warp; all: every one that is installed and can draw the scene."""
 
-    peer_python: tuple[str, ...] = ()
-    """NAME=PYTHON, or PYTHON for all: the interpreter that has a peer; this one by default."""
-
+    peer_python: tuple[str, ...] = ()  # NAME=PYTHON, or PYTHON for all: interpreter of a peer; default: this one
     device: str = "auto"  # Torch device; auto takes the GPU if there is one
-
-    threads: int | None = None
-    """Threads on the CPU; torch's own number if not given, and 1 beside others, which have no more."""
-
+    threads: int | None = None  # CPU threads; torch's own number if not given, 1 beside others, which have one
     repeats: int = 5  # Figures of which the median is printed
     repeat_time_s: float = 0.5  # About how long each is measured [s]
     json: bool = False  # Print one JSON object a line

@@ -9,9 +9,7 @@ import torch
 from aerial_gym.task import Task
 from aerial_gym.workloads.measure import make_batch
 
-SPAN_S = 0.02
-"""About how long a part is run for one figure [s]; short, so that robots do not fly far without being reset."""
-
+SPAN_S = 0.02  # Run time of a part for one figure [s]; short, so that robots without reset do not fly far
 MAX_CALLS = 50  # Calls of a part in one figure, at most
 MIXING_STEPS = 10  # Task steps before each figure, after a reset with episodes of all ages
 

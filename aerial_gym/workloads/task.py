@@ -18,10 +18,7 @@ class TaskBench:
     repeats: int = 5  # Figures of which the median is printed
     repeat_time_s: float = 0.5  # About how long each is measured [s]
     seed: int = 0  # Seed of the task and of the actions
-
-    parts: bool = False
-    """Also time physics, collision, reset of a hundredth of the environments, and rendering, each alone."""
-
+    parts: bool = False  # Also time physics, collision, reset of 1 % of the environments and rendering, each alone
     json: bool = False  # Print one JSON object
 
     def run(self) -> int:

@@ -32,10 +32,7 @@ CHANNELS = tuple((kind, axis) for kind in ("accel", "gyro") for axis in "xyz")
 UNITS = {"accel": "m/s²", "gyro": "rad/s"}
 
 FAST_DT = 0.01  # Step of the first record [s]: an environment step of the registered sims
-
-SLOW_SHARE = 1.0 / 256.0
-"""Step of the second record, as a share of the averaging time at which both lines meet in the slower channel."""
-
+SLOW_SHARE = 1.0 / 256.0  # Step of the second record per averaging time at which the slower channel's lines meet
 LEFT_OUT = 3  # Longest averaging times that are left out of the lowest deviation: they come from fewer than 16 averages
 NORMAL_95 = 1.96  # Half of a 95 % interval in standard errors
 

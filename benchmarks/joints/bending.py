@@ -36,10 +36,7 @@ class Bending:
     device: str = "cpu"  # Torch device
     num_envs: tuple[int, ...] = (1024,)  # Environments side by side
     substeps: tuple[int, ...] = (1, 10)  # Of ours in one launch
-
-    engines: tuple[str, ...] = ("ours", "mujoco_warp", "mujoco")
-    """MuJoCo runs on the CPU alone, one environment after another in one thread."""
-
+    engines: tuple[str, ...] = ("ours", "mujoco_warp", "mujoco")  # MuJoCo: CPU, one environment, one thread
     seconds: float = 1.0  # About how long each of five repeats lasts
 
     def run(self) -> None:

@@ -27,10 +27,7 @@ class PeersCmd:
     num_envs: int = 1024  # Vehicles side by side; L2F knows powers of two only
     threads: int = 1  # Threads of every process, and on the CPU the cores to which it is pinned
     device: Literal["cpu", "cuda"] = "cpu"  # Where all run; peers without a GPU version are skipped on cuda
-
-    substeps: tuple[int, ...] = (1, 10)
-    """Our substeps in one launch; peers that fuse steps should be compared with more than 1."""
-
+    substeps: tuple[int, ...] = (1, 10)  # Our substeps in one launch; compare peers that fuse steps with more than 1
     peer: tuple[str, ...] = ()  # NAME=PYTHON: the interpreter that has a peer; this one by default
     rounds: int = 3  # How often everything is measured, in turn; the median counts
     repeats: int = 3  # Figures of one process

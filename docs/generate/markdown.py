@@ -28,9 +28,9 @@ class DocumentedField:
 
 
 def documented_fields(cls: type) -> list[DocumentedField]:
-    """Return the fields of a dataclass, each with its meaning."""
+    """Return the fields of a dataclass, each with the docstring below it or the comment behind it."""
     hints = typing.get_type_hints(cls, include_extras=True)
-    texts = field_meanings(cls)
+    texts = field_texts(cls)
     return [
         DocumentedField(each.name, hints[each.name], _default(each), texts.get(each.name, ""))
         for each in dataclasses.fields(cls)
@@ -38,22 +38,23 @@ def documented_fields(cls: type) -> list[DocumentedField]:
     ]
 
 
-def field_meanings(cls: type) -> dict[str, str]:
-    """Return the docstring below each field of a class and of its bases, or else the comment behind it, by name."""
+def field_texts(cls: type) -> dict[str, str]:
+    """Return the docstring below, or the comment behind, each field of a class and of its bases, by name."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         if dataclasses.is_dataclass(base):
             source = textwrap.dedent(inspect.getsource(base))
             (body,) = ast.parse(source).body
-            texts |= _meanings(typing.cast("ast.ClassDef", body).body, source.splitlines())
+            texts |= _texts_by_field(typing.cast("ast.ClassDef", body).body, source.splitlines())
     return texts
 
 
-def _meanings(body: Sequence[ast.stmt], lines: Sequence[str]) -> dict[str, str]:
+def _texts_by_field(body: Sequence[ast.stmt], lines: Sequence[str]) -> dict[str, str]:
     texts = {}
-    for field, below in pairwise([*body, ast.Pass()]):
+    for field, below in pairwise([*body, None]):
         if isinstance(field, ast.AnnAssign):
-            text = trailing_comment(lines[(field.end_lineno or field.lineno) - 1])
+            comment = lines[(field.end_lineno or 0) - 1].partition("  # ")[2]
+            text = f"{comment}." if comment else ""
             if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
                 text = " ".join(str(below.value.value).split())
             texts[ast.unparse(field.target)] = text

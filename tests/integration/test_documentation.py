@@ -20,6 +20,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.physics import BACKENDS, EFFECTS
 from aerial_gym.rl_training import TRAINERS
 from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
+from docs.generate.commands import command_page
 from docs.generate.configuration import configuration_names, documented_names
 
 ROOT = Path(__file__).parents[2]
@@ -200,6 +201,10 @@ def test_external_urls_are_those_that_a_page_loads(tmp_path: Path) -> None:
     style = "@font-face { src: url('https://d/f.woff') } i { src: url(g.woff) }"
     (tmp_path / "style.css").write_text(style, encoding="utf-8")
     assert external_urls(tmp_path) == ["https://a/x.js", "//b/y.css", "https://d/f.woff"]
+
+
+def test_every_option_of_a_command_has_a_meaning() -> None:
+    assert [line for line in command_page().splitlines() if line.endswith("|  |")] == []
 
 
 def test_every_configuration_class_is_in_the_reference() -> None:

@@ -10,14 +10,9 @@ from aerial_gym.config.environment import PartCfg, ShapeCfg
 
 Size = tuple[float, float, float]
 
-BOARD = 0.03
-"""Thickness of boards [m]."""
-
-LEG = 0.05
-"""Edge of a table's leg [m]."""
-
-TRUNK, BRANCH = (0.40, 0.28, 0.18), (0.30, 0.46, 0.22)
-"""Colours of trunks and branches. Plain choices: bark and leaves."""
+BOARD = 0.03  # Thickness of boards [m]
+LEG = 0.05  # Edge of a table's leg [m]
+TRUNK, BRANCH = (0.40, 0.28, 0.18), (0.30, 0.46, 0.22)  # Colours of trunks and branches. Plain choices: bark and leaves
 
 
 def make_box(draw: Draw) -> ShapeCfg:

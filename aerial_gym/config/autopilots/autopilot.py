@@ -10,12 +10,8 @@ from aerial_gym.config.checks import require
 class AutopilotTuning:
     """Base of the parameters of an autopilot: dataclasses of finite numbers >= 0, where None stands for a derived value."""
 
-    NOT_GAINS: ClassVar[frozenset[str]] = frozenset(("rate_hz", "source"))
-    """Fields that are no gains: the rate and the source."""
-
-    POSITIVE: ClassVar[frozenset[str]] = frozenset(("rate_hz",))
-    """Fields that are divided by."""
-
+    NOT_GAINS: ClassVar[frozenset[str]] = frozenset(("rate_hz", "source"))  # Fields that are no gains
+    POSITIVE: ClassVar[frozenset[str]] = frozenset(("rate_hz",))  # Fields that are divided by
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def __post_init__(self) -> None:

@@ -11,8 +11,7 @@ from math import pi
 from aerial_gym.config.autopilots.autopilot import AutopilotTuning
 from aerial_gym.config.checks import require, require_choice
 
-PER_DEGREE = 180.0 / pi / 1000.0
-"""From a thousandth of the motors' range per deg/s to the whole range per rad/s."""
+PER_DEGREE = 180.0 / pi / 1000.0  # From a thousandth of the motors' range per deg/s to the whole range per rad/s
 
 SCALES = {
     "p": 0.032029 * PER_DEGREE,
@@ -35,40 +34,21 @@ class BetaflightCfg(AutopilotTuning):
     gyro is clean unless the robot says otherwise.
     """
 
-    rate_hz: float | None = None
-    """Rate of the loop [1/s]; every physics step if not given. Betaflight: 8000 over pid_process_denom."""
-
-    rates_type: str = "NONE"
-    """``NONE``: an action is body rates [rad/s]. ``ACTUAL``: it is sticks, -1 to 1, that Actual rates map to them."""
-
-    roll_center_sensitivity: float = 70.0
-    """Rate per stick about its centre [deg/s], with ACTUAL."""
-
-    roll_max_rate: float = 670.0
-    """Rate at full stick [deg/s], with ACTUAL."""
-
-    roll_expo: float = 0.0
-    """Bend of the curve between [-], 0 to 1, with ACTUAL; this and the two above likewise for the other axes."""
-
+    rate_hz: float | None = None  # Rate of the loop [1/s]; if not given every physics step. 8000 / pid_process_denom
+    rates_type: str = "NONE"  # `NONE`: actions are body rates [rad/s]; `ACTUAL`: sticks, -1 to 1, by Actual rates
+    roll_center_sensitivity: float = 70.0  # Rate per stick about its centre [deg/s], with ACTUAL
+    roll_max_rate: float = 670.0  # Rate at full stick [deg/s], with ACTUAL
+    roll_expo: float = 0.0  # Bend of the curve between [-], 0 to 1, with ACTUAL; these three also for the other axes
     pitch_center_sensitivity: float = 70.0
     pitch_max_rate: float = 670.0
     pitch_expo: float = 0.0
     yaw_center_sensitivity: float = 70.0
     yaw_max_rate: float = 670.0
     yaw_expo: float = 0.0
-
-    p_roll: float | None = None
-    """Proportional gain. Betaflight's default is 45; of pitch 47, of yaw 45."""
-
-    i_roll: float | None = None
-    """Integral gain. Betaflight's default is 80; of pitch 84, of yaw 80."""
-
-    d_roll: float = 0.0
-    """Derivative gain. Betaflight's default is 30 to 40; of pitch 34 to 46, of yaw 0."""
-
-    f_roll: float = 0.0
-    """Feed-forward gain on the slope of the wanted rate. Betaflight's default is 120; of pitch 125, of yaw 120."""
-
+    p_roll: float | None = None  # Proportional gain. Betaflight's default is 45; of pitch 47, of yaw 45
+    i_roll: float | None = None  # Integral gain. Betaflight's default is 80; of pitch 84, of yaw 80
+    d_roll: float = 0.0  # Derivative gain. Betaflight's default is 30 to 40; of pitch 34 to 46, of yaw 0
+    f_roll: float = 0.0  # Feed-forward gain on the slope of the wanted rate. There 120; of pitch 125, of yaw 120
     p_pitch: float | None = None
     i_pitch: float | None = None
     d_pitch: float = 0.0
@@ -77,59 +57,33 @@ class BetaflightCfg(AutopilotTuning):
     i_yaw: float | None = None
     d_yaw: float = 0.0
     f_yaw: float = 0.0
-
-    gyro_lpf1_type: str = "PT1"
-    """PT1 (first order) or BIQUAD (second order, Butterworth)."""
-
-    gyro_lpf1_static_hz: float = 0.0
-    """Cut-off of the first low-pass on body rates [Hz]; 0 for none. Betaflight's default is 250, or dynamic."""
-
+    gyro_lpf1_type: str = "PT1"  # PT1 (first order) or BIQUAD (second order, Butterworth)
+    gyro_lpf1_static_hz: float = 0.0  # Cut-off of the first low-pass on body rates [Hz]; 0 for none. Default there: 250
     gyro_lpf2_type: str = "PT1"
-    gyro_lpf2_static_hz: float = 0.0
-    """Of the second [Hz]. Betaflight's default is 500."""
-
+    gyro_lpf2_static_hz: float = 0.0  # Of the second [Hz]. Betaflight's default is 500
     dterm_lpf1_type: str = "PT1"
-    dterm_lpf1_static_hz: float = 75.0
-    """Of the first low-pass on the derivative [Hz]."""
-
+    dterm_lpf1_static_hz: float = 75.0  # Of the first low-pass on the derivative [Hz]
     dterm_lpf2_type: str = "PT1"
-    dterm_lpf2_static_hz: float = 150.0
-    """Of the second [Hz]."""
-
-    iterm_limit: float = 400.0
-    """Largest integral, in thousandths of the motors' range."""
+    dterm_lpf2_static_hz: float = 150.0  # Of the second [Hz]
+    iterm_limit: float = 400.0  # Largest integral, in thousandths of the motors' range
 
     iterm_windup: float = 85.0
     """Range of the corrections from which the integral of yaw slows down [% of the motors' range]; it stops at 100 %.
     100 switches this off. Roll and pitch are not affected, as in Betaflight 4.2 to 4.5."""
 
-    iterm_relax: str = "RP"
-    """Axes on which the integral rests while the wanted rate changes: OFF, RP (roll and pitch) or RPY."""
-
-    iterm_relax_cutoff: float = 15.0
-    """Cut-off of the low-pass that detects a change [Hz]."""
-
-    pidsum_limit: float = 500.0
-    """Largest correction of roll and pitch, in thousandths of the motors' range."""
-
-    pidsum_limit_yaw: float = 400.0
-    """Of yaw."""
-
-    tpa_mode: str = "D"
-    """Gains reduced at full throttle: D, or P and D (PD)."""
-
-    tpa_rate: float = 65.0
-    """By how much at full throttle [%]."""
-
-    tpa_breakpoint: float = 1350.0
-    """Throttle from which it begins, 1000 to 2000."""
+    iterm_relax: str = "RP"  # Axes whose integral rests while the wanted rate changes: OFF, RP (roll and pitch), RPY
+    iterm_relax_cutoff: float = 15.0  # Cut-off of the low-pass that detects a change [Hz]
+    pidsum_limit: float = 500.0  # Largest correction of roll and pitch, in thousandths of the motors' range
+    pidsum_limit_yaw: float = 400.0  # Of yaw
+    tpa_mode: str = "D"  # Gains reduced at full throttle: D, or P and D (PD)
+    tpa_rate: float = 65.0  # By how much at full throttle [%]
+    tpa_breakpoint: float = 1350.0  # Throttle from which it begins, 1000 to 2000
 
     airmode: bool = True
     """Whether corrections keep their size at low throttle. Without it they shrink below half throttle, to a half at zero
     throttle, where the integrals are also held at zero."""
 
-    source: str = "Derived: aerial_gym.control.betaflight.parameters"
-    """Source of the numbers."""
+    source: str = "Derived: aerial_gym.control.betaflight.parameters"  # Source of the numbers
 
     def __post_init__(self) -> None:
         super().__post_init__()

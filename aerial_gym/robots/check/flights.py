@@ -31,32 +31,15 @@ from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots.joints.tail_servo import TailServo, tail_servo
 
-NUM_FLIGHTS = 8
-"""Starts of each time step, side by side."""
-
-DISTURBANCE = (0.1, 0.1, 0.1, 0.2)
-"""Largest distance [m], turn [rad], speed [m/s] and rate [rad/s] of a start from hover, on each axis."""
-
-SPAN, STEPS = 60.0, 400
-"""Of a flight [s], and steps beyond it: gains that are derived for a long time step are slower."""
-
-STEP_RANGE = (5e-4, 0.1)
-"""Time steps [s] between which the largest one is looked for."""
-
-HEADING = ("yaw", "r")
-"""The ``AXES`` that a tail servo controls."""
-
-AT_REST = 0.05
-"""Share of the disturbance that is left at rest."""
-
-SLOW = 4.0
-"""Two as starts are on both sides of rest, and two as the linearised loop does not begin with empty filters."""
-
-HALVINGS = 9
-"""Of the logarithm of that range: to 1 % of the time step."""
-
-CEILING = 1e3
-"""Height of the ceiling [m] for effects that ask for one: out of reach."""
+NUM_FLIGHTS = 8  # Starts of each time step, side by side
+DISTURBANCE = (0.1, 0.1, 0.1, 0.2)  # Largest offset of a start from hover on each axis [m, rad, m/s, rad/s]
+SPAN, STEPS = 60.0, 400  # Of a flight [s], and steps beyond it: gains that are derived for a long time step are slower
+STEP_RANGE = (5e-4, 0.1)  # Time steps [s] between which the largest one is looked for
+HEADING = ("yaw", "r")  # The `AXES` that a tail servo controls
+AT_REST = 0.05  # Share of the disturbance that is left at rest
+SLOW = 4.0  # Two as starts are on both sides of rest, and two as the linearised loop does not begin with empty filters
+HALVINGS = 9  # Of the logarithm of that range: to 1 % of the time step
+CEILING = 1e3  # Height of the ceiling [m] for effects that ask for one: out of reach
 
 
 @dataclass(frozen=True, kw_only=True)

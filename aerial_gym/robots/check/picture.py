@@ -12,11 +12,8 @@ from aerial_gym.errors import MissingDependencyError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = {1: "#2a6fbb", -1: "#c4572e"}
-"""Of rotors that turn positively about their axis, and of the others."""
-
-SHARE = 0.35
-"""Radius of a rotor that has none, per distance of the outermost hub from the origin."""
+COLOURS = {1: "#2a6fbb", -1: "#c4572e"}  # Of rotors that turn positively about their axis, and of the others
+SHARE = 0.35  # Radius of a rotor that has none, per distance of the outermost hub from the origin
 
 
 def draw_rotors(robot: RobotCfg, path: str | Path, *, name: str = "") -> None:

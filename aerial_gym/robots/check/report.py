@@ -24,14 +24,9 @@ from aerial_gym.robots.check.tail import TailRotorModel, tail_rotor_model
 
 AXES = ("x", "y", "z")
 
-SPEED_OF_SOUND = 340.0
-"""In air of 15 °C [m/s]: no propeller's tips are faster."""
-
-LITTLE_MARGIN = 1.3
-"""Thrust to weight below which a vehicle can lean by 40 degrees at most, ``acos(1 / 1.3)``, with nothing left to turn."""
-
-ROUND_OFF = 1e-6
-"""Of a share of the weight, or of the weight times a metre."""
+SPEED_OF_SOUND = 340.0  # In air of 15 °C [m/s]: no propeller's tips are faster
+LITTLE_MARGIN = 1.3  # Thrust to weight below which a vehicle leans by 40 degrees at most, `acos(1 / 1.3)`
+ROUND_OFF = 1e-6  # Of a share of the weight, or of the weight times a metre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,11 +35,9 @@ class RobotReport:
 
     name: str  # Registered name, or path of the file
     summary: str  # Of the robot file
-
     mass_kg: float
     inertia_kg_m2: tuple[tuple[float, ...], ...]
     num_rotors: int
-
     hover_thrust_n: tuple[float, ...]  # Of each rotor at hover in still air, as the allocation gives it, (R,)
     hover_share: float  # Largest hover thrust of all rotors as a share of the thrust range, 0 to 1
     thrust_to_weight: float  # Largest thrust along body z without torque, per weight

@@ -21,11 +21,8 @@ from aerial_gym.robots.joints.tail_servo import tail_rotor, tail_servo
 
 Array = NDArray[np.float64]
 
-HALVINGS = 60
-"""Of a factor, to rounding."""
-
-LARGEST = 1e6
-"""Force [N] or torque [N m] that is more than any rotor gives."""
+HALVINGS = 60  # Of a factor, to rounding
+LARGEST = 1e6  # Force [N] or torque [N m] that is more than any rotor gives
 
 
 class TailRotorModel:

@@ -52,10 +52,8 @@ class FileVehicle:
     shapes: Sequence[CollisionShape]
     joints: tuple[JointCfg, ...] = ()  # Joints that move, if asked for
     weightless: Sequence[Weightless] = ()
-
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects_source: str = ""
-
     notes: Sequence[str] = ()  # Unused elements of the file, a line each
     assumed: Sequence[str] = ()  # Changed or missing data, a line each
     losses: Sequence[str] = ()  # Parts left out without which it flies otherwise: wings, joints that tilt rotors
@@ -112,8 +110,7 @@ def parse_number(text: str | None, default: float, where: str) -> float:
     return default if text is None or not text.strip() else parse_numbers(text, 1, where)[0]
 
 
-ON_AXIS = 1e-3
-"""Distance of a thrust line from the axis of a joint [m], and angle between them [rad], below which the rotor spins there."""
+ON_AXIS = 1e-3  # Distance [m] and angle [rad] of a thrust line and a joint's axis below which the rotor spins there
 
 
 def moves_thrust_line(rotor: FileRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
@@ -125,8 +122,7 @@ def moves_thrust_line(rotor: FileRotor, kind: str, axis: np.ndarray, position: n
     return kind not in ("revolute", "continuous", "hinge") or bool(across > ON_AXIS or beside > ON_AXIS)
 
 
-Tags = Mapping[str, Any]
-"""Tags that are used, each with those used within it."""
+Tags = Mapping[str, Any]  # Tags that are used, each with those used within it
 
 
 def unread_elements(

@@ -14,11 +14,8 @@ from aerial_gym.config.joint import EndsCfg, JointCfg, LinkCfg, SpringCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.robots.importers.file_vehicle import vec3
 
-END_HZ = 10.0
-"""Natural frequency of the critically damped springs that replace hard end stops [Hz]."""
-
-LEAST_INERTIA = 1e-6
-"""Smallest inertia behind a joint, for these springs [kg m²] or [kg]."""
+END_HZ = 10.0  # Natural frequency of the critically damped springs that replace hard end stops [Hz]
+LEAST_INERTIA = 1e-6  # Smallest inertia behind a joint, for these springs [kg m²] or [kg]
 
 ENDS = f"chosen: ends of joints as critically damped springs of {END_HZ:g} Hz on what the joint carries in the reference pose"
 

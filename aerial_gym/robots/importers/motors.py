@@ -17,8 +17,7 @@ from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import Tags, group_lines_by_kind, parse_number
 
-SPINS = {"ccw": 1, "cw": -1}
-"""Of ``turningDirection``, about z of the link."""
+SPINS = {"ccw": 1, "cw": -1}  # Of `turningDirection`, about z of the link
 
 DEFAULTS = {
     "motorConstant": 8.54858e-06,
@@ -33,8 +32,7 @@ DEFAULTS = {
 
 _NAMES = ("jointName", "linkName", "motorNumber", "turningDirection", "motorType")
 
-MOTOR_TAGS: Tags = {name: {} for name in (*_NAMES, *DEFAULTS)}
-"""Elements of a motor plugin that are read."""
+MOTOR_TAGS: Tags = {name: {} for name in (*_NAMES, *DEFAULTS)}  # Elements of a motor plugin that are read
 
 AERODYNAMICS = {
     "liftdrag": "wings or blades",

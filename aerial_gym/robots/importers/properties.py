@@ -22,8 +22,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects import EFFECTS
 from aerial_gym.robots.importers.file_vehicle import parse_numbers
 
-BELOW = 1.0
-"""Distance to the vehicle above at which its downwash is taken [m]: the effect has no law of distance."""
+BELOW = 1.0  # Distance to the vehicle above at which its downwash is taken [m]: the effect has no law of distance
 
 _PER_RPM = (30.0 / pi) ** 2
 

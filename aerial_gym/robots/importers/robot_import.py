@@ -18,8 +18,7 @@ from aerial_gym.robots.importers import mjcf, sdf, urdf
 from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, lift_forces, make_collision, read_xml, vec3
 from aerial_gym.robots.importers.joints import ENDS
 
-ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"
-"""Names of links of a URDF without motors that are taken for rotors."""
+ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"  # Names of links of a URDF without motors that are taken for rotors
 
 _JOINTS_HINT = ", or let its joints move with --joints"
 

@@ -71,8 +71,7 @@ _MODEL: dict[str, Tags] = {
     "plugin": MOTOR_TAGS,
     "include": {**{tag: {} for tag in ("uri", "name", "pose", "placement_frame")}, "plugin": MOTOR_TAGS},
 }
-_MODEL["model"] = _MODEL
-"""Elements of a model that are read."""
+_MODEL["model"] = _MODEL  # Elements of a model that are read
 
 
 def read_sdf(path: Path) -> FileVehicle:

@@ -29,8 +29,7 @@ from aerial_gym.robots.importers.sdf_tree import TRUE, Element, SdfTree
 if TYPE_CHECKING:
     import trimesh
 
-WATER = 1000.0
-"""Density of shapes that give none [kg/m³]."""
+WATER = 1000.0  # Density of shapes that give none [kg/m³]
 
 SIZES = {
     "box": ("size",),
@@ -42,8 +41,7 @@ SIZES = {
 }
 """Shapes with a volume, and the elements that give their sizes."""
 
-HOLLOW = ("plane", "heightmap", "image")
-"""Shapes without a volume."""
+HOLLOW = ("plane", "heightmap", "image")  # Shapes without a volume
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from aerial_gym.robots.importers.file_vehicle import make_pose, parse_numbers, r
 
 Element = ElementTree.Element
 
-MODEL = "__model__"
-"""Name of the frame of a model in SDF files."""
+MODEL = "__model__"  # Name of the frame of a model in SDF files
 
 TRUE = ("true", "1")
 

@@ -19,11 +19,8 @@ from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.interop import usual_settings
 
-ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
-"""By the name in the settings."""
-
-SMALLEST_IMAGE = 4
-"""Layers end where an image would have fewer rows or columns."""
+ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}  # By the name in the settings
+SMALLEST_IMAGE = 4  # Layers end where an image would have fewer rows or columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,18 +113,10 @@ def negative_evidence(images: Tensor, decoded: Tensor, mean: Tensor, log_varianc
     return 0.5 * pixels * torch.log(squares) + divergence(mean, log_variance).mean()
 
 
-LEAST_VARIANCE = 1e-8
-"""Of a pixel, of shares: 1 mm of 10 m; an image that is explained better is explained."""
-
-
-ENCODERS = CONFIG_DIR / "encoders"
-"""Folder of the encoders that come with the package, ``NAME.pt``."""
-
-FILE_KIND = "encoder"
-"""Name of the file kind in errors."""
-
-HOW = "Train one with aerial-gym train-encoder"
-"""Remedy in most errors."""
+LEAST_VARIANCE = 1e-8  # Of a pixel, of shares: 1 mm of 10 m; an image that is explained better is explained
+ENCODERS = CONFIG_DIR / "encoders"  # Folder of the encoders that come with the package, `NAME.pt`
+FILE_KIND = "encoder"  # Name of the file kind in errors
+HOW = "Train one with aerial-gym train-encoder"  # Remedy in most errors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,7 @@ from newton.sensors import SensorCamera
 
 PACKAGES = ("newton", "warp-lang")
 
-FORWARD = wp.quat(0.5, -0.5, -0.5, 0.5)
-"""From a camera that looks along -z with y up to one that looks along x with z up, xyzw."""
+FORWARD = wp.quat(0.5, -0.5, -0.5, 0.5)  # From a camera along -z, y up, to one along x, z up, xyzw
 
 
 def make_renderer(

@@ -24,8 +24,7 @@ DEPTH_TOLERANCE = 1e-3
 """Largest difference of depths that show the same [m]; at 40 m a float32 has steps of 4e-6 m, and kernels with fast
 mathematics on GPUs lose two digits."""
 
-MOST_THAT_DIFFER = 2e-3
-"""Largest share of pixels that may show something else: rays that graze an edge are decided by round-off."""
+MOST_THAT_DIFFER = 2e-3  # Largest share of pixels that may differ: round-off decides rays that graze an edge
 
 
 @dataclass(frozen=True, kw_only=True)
