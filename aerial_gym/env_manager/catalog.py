@@ -2,11 +2,10 @@
 
 from functools import partial
 
-from aerial_gym.config import family_files, load
+from aerial_gym.config import family_files, load, read_summary
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.registry import Registry
+from aerial_gym.registry.registry import register_files
 
 SIMS: Registry[SimCfg] = Registry("sim")
-
-for _name, _path in family_files("sims").items():
-    SIMS.register_later(_name, partial(load, SimCfg, _path))
+register_files(SIMS, family_files("sims"), partial(load, SimCfg), summary=read_summary)

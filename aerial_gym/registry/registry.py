@@ -1,7 +1,9 @@
 """One class for every family of names: sims, environments, robots, controllers, sensors, effects, backends, tasks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Generic, TypeVar, cast
 
 from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
@@ -75,3 +77,11 @@ class Registry(Generic[T]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+
+def register_files(
+    registry: Registry[T], files: Mapping[str, Path], load: Callable[[Path], T], *, summary: Callable[[Path], str]
+) -> None:
+    """Add files by name, each loaded at its first use; ``summary`` returns one line about a file without loading it."""
+    for name, path in files.items():
+        registry.register_later(name, partial(load, path), summary=partial(summary, path))

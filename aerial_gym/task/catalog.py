@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from functools import partial
 from hashlib import sha256
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -16,6 +15,7 @@ from aerial_gym.config.task import CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
+from aerial_gym.registry.registry import register_files
 
 if TYPE_CHECKING:
     import torch
@@ -218,6 +218,4 @@ def _curriculum_at_level(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
 
 
 task_registry = TaskRegistry("task")
-
-for _name, _path in family_files("tasks").items():
-    task_registry.register_later(_name, partial(load_task, _path), summary=partial(read_summary, _path))
+register_files(task_registry, family_files("tasks"), load_task, summary=read_summary)
