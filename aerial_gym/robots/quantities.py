@@ -11,7 +11,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from aerial_gym.config.console import accept_any_console
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.physics import Vehicle
 
@@ -43,17 +42,15 @@ def scale_second_moments(inertia: Tensor, factor: Tensor) -> Tensor:
 Width = Literal["one", "vector", "rotor", "rotor_vector"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Quantity:
     """A quantity of the vehicle."""
 
     unit: str  # SI unit
     width: Width  # One number, three components, a number for each rotor, or three components for each rotor
-
-    apply: Callable[[Vehicle, RandomizeCfg, Tensor], Vehicle]
-    """From the vehicle and a draw, (E,), (E, 3), (E, R) or (E, R, 3), to the vehicle with it."""
-
+    apply: Callable[[Vehicle, RandomizeCfg, Tensor], Vehicle]  # Adds a draw: (E,), (E, 3), (E, R) or (E, R, 3)
     meaning: str  # One line
+    declared: str | None = None  # Field of `Vehicle` with the declared value; None for factors
     how: tuple[str, ...] = ("scale", "offset", "value")  # Allowed draws of the quantity
 
 
@@ -102,38 +99,22 @@ def _set_charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
 
 
 def _quantity_of_fields(unit: str, width: Width, meaning: str, *fields: str) -> Quantity:
-    return Quantity(unit=unit, width=width, apply=partial(_set_fields, fields), meaning=meaning)
+    return Quantity(unit, width, partial(_set_fields, fields), meaning, fields[0])
 
+
+_set_maps, _set_torque_map = partial(_scale_maps, ("thrust", "torque")), partial(_scale_maps, ("torque",))
+_both_lags = ("time_constant_up", "time_constant_down")
 
 QUANTITIES: dict[str, Quantity] = {
-    "body.mass": Quantity(
-        unit="kg", width="one", apply=_set_mass, meaning="mass; the inertia grows with it (keep_inertia)"
-    ),
+    "body.mass": Quantity("kg", "one", _set_mass, "mass; the inertia grows with it (keep_inertia)", "mass"),
     "body.com": _quantity_of_fields("m", "vector", "centre of mass from the body origin, body", "com"),
     "body.inertia": Quantity(
-        unit="-",
-        width="vector",
-        apply=_scale_inertia,
+        "-", "vector", _scale_inertia, "factors on the mass's second moments along the body axes: stays that of a body",
         how=("scale",),
-        meaning="factors on the mass's second moments along the body axes: stays that of a body",
     ),
-    "rotor.thrust_map": Quantity(
-        unit="-",
-        width="rotor",
-        apply=partial(_scale_maps, ("thrust", "torque")),
-        how=("scale",),
-        meaning="thrust and drag torque of a speed",
-    ),
-    "rotor.torque_map": Quantity(
-        unit="-",
-        width="rotor",
-        apply=partial(_scale_maps, ("torque",)),
-        how=("scale",),
-        meaning="drag torque of a speed alone",
-    ),
-    "rotor.time_constant": _quantity_of_fields(
-        "s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"
-    ),
+    "rotor.thrust_map": Quantity("-", "rotor", _set_maps, "thrust and drag torque of a speed", how=("scale",)),
+    "rotor.torque_map": Quantity("-", "rotor", _set_torque_map, "drag torque of a speed alone", how=("scale",)),
+    "rotor.time_constant": _quantity_of_fields("s", "rotor", "lag, rising and falling", *_both_lags),
     "rotor.time_constant_up": _quantity_of_fields("s", "rotor", "lag of a speed that grows", "time_constant_up"),
     "rotor.time_constant_down": _quantity_of_fields("s", "rotor", "lag of a speed that falls", "time_constant_down"),
     "rotor.slew_rate": _quantity_of_fields(
@@ -143,26 +124,16 @@ QUANTITIES: dict[str, Quantity] = {
     "rotor.radius": _quantity_of_fields("m", "rotor", "radius of the propeller", "rotor_radius"),
     "mounts.*.position": _quantity_of_fields("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
     "mounts.*.axis": Quantity(
-        unit="-",
-        width="rotor_vector",
-        apply=_turn_axes,
-        how=("offset",),
-        meaning="directions of thrust, made unit length",
+        "-", "rotor_vector", _turn_axes, "directions of thrust, made unit length", "rotor_axis", how=("offset",)
     ),
     **{
-        f"battery.{name}": Quantity(
-            unit="see BatteryCfg", width="one", apply=partial(_set_battery, column), meaning=f"{name} of the battery"
-        )
+        f"battery.{name}": Quantity("see BatteryCfg", "one", partial(_set_battery, column), f"{name} of the battery")
         for column, name in enumerate(BATTERY)
     },
     "battery.charge": Quantity(
-        unit="-",
-        width="one",
-        apply=_set_charge,
-        how=("value",),
-        meaning="share of the charge with which an episode begins",
+        "-", "one", _set_charge, "share of the charge with which an episode begins", how=("value",)
     ),
-}
+}  # fmt: skip
 """Quantities of every vehicle; those of effects, gains and sensors depend on the robot."""
 
 
@@ -179,8 +150,3 @@ def quantity_table() -> str:
             how = "value, integer" if each.kind == "rotor" else "scale, offset, value"
             rows.append(f"| `effects.{name}.{each.name}` | {each.unit} | 1 | {how} | {each.meaning} |")
     return "\n".join(rows)
-
-
-if __name__ == "__main__":
-    accept_any_console()
-    print(quantity_table())

@@ -20,7 +20,7 @@ from aerial_gym.physics import EFFECTS, Vehicle
 from aerial_gym.physics.effects import Effect, Parameter
 from aerial_gym.physics.vehicle import own_rows, share_row
 from aerial_gym.robots.parameter_draws import RandomQuantity, correlation_factor
-from aerial_gym.robots.quantities import QUANTITIES, apply_draw
+from aerial_gym.robots.quantities import BATTERY, QUANTITIES, apply_draw
 
 if TYPE_CHECKING:
     from aerial_gym.physics.articulated.articulation import Articulation
@@ -88,8 +88,7 @@ class RobotDraws:
         self._num_rotors, self._declared = declared.num_rotors, declared
         self._vehicle = {name: rows[0].tolist() for name, rows in declared.rows().items()}
         self._effects = [effect for effect, _ in effects]
-        self._params = {effect.name: params[0].tolist() for effect, params in effects}
-        self._effect_parameters = {effect.name: effect.parameters for effect, _ in effects}
+        self._params = [params[0].tolist() for _, params in effects]
         self._gains = {name: rows[0].tolist() for name, rows in gains.items()}
         self._gain_rows = {name: own_rows(rows[:1])[0] for name, rows in gains.items()}
         correlation_factor(cfg)
@@ -126,8 +125,8 @@ class RobotDraws:
         """Fill the numbers (E, K) with draws that leave everything as declared."""
         for each in self.drawn:
             how = each.cfg.how
-            value = torch.tensor(self._nominal_value(each.name, each.cfg), device=values.device)
-            values[:, each.columns] = 1.0 if how == "scale" else 0.0 if how == "offset" else value.flatten()
+            value = self._nominal_value(each.name, each.cfg).to(values.device).flatten()
+            values[:, each.columns] = 1.0 if how == "scale" else 0.0 if how == "offset" else value
 
     def apply_draws(self, values: Tensor, *params: Tensor, vehicle: Vehicle | None = None) -> DrawResult:
         """Return vehicle, effect parameters and gains for draws (E, K) and the present parameters (E, P) of all effects.
@@ -149,9 +148,8 @@ class RobotDraws:
             draw = values[:, each.columns].reshape(-1, *each.shape)
             family, *rest = each.name.split(".", 2)
             if family == "effects":
-                at = [effect.name for effect in self._effects].index(rest[0])
-                k = [p.name for p in self._effects[at].parameters].index(rest[1])
-                declared = torch.full_like(columns[at][k], self._params[rest[0]][k])
+                at, k = self._parameter_place(*rest)
+                declared = torch.full_like(columns[at][k], self._params[at][k])
                 columns[at][k] = apply_draw(each.cfg, declared, draw)
             elif family == "gains":
                 declared = rows(self._gains[rest[0]]) if bare else share_row(self._gain_rows[rest[0]], count)
@@ -164,7 +162,7 @@ class RobotDraws:
         one = _ONE_MOUNT.fullmatch(each.name)
         if one is None:
             return QUANTITIES[each.name].apply(vehicle, each.cfg, draw.expand(-1, *self._full_shape(each.name)))
-        field = {"position": "rotor_position", "axis": "rotor_axis"}[one[2]]
+        field = _mount_field(one[2])
         everywhere = QUANTITIES[f"mounts.*.{one[2]}"].apply(
             vehicle, each.cfg, draw.unsqueeze(1).expand(-1, self._num_rotors, 3)
         )
@@ -190,49 +188,37 @@ class RobotDraws:
             raise ConfigError(f"randomize: {name}: each_rotor is for quantities of all rotors")
         return (1, *full[1:]) if rotor and not cfg.each_rotor else full
 
-    def _nominal_value(self, name: str, cfg: RandomizeCfg) -> list[float] | float:
-        """Return the declared value of a quantity, in the shape of its draw."""
+    def _nominal_value(self, name: str, cfg: RandomizeCfg) -> Tensor:
+        """Return the declared value of a quantity, in the shape of its draw; 1 for factors."""
         family, *rest = name.split(".", 2)
         if family == "effects":
-            return self._params[rest[0]][[p.name for p in self._effect_parameters[rest[0]]].index(rest[1])]
+            at, k = self._parameter_place(*rest)
+            return torch.tensor(self._params[at][k])
         if family == "gains":
-            return self._gains[rest[0]]
-        probe = self._vehicle_value(name, cfg)
-        return probe.tolist()
-
-    def _effect_parameter(self, name: str) -> Parameter | None:
-        """Return the effect parameter of a quantity, None for other quantities."""
-        family, *rest = name.split(".", 2)
-        return next(p for p in self._effect_parameters[rest[0]] if p.name == rest[1]) if family == "effects" else None
-
-    def _vehicle_value(self, name: str, cfg: RandomizeCfg) -> Tensor:
+            return torch.tensor(self._gains[rest[0]])
         one = _ONE_MOUNT.fullmatch(name)
         if one is not None:
-            field = {"position": "rotor_position", "axis": "rotor_axis"}[one[2]]
-            return torch.tensor(self._vehicle[field][int(one[1]) - 1])
-        fields = {
-            "body.mass": "mass", "body.com": "com", "mounts.*.position": "rotor_position", "mounts.*.axis": "rotor_axis",
-            "rotor.time_constant": "time_constant_up", "rotor.time_constant_up": "time_constant_up",
-            "rotor.time_constant_down": "time_constant_down", "rotor.slew_rate": "slew_rate",
-            "rotor.dead_band": "dead_band", "rotor.radius": "rotor_radius",
-        }  # fmt: skip
-        shape = self._draw_shape(name, cfg)
-        if name == "battery.charge" or (name not in fields and not name.startswith("battery.")):
-            return torch.ones(shape)
-        if name.startswith("battery."):
-            from aerial_gym.robots.quantities import BATTERY
-
-            return torch.tensor(self._vehicle["battery"][BATTERY.index(name.split(".")[1])])
-        declared = torch.tensor(self._vehicle[fields[name]])
+            return torch.tensor(self._vehicle[_mount_field(one[2])][int(one[1]) - 1])
+        if family == "battery" and rest[0] in BATTERY:
+            return torch.tensor(self._vehicle["battery"][BATTERY.index(rest[0])])
+        shape, field = self._draw_shape(name, cfg), QUANTITIES[name].declared
+        declared = torch.ones(shape) if field is None else torch.tensor(self._vehicle[field])
         return declared[: shape[0]] if shape else declared
+
+    def _parameter_place(self, effect: str, parameter: str) -> tuple[int, int]:
+        """Return the number of an effect, and that of its parameter."""
+        at = [each.name for each in self._effects].index(effect)
+        return at, [each.name for each in self._effects[at].parameters].index(parameter)
 
     def _check_range(self, name: str, cfg: RandomizeCfg) -> None:
         """Raise ``ConfigError`` for a range beyond the possible values, or a quantity that the robot lacks."""
         trait = {"rotor.slew_rate": "slew", "rotor.dead_band": "dead_band"}.get(name)
         if trait is not None and trait not in self._declared.traits:
             raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")
-        declared = torch.tensor(self._nominal_value(name, cfg)).flatten().tolist()
-        parameter = self._effect_parameter(name)
+        declared, parameter = self._nominal_value(name, cfg).flatten().tolist(), None
+        if name.startswith("effects."):
+            at, k = self._parameter_place(*name.split(".", 2)[1:])
+            parameter = self._effects[at].parameters[k]
         least, most = _possible_range(name, parameter, self._num_rotors)
         if parameter is not None and parameter.kind == "rotor" and (cfg.distribution, cfg.how) != ("integer", "value"):
             raise ConfigError(f"randomize: {name} is the number of a rotor. Give how: value, distribution: integer")
@@ -242,6 +228,11 @@ class RobotDraws:
                     f"randomize: {name} reaches {low:g} to {high:g}: must stay within [{least:g}, {most:g}]. "
                     "Give low and high"
                 )
+
+
+def _mount_field(name: str) -> str:
+    """Return the field of ``Vehicle`` for ``position`` or ``axis`` of mounts."""
+    return str(QUANTITIES[f"mounts.*.{name}"].declared)
 
 
 def _effect_parameters(effect: str, robot: RobotCfg) -> tuple[Parameter, ...]:
