@@ -9,15 +9,7 @@ from math import inf
 from pathlib import Path
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import (
-    MAX_MADE,
-    Vec3,
-    require,
-    require_choice,
-    require_finite,
-    require_positive,
-    require_ranges,
-)
+from aerial_gym.config.checks import MAX_MADE, Vec3
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.randomize import RandomizeCfg
@@ -54,10 +46,10 @@ class MotionCfg:
     at_bounds: str = "pass"  # Where `twist` brings the origin to the bounds: `pass` on, `bounce` off, `wrap` around
 
     def __post_init__(self) -> None:
-        require_choice(self, "kind", MOTIONS)
-        require_choice(self, "at_bounds", AT_BOUNDS)
-        require_ranges(self, "lin_vel", "ang_vel")
-        require(self, "speed", 0.0 <= self.speed[0] <= self.speed[1] < inf, "needs 0 <= low <= high < inf")
+        checks.require_choice(self, "kind", MOTIONS)
+        checks.require_choice(self, "at_bounds", AT_BOUNDS)
+        checks.require_ranges(self, "lin_vel", "ang_vel")
+        checks.require(self, "speed", 0.0 <= self.speed[0] <= self.speed[1] < inf, "needs 0 <= low <= high < inf")
         still = MotionCfg.__dataclass_fields__
         unused = {
             "none": ("lin_vel_low", "lin_vel_high", "ang_vel_low", "ang_vel_high", "speed", "at_bounds"),
@@ -65,7 +57,9 @@ class MotionCfg:
             "waypoints": ("lin_vel_low", "lin_vel_high", "at_bounds"),
         }
         for name in unused[self.kind]:
-            require(self, name, getattr(self, name) == still[name].default, f"motion {self.kind!r} does not use it")
+            checks.require(
+                self, name, getattr(self, name) == still[name].default, f"motion {self.kind!r} does not use it"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,26 +75,15 @@ class LampCfg:
     color: Vec3 = (1.0, 1.0, 1.0)  # c: red, green, blue of the light, each 0 to 1
 
     def __post_init__(self) -> None:
-        require_finite(self, "position")
-        require_positive(self, "intensity")
+        checks.require_finite(self, "position")
+        checks.require_positive(self, "intensity")
         require_color(self, "color")
 
 
 __all__ = [
-    "AT_BOUNDS",
-    "FIRST_INSTANCE_ID",
-    "MOTIONS",
-    "AssetCfg",
-    "CheckerCfg",
-    "ContactCfg",
-    "EnvironmentCfg",
-    "FamilyCfg",
-    "LampCfg",
-    "MotionCfg",
-    "PartCfg",
-    "ShapeCfg",
-    "load_environment",
-]
+    "AT_BOUNDS", "FIRST_INSTANCE_ID", "MOTIONS", "AssetCfg", "CheckerCfg", "ContactCfg", "EnvironmentCfg", "FamilyCfg",
+    "LampCfg", "MotionCfg", "PartCfg", "ShapeCfg", "load_environment",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
 
-from aerial_gym.config.checks import (
-    MAX_MADE,
-    Vec3,
-    require,
-    require_choice,
-    require_count,
-    require_finite,
-    require_positive,
-)
+from aerial_gym.config import checks
+from aerial_gym.config.checks import MAX_MADE, Vec3
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError
 
@@ -69,15 +62,15 @@ class LidarCfg(RangeSensorCfg):
         super().__post_init__()
         low, high = self.azimuth_low_deg, self.azimuth_high_deg
         rule = f"with azimuth_high_deg = {high!r} needs -360 <= low < high <= 360 and at most one turn between them"
-        require(self, "azimuth_low_deg", -360.0 <= low < high <= 360.0 and high - low <= 360.0, rule)
+        checks.require(self, "azimuth_low_deg", -360.0 <= low < high <= 360.0 and high - low <= 360.0, rule)
         if self.beam_elevations_deg is None:
             self._check_interval()
         else:
             self._check_beams(self.beam_elevations_deg)
         self._check_beam_azimuths()
-        require_positive(self, "scan_s")
+        checks.require_positive(self, "scan_s")
         holds = isinstance(self.scan_columns, int) and 1 <= self.scan_columns <= self.width
-        require(self, "scan_columns", holds, f"must be a whole number from 1 to width = {self.width}")
+        checks.require(self, "scan_columns", holds, f"must be a whole number from 1 to width = {self.width}")
 
     @property
     def full_turn(self) -> bool:
@@ -95,7 +88,7 @@ class LidarCfg(RangeSensorCfg):
     def _check_beam_azimuths(self) -> None:
         given = self.beam_azimuths_deg
         holds = given is None or (len(given) == self.height and all(-90.0 <= angle <= 90.0 for angle in given))
-        require(self, "beam_azimuths_deg", holds, f"needs height = {self.height} angles within +-90 degrees")
+        checks.require(self, "beam_azimuths_deg", holds, f"needs height = {self.height} angles within +-90 degrees")
         if self.cells and self.beam_elevations_deg is not None:
             raise ConfigError("LidarCfg: give cells or beam_elevations_deg, not both")
 
@@ -104,15 +97,15 @@ class LidarCfg(RangeSensorCfg):
         if low is None or high is None:
             raise ConfigError("LidarCfg: give elevation_low_deg and elevation_high_deg, or beam_elevations_deg")
         rule = f"with elevation_high_deg = {high!r} needs -90 <= low < high <= 90"
-        require(self, "elevation_low_deg", -90.0 <= low < high <= 90.0, rule)
+        checks.require(self, "elevation_low_deg", -90.0 <= low < high <= 90.0, rule)
 
     def _check_beams(self, beams: tuple[float, ...]) -> None:
         if self.elevation_low_deg is not None or self.elevation_high_deg is not None:
             raise ConfigError("LidarCfg: give elevation limits or beam_elevations_deg, not both")
         name, ordered = "beam_elevations_deg", all(above > below for above, below in pairwise(beams))
-        require(self, name, len(beams) == self.height, f"needs height = {self.height} entries")
-        require(self, name, all(-90.0 <= beam <= 90.0 for beam in beams), "must lie within +-90 degrees")
-        require(self, name, ordered, "must fall from entry to entry, row 0 is on top")
+        checks.require(self, name, len(beams) == self.height, f"needs height = {self.height} entries")
+        checks.require(self, name, all(-90.0 <= beam <= 90.0 for beam in beams), "must lie within +-90 degrees")
+        checks.require(self, name, ordered, "must fall from entry to entry, row 0 is on top")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +129,7 @@ class RayTableCfg(RangeSensorCfg):
             raise ConfigError("RayTableCfg: give exactly one of path and rays")
         if self.rays is None:
             return
-        require_finite(self, "rays")
+        checks.require_finite(self, "rays")
         count = self.height * self.width
         if len(self.rays) != count:
             raise ConfigError(f"RayTableCfg.rays has {len(self.rays)} rays, expected height * width = {count}")
@@ -158,10 +151,10 @@ class PrismCfg:
     inclined_face: str = "entry"  # Face that is inclined, `entry` or `exit`; the other is normal to the x axis
 
     def __post_init__(self) -> None:
-        require_finite(self, "turns_hz")
-        require(self, "wedge_deg", 0.0 < self.wedge_deg < 45.0, "must lie between 0 and 45 degrees")
-        require(self, "refractive_index", 1.0 < self.refractive_index < inf, "must be > 1 and finite")
-        require_choice(self, "inclined_face", ("entry", "exit"))
+        checks.require_finite(self, "turns_hz")
+        checks.require(self, "wedge_deg", 0.0 < self.wedge_deg < 45.0, "must lie between 0 and 45 degrees")
+        checks.require(self, "refractive_index", 1.0 < self.refractive_index < inf, "must be > 1 and finite")
+        checks.require_choice(self, "inclined_face", ("entry", "exit"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,16 +183,16 @@ class RosetteCfg(RangeSensorCfg):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_count(self, "frames", "scan_columns", most=MAX_MADE)
-        require(self, "rate_hz", self.rate_hz is not None, "must be given, as a frame lasts 1 / rate_hz")
-        require_choice(self, "kind", ("range",))
+        checks.require_count(self, "frames", "scan_columns", most=MAX_MADE)
+        checks.require(self, "rate_hz", self.rate_hz is not None, "must be given, as a frame lasts 1 / rate_hz")
+        checks.require_choice(self, "kind", ("range",))
         if bool(self.prisms) == (self.path is not None):
             raise ConfigError("RosetteCfg: give exactly one of prisms and path")
         holds = self.path is not None or len(self.lasers_deg) == self.height
-        require(self, "lasers_deg", holds, f"needs height = {self.height} lasers")
+        checks.require(self, "lasers_deg", holds, f"needs height = {self.height} lasers")
         holds = all(-45.0 <= angle <= 45.0 for laser in self.lasers_deg for angle in laser)
-        require(self, "lasers_deg", holds, "must lie within +-45 degrees")
-        require(self, "scan_columns", self.scan_columns <= self.width, f"must be at most width = {self.width}")
+        checks.require(self, "lasers_deg", holds, "must lie within +-45 degrees")
+        checks.require(self, "scan_columns", self.scan_columns <= self.width, f"must be at most width = {self.width}")
 
     @property
     def column_s(self) -> float:

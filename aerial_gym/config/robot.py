@@ -23,23 +23,10 @@ from aerial_gym.config.shape import ROBOT_ID, PartCfg, absolute_paths
 from aerial_gym.errors import ConfigError
 
 __all__ = [
-    "ROTOR_TRAITS",
-    "BatteryCfg",
-    "BodyCfg",
-    "BoxCfg",
-    "CapsuleCfg",
-    "CollisionCfg",
-    "CollisionShape",
-    "InitialStateCfg",
-    "MountCfg",
-    "MountsCfg",
-    "RobotCfg",
-    "RotorCfg",
-    "SensorMountCfg",
-    "SphereCfg",
-    "Vec3",
+    "ROTOR_TRAITS", "BatteryCfg", "BodyCfg", "BoxCfg", "CapsuleCfg", "CollisionCfg", "CollisionShape",
+    "InitialStateCfg", "MountCfg", "MountsCfg", "RobotCfg", "RotorCfg", "SensorMountCfg", "SphereCfg", "Vec3",
     "load_robot",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

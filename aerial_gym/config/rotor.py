@@ -8,14 +8,8 @@ of ``reverse_thrust_map`` at the absolute speed, against its axis, and the oppos
 from dataclasses import dataclass, field
 from math import inf
 
-from aerial_gym.config.checks import (
-    Vec3,
-    require,
-    require_choice,
-    require_finite,
-    require_not_negative,
-    require_positive,
-)
+from aerial_gym.config import checks
+from aerial_gym.config.checks import Vec3
 from aerial_gym.errors import ConfigError
 
 ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")  # Features beyond an unsigned, lagging speed
@@ -49,14 +43,16 @@ class RotorCfg:
     source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
-        require_positive(self, "time_constant_up", "time_constant_down", "radius", "slew_rate", "slew_rate_down")
-        require_finite(self, "thrust_map", "thrust_range", "torque_map", "reverse_thrust_map", "reverse_torque_map")
-        require_choice(self, "mode", ("speed", "force"))
+        checks.require_positive(self, "time_constant_up", "time_constant_down", "radius", "slew_rate", "slew_rate_down")
+        checks.require_finite(
+            self, "thrust_map", "thrust_range", "torque_map", "reverse_thrust_map", "reverse_torque_map"
+        )
+        checks.require_choice(self, "mode", ("speed", "force"))
         low, high = self.thrust_range
-        require(self, "thrust_range", low < high and high > 0.0, "needs low < high, and high > 0")
+        checks.require(self, "thrust_range", low < high and high > 0.0, "needs low < high, and high > 0")
         if (self.torque_ratio is None) == (self.torque_map is None):
             raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
-        require_not_negative(self, "dead_band", "torque_ratio")
+        checks.require_not_negative(self, "dead_band", "torque_ratio")
         if self.mode == "force":
             self._check_force_mode()
         else:
@@ -65,31 +61,25 @@ class RotorCfg:
     def _check_force_mode(self) -> None:
         for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map"):
             given = getattr(self, name) is not None
-            require(self, name, not given, "in force mode the state is the thrust; give torque_ratio alone")
-        require(self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust; leave it out")
-        require(
-            self, "rotor_map", self.rotor_map == POLYNOMIAL_MAP, "in force mode the state is the thrust; leave it out"
+            checks.require(self, name, not given, "in force mode the state is the thrust; give torque_ratio alone")
+        checks.require(
+            self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust; leave it out"
         )
 
     def _check_maps(self) -> None:
-        if self.rotor_map == POLYNOMIAL_MAP:
-            require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
-        require(self, "thrust_map", any(self.thrust_map), "in speed mode a coefficient other than 0 is needed")
+        checks.require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
         if not self.reversible:
             for name in ("reverse_thrust_map", "reverse_torque_map"):
                 rule = "only for a reversible rotor, with a thrust_range that begins below 0"
-                require(self, name, getattr(self, name) is None, rule)
-        elif self.rotor_map == POLYNOMIAL_MAP:
-            self._check_reversible_polynomials()
-
-    def _check_reversible_polynomials(self) -> None:
+                checks.require(self, name, getattr(self, name) is None, rule)
+            return
         for name in ("thrust_map", "reverse_thrust_map"):
             c0, c1, c2 = getattr(self, name) or self.thrust_map
             rule = "the thrust of a reversible rotor is 0 without speed and grows with it: needs c0 = 0, c1 >= 0 and c2 > 0"
-            require(self, name, c0 == 0.0 and c1 >= 0.0 and c2 > 0.0, rule)
+            checks.require(self, name, c0 == 0.0 and c1 >= 0.0 and c2 > 0.0, rule)
         for name in ("torque_map", "reverse_torque_map"):
             q0, *_ = getattr(self, name) or (0.0,)
-            require(self, name, q0 == 0.0, "the torque of a reversible rotor is 0 without speed: needs q0 = 0")
+            checks.require(self, name, q0 == 0.0, "the torque of a reversible rotor is 0 without speed: needs q0 = 0")
 
     @property
     def reversible(self) -> bool:

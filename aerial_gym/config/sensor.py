@@ -14,24 +14,10 @@ from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, Ra
 from aerial_gym.errors import ConfigError, suggest_name
 
 __all__ = [
-    "FRAMES",
-    "KINDS",
-    "MODELS",
-    "CameraCfg",
-    "FisheyeCfg",
-    "LidarCfg",
-    "LightCfg",
-    "NoiseCfg",
-    "PrismCfg",
-    "RangeSensorCfg",
-    "RayTableCfg",
-    "RosetteCfg",
-    "ScannedCfg",
-    "SensorCfg",
-    "StereoCfg",
-    "load_any_sensor",
+    "FRAMES", "KINDS", "MODELS", "CameraCfg", "FisheyeCfg", "LidarCfg", "LightCfg", "NoiseCfg", "PrismCfg",
+    "RangeSensorCfg", "RayTableCfg", "RosetteCfg", "ScannedCfg", "SensorCfg", "StereoCfg", "load_any_sensor",
     "load_sensor",
-]
+]  # fmt: skip
 
 MODELS: dict[str, type[RangeSensorCfg]] = {
     "pinhole": CameraCfg,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from aerial_gym.assets.families import rules
-from aerial_gym.assets.families.family import Draw, Family
+from aerial_gym.assets.families.rules import Draw, Family
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, ShapeCfg
 from aerial_gym.registry import Registry
 

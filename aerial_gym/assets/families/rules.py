@@ -1,18 +1,84 @@
-"""Rules of the families of shapes: boxes, doorways, gates, poles, rods, trees, furniture, corridors and rooms.
+"""Families of shapes: rules with ranges of random dimensions, for boxes, doorways, gates, poles, trees, furniture and rooms.
 
 Lengths in metres, angles in radians; sizes as in buildings and of common furniture where no source is given.
 """
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from math import cos, pi, sin
 
-from aerial_gym.assets.families.family import WALL_IDS, Draw, Family, box
-from aerial_gym.config.environment import PartCfg, ShapeCfg
+import numpy as np
 
-Size = tuple[float, float, float]
+from aerial_gym.config.environment import FIRST_INSTANCE_ID, FamilyCfg, PartCfg, ShapeCfg
+from aerial_gym.config.robot import Vec3
+from aerial_gym.errors import ConfigError
+
+WALL_IDS = {"front": 9, "back": 10, "left": 11, "right": 12, "bottom": 13, "top": 14}
+"""Semantic ids of the faces of rooms and corridors. Source: parity 2.2."""
+
+WALL_COLORS: dict[int, Vec3] = {
+    WALL_IDS["front"]: (0.72, 0.74, 0.78),
+    WALL_IDS["back"]: (0.64, 0.66, 0.70),
+    WALL_IDS["left"]: (0.74, 0.70, 0.64),
+    WALL_IDS["right"]: (0.66, 0.70, 0.66),
+    WALL_IDS["bottom"]: (0.46, 0.44, 0.42),
+    WALL_IDS["top"]: (0.86, 0.86, 0.84),
+}
+"""Colours of these faces, as in the registered environments. Plain choices."""
+
+assert max(WALL_IDS.values()) < FIRST_INSTANCE_ID
 
 BOARD = 0.03  # Thickness of boards [m]
 LEG = 0.05  # Edge of a table's leg [m]
 TRUNK, BRANCH = (0.40, 0.28, 0.18), (0.30, 0.46, 0.22)  # Colours of trunks and branches. Plain choices: bark and leaves
+
+
+class Draw:
+    """Random numbers of one variant, drawn in the order of the calls."""
+
+    def __init__(self, ranges: Mapping[str, tuple[float, float]], *, seed: int, variant: int) -> None:
+        """Seed the draws of a variant, which depend only on the seed, its number and the ranges."""
+        self._ranges, self._random = ranges, np.random.default_rng((seed, variant))
+
+    def __call__(self, name: str) -> float:
+        """Draw a declared number, uniform within its range."""
+        return self.uniform(*self._ranges[name])
+
+    def uniform(self, low: float, high: float) -> float:
+        """Draw a number between two limits, for use inside a rule."""
+        return low + (high - low) * float(self._random.random())
+
+    def count(self, name: str) -> int:
+        """Draw a declared integer; each value of its range has the same probability."""
+        low, high = self._ranges[name]
+        return int(self._random.integers(round(low), round(high), endpoint=True))
+
+
+@dataclass(frozen=True)
+class Family:
+    """A rule that makes shapes, with the ranges of its numbers."""
+
+    summary: str  # One-line description
+    make: Callable[[Draw], ShapeCfg]  # The rule
+    ranges: Mapping[str, tuple[float, float]]  # Lowest and highest value of every number
+
+    def shapes(self, cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
+        """Return the variants of a configuration; raise ``ConfigError`` for an unknown number or an impossible shape."""
+        for name in cfg.ranges:
+            if name not in self.ranges:
+                known = ", ".join(self.ranges)
+                raise ConfigError(f"family {cfg.name!r}: there is no number {name!r}. Known: {known}")
+        ranges = {**self.ranges, **cfg.ranges}
+        try:
+            return tuple(self.make(Draw(ranges, seed=cfg.seed, variant=i)) for i in range(cfg.variants))
+        except ConfigError as error:
+            raise ConfigError(f"family {cfg.name!r} with {ranges}: {error}") from None
+
+
+def box(size: Vec3, at: Vec3, semantic_id: int | None = None) -> PartCfg:
+    """Return a box as a part, from its edge lengths and centre [m]."""
+    color = None if semantic_id is None else WALL_COLORS.get(semantic_id)
+    return PartCfg(shape=ShapeCfg(kind="box", size=size, color=color), position=at, semantic_id=semantic_id)
 
 
 def make_box(draw: Draw) -> ShapeCfg:
@@ -105,7 +171,7 @@ def shelf_parts(length: float, depth: float, height: float, boards: int) -> tupl
     return (*sides, *(box((inner, depth, BOARD), (0.0, 0.0, z)) for z in heights))
 
 
-def place_parts(parts: tuple[PartCfg, ...], at: Size, yaw: float) -> tuple[PartCfg, ...]:
+def place_parts(parts: tuple[PartCfg, ...], at: Vec3, yaw: float) -> tuple[PartCfg, ...]:
     """Return upright parts after a rotation about z by ``yaw`` [rad] and a displacement ``at`` [m]."""
     c, s, moved = cos(yaw), sin(yaw), []
     for part in parts:
@@ -122,7 +188,7 @@ def make_corridor(draw: Draw) -> ShapeCfg:
     return _compound(*wall_parts(inside, draw("thickness"), "left", "right", "bottom", "top"))
 
 
-def wall_parts(size: Size, thickness: float, *faces: str) -> tuple[PartCfg, ...]:
+def wall_parts(size: Vec3, thickness: float, *faces: str) -> tuple[PartCfg, ...]:
     """Return walls around a centred interior of the given size [m]; faces are named as in ``WALL_IDS``."""
     axes = {"front": (0, 1), "back": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1), "bottom": (2, -1)}
     parts = []
@@ -145,7 +211,7 @@ def make_room(draw: Draw) -> ShapeCfg:
     return _compound(*parts)
 
 
-def _place_table(draw: Draw, room: Size) -> tuple[PartCfg, ...]:
+def _place_table(draw: Draw, room: Vec3) -> tuple[PartCfg, ...]:
     length, width = draw.uniform(*TABLES.ranges["length"]), draw.uniform(*TABLES.ranges["width"])
     x, y = (max(0.5 * (edge - length), 0.0) for edge in room[:2])
     at = (draw.uniform(-x, x), draw.uniform(-y, y), -0.5 * room[2])
@@ -153,7 +219,7 @@ def _place_table(draw: Draw, room: Size) -> tuple[PartCfg, ...]:
     return place_parts(parts, at, draw.uniform(-pi, pi))
 
 
-def _place_shelf(draw: Draw, room: Size, side: float) -> tuple[PartCfg, ...]:
+def _place_shelf(draw: Draw, room: Vec3, side: float) -> tuple[PartCfg, ...]:
     length, depth, height = (draw.uniform(*SHELVES.ranges[name]) for name in ("length", "depth", "height"))
     x = max(0.5 * (room[0] - length), 0.0)
     at = (draw.uniform(-x, x), side * 0.5 * (room[1] - depth), -0.5 * room[2])
@@ -164,85 +230,58 @@ def _compound(*parts: PartCfg) -> ShapeCfg:
     return ShapeCfg(kind="compound", parts=parts)
 
 
-# Around the boxes, panels and walls of parity 2.2 (0.1x0.5x0.5 to 0.1x1x1 and 0.4 cubes; 0.1x1.2x3; 0.2 thick).
-BOXES = Family(
-    summary="Boxes of any proportion",
-    ranges={"thickness": (0.1, 0.4), "width": (0.1, 1.0), "height": (0.1, 2.0)},
-    make=make_box,
+BOXES = Family(  # these three around the boxes, panels and walls of parity 2.2: 0.1x0.5x0.5 to 0.1x1x1 and 0.4 cubes
+    "Boxes of any proportion", make_box, {"thickness": (0.1, 0.4), "width": (0.1, 1.0), "height": (0.1, 2.0)}
 )
-PANELS = Family(
-    summary="Upright panels across x",
-    ranges={"thickness": (0.1, 0.1), "width": (0.8, 1.6), "height": (2.0, 4.0)},
-    make=make_box,
+PANELS = Family(  # 0.1x1.2x3
+    "Upright panels across x", make_box, {"thickness": (0.1, 0.1), "width": (0.8, 1.6), "height": (2.0, 4.0)}
 )
-WALLS = Family(
-    summary="Long walls across x",
-    ranges={"thickness": (0.2, 0.2), "width": (3.0, 6.0), "height": (2.5, 4.0)},
-    make=make_box,
+WALLS = Family(  # 0.2 thick
+    "Long walls across x", make_box, {"thickness": (0.2, 0.2), "width": (3.0, 6.0), "height": (2.5, 4.0)}
 )
-DOORWAYS = Family(
-    summary="Walls across x with an opening in the middle that reaches the floor",
-    ranges={**WALLS.ranges, "door_width": (0.8, 1.4), "door_height": (1.9, 2.3)},  # of doors in houses
-    make=make_doorway,
+DOORWAYS = Family(  # of doors in houses
+    "Walls across x with an opening in the middle that reaches the floor", make_doorway,
+    {**WALLS.ranges, "door_width": (0.8, 1.4), "door_height": (1.9, 2.3)},
+)  # fmt: skip
+THIN_RODS = Family(  # around the 14 mm x 4.89 m of parity 2.2
+    "Thin rods along z, centred on the origin", make_rod, {"thickness": (0.01, 0.03), "length": (4.0, 5.0)}
 )
-THIN_RODS = Family(
-    summary="Thin rods along z, centred on the origin",
-    ranges={"thickness": (0.01, 0.03), "length": (4.0, 5.0)},  # around the 14 mm x 4.89 m of parity 2.2
-    make=make_rod,
-)
-GATES = Family(
-    summary="Square frames on a stand, to be flown through along x; the origin is the middle of the opening",
-    # from the gate of github learnsyslab/lsy_drone_racing (envs/assets/gate.xml) to twice its size
-    ranges={
-        "opening": (0.4, 0.8),
-        "bar": (0.16, 0.32),
-        "depth": (0.02, 0.04),
-        "stand_width": (0.1, 0.2),
-        "stand_height": (1.0, 2.0),
+GATES = Family(  # from the gate of github learnsyslab/lsy_drone_racing (envs/assets/gate.xml) to twice its size
+    "Square frames on a stand, to be flown through along x; the origin is the middle of the opening", make_gate,
+    {
+        "opening": (0.4, 0.8), "bar": (0.16, 0.32), "depth": (0.02, 0.04),
+        "stand_width": (0.1, 0.2), "stand_height": (1.0, 2.0),
     },
-    make=make_gate,
-)
-POLES = Family(
-    summary="Upright poles with round ends, whose tops are the origin",
-    ranges={"thickness": (0.03, 0.06), "height": (1.5, 3.0)},  # from its obstacle.xml, likewise
-    make=make_pole,
-)
+)  # fmt: skip
+POLES = Family(  # from its obstacle.xml, likewise
+    "Upright poles with round ends, whose tops are the origin", make_pole,
+    {"thickness": (0.03, 0.06), "height": (1.5, 3.0)},
+)  # fmt: skip
 TREES = Family(
-    summary="Trees of a trunk and branches, standing on the origin",
-    ranges={
+    "Trees of a trunk and branches, standing on the origin", make_tree,
+    {
         "height": (2.0, 4.0),  # of the order of the 4 m of forest_env
         "trunk_radius": (0.04, 0.12),
         "branches": (12.0, 12.0),  # with the trunk the 13 cylinders of parity 2.2
-        "branch_length": (0.4, 1.4),
-        "branch_radius": (0.01, 0.03),
-        "rise": (0.1, 1.1),
+        "branch_length": (0.4, 1.4), "branch_radius": (0.01, 0.03), "rise": (0.1, 1.1),
     },
-    make=make_tree,
-)
+)  # fmt: skip
 TABLES = Family(
-    summary="Tables of a top and four legs, standing on the origin",
-    ranges={"length": (1.0, 2.0), "width": (0.6, 1.0), "height": (0.7, 0.8)},
-    make=make_table,
-)
+    "Tables of a top and four legs, standing on the origin", make_table,
+    {"length": (1.0, 2.0), "width": (0.6, 1.0), "height": (0.7, 0.8)},
+)  # fmt: skip
 SHELVES = Family(
-    summary="Shelves of two sides and boards, standing on the origin",
-    ranges={"length": (0.6, 1.2), "depth": (0.25, 0.4), "height": (1.2, 2.0), "boards": (3.0, 6.0)},
-    make=make_shelf,
-)
+    "Shelves of two sides and boards, standing on the origin", make_shelf,
+    {"length": (0.6, 1.2), "depth": (0.25, 0.4), "height": (1.2, 2.0), "boards": (3.0, 6.0)},
+)  # fmt: skip
 CORRIDORS = Family(
-    summary="Corridors along x, open at both ends",
-    ranges={"length": (8.0, 16.0), "width": (1.5, 3.0), "height": (2.4, 3.0), "thickness": (0.2, 0.2)},
-    make=make_corridor,
-)
+    "Corridors along x, open at both ends", make_corridor,
+    {"length": (8.0, 16.0), "width": (1.5, 3.0), "height": (2.4, 3.0), "thickness": (0.2, 0.2)},
+)  # fmt: skip
 ROOMS = Family(
-    summary="Closed rooms with tables and shelves",
-    ranges={
-        "length": (5.0, 9.0),
-        "width": (4.0, 7.0),
-        "height": (2.5, 3.2),
-        "thickness": (0.2, 0.2),
-        "tables": (1.0, 4.0),
-        "shelves": (1.0, 4.0),
+    "Closed rooms with tables and shelves", make_room,
+    {
+        "length": (5.0, 9.0), "width": (4.0, 7.0), "height": (2.5, 3.2), "thickness": (0.2, 0.2),
+        "tables": (1.0, 4.0), "shelves": (1.0, 4.0),
     },
-    make=make_room,
-)
+)  # fmt: skip

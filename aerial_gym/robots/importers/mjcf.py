@@ -269,22 +269,12 @@ class _MjcfReader:
 
 
 _UNREAD_KINDS = (
-    ("sensors", "nsensor", "sensor"),
-    ("cameras", "ncam", "cam"),
-    ("lights", "nlight", "light"),
-    ("tendons", "ntendon", "tendon"),
-    ("equality constraints", "neq", "eq"),
-    ("contact pairs", "npair", "pair"),
-    ("contact exclusions", "nexclude", "exclude"),
-    ("plugins", "nplugin", "plugin"),
-    ("keyframes", "nkey", "key"),
-    ("skins", "nskin", "skin"),
-    ("flexes", "nflex", "flex"),
-    ("custom numbers", "nnumeric", "numeric"),
-    ("custom texts", "ntext", "text"),
-    ("materials", "nmat", "mat"),
-    ("textures", "ntex", "tex"),
-)
+    ("sensors", "nsensor", "sensor"), ("cameras", "ncam", "cam"), ("lights", "nlight", "light"),
+    ("tendons", "ntendon", "tendon"), ("equality constraints", "neq", "eq"), ("contact pairs", "npair", "pair"),
+    ("contact exclusions", "nexclude", "exclude"), ("plugins", "nplugin", "plugin"), ("keyframes", "nkey", "key"),
+    ("skins", "nskin", "skin"), ("flexes", "nflex", "flex"), ("custom numbers", "nnumeric", "numeric"),
+    ("custom texts", "ntext", "text"), ("materials", "nmat", "mat"), ("textures", "ntex", "tex"),
+)  # fmt: skip
 """Other elements of a model: name, the field with their number, and the accessor."""
 
 
