@@ -14,10 +14,10 @@ from aerial_gym.errors import UnknownNameError
 from aerial_gym.sensors import SensorImages
 from aerial_gym.workloads.measure import rate_figures
 from aerial_gym.workloads.output import format_value
-from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.workloads.process import absence_reason, interpreters
 from aerial_gym.workloads.renderers.runs import (
     MOST_THAT_DIFFER,
-    absence_reason,
+    RENDER_PEERS,
     mismatch_share,
     run_peer,
     scene_arrays,
@@ -26,6 +26,7 @@ from aerial_gym.workloads.renderers.runs import (
 from aerial_gym.workloads.scene_meshes import DISTINCT, SceneMeshes
 from aerial_gym.workloads.scenes import RenderScene
 
+FLAG = "--peer-python"
 MESHES = ("merged", "shared_mesh")  # Renderers that come with us: triangle meshes, cast by Warp
 
 
@@ -82,7 +83,8 @@ class PeerComparison:
     ) -> None:
         """Take our ``images``, the ray table ``direction`` (H, W, 3), and ``threads``, ``repeats`` and ``repeat_time_s``."""
         self._scene, self._camera, self._images, self._direction = scene, camera, images, direction
-        self._device, self._pythons, self._timing = direction.device.type, interpreters(pythons, sys.executable), timing
+        self._device, self._timing = direction.device.type, timing
+        self._pythons = interpreters(pythons, RENDER_PEERS, default=sys.executable, flag=FLAG)
 
     def refusal_reason(self, name: str) -> str | None:
         """Return the reason against measuring a renderer, with the remedy; None if it can be measured."""
@@ -90,7 +92,9 @@ class PeerComparison:
             return f"{name} is skipped: it needs a scene of its own kind, such as --scene boxes, not an environment."
         if name == "shared_mesh" and bool((self._scene.state != self._scene.state[:1]).any()):
             return "shared_mesh is skipped: the environments of this scene differ. Use --scene boxes_aligned."
-        return None if name in MESHES else absence_reason(name, self._pythons[name], self._device)
+        if name in MESHES:
+            return None
+        return absence_reason(name, RENDER_PEERS.get(name), self._pythons[name], self._device, flag=FLAG)
 
     def measure(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> PeerResult:
         """Draw, compare with our images, and time; ``time`` returns the time of a call in each repeat [s]."""

@@ -4,7 +4,12 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import Registry
 
 TIMEOUT_S = 900.0  # Longest time of one measurement, compilation included [s]
 
@@ -51,3 +56,48 @@ def run_process(
 def _last_line(text: str) -> str:
     lines = [line for line in text.splitlines() if line.strip()]
     return lines[-1].strip() if lines else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeerProgram:
+    """Another program under the same workload."""
+
+    needs: tuple[str, ...]  # Modules that must be importable
+    install: str  # Distributions for pip
+    devices: tuple[str, ...]  # `cpu`, `cuda`
+
+
+Program = TypeVar("Program", bound=PeerProgram)
+
+
+def interpreters(entries: Sequence[str], peers: Registry[Program], *, default: str, flag: str) -> dict[str, str]:
+    """Return the interpreter of every peer; ``entries`` are ``NAME=PYTHON``, or ``PYTHON`` for all that are not named."""
+    named: dict[str, str] = {}
+    for entry in entries:
+        name, equals, python = entry.rpartition("=")
+        if not python:
+            raise ConfigError(f"{flag} {entry!r}: must be PYTHON or NAME=PYTHON, an interpreter that has the peer")
+        path = os.path.abspath(python) if os.sep in python else python
+        if equals:
+            peers.get(name)
+            named[name] = path
+        else:
+            default = path
+    return {name: named.get(name, default) for name in peers}
+
+
+def absence_reason(name: str, peer: PeerProgram, python: str, device: str, *, flag: str) -> str | None:
+    """Return the reason against measuring a peer, with the remedy; None if it can be measured."""
+    if device not in peer.devices:
+        return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
+    code = f"import importlib.util as u, sys; sys.exit(not all(map(u.find_spec, {peer.needs!r})))"
+    try:
+        available = subprocess.run([python, "-c", code], capture_output=True).returncode == 0
+    except OSError as error:
+        return f"{name} is skipped: {python} does not start ({error})."
+    if available:
+        return None
+    return (
+        f"{name} is skipped: {python} does not have it. Install it there, or in an environment of its own: python -m venv "
+        f"VENV && VENV/bin/pip install {peer.install}, then {flag} {name}=VENV/bin/python"
+    )

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
 import tyro
@@ -12,9 +12,8 @@ from rich.table import Table
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.workloads.output import device_name, format_value, provenance
-from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import Conditions, RunFailedError, measure_case, schedule, skip_reason
-from benchmarks.peers.table import Measurement, Ratio, ratios
+from aerial_gym.workloads.process import RunFailedError, absence_reason, interpreters
+from benchmarks.peers.runs import CASES, PEERS, Measurement, Ratio, measure_case, ratios, schedule
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +27,7 @@ class PeersCmd:
     threads: int = 1  # Threads of every process, and on the CPU the cores to which it is pinned
     device: Literal["cpu", "cuda"] = "cpu"  # Where all run; peers without a GPU version are skipped on cuda
     substeps: tuple[int, ...] = (1, 10)  # Our substeps in one launch; compare peers that fuse steps with more than 1
-    peer: tuple[str, ...] = ()  # NAME=PYTHON: the interpreter that has a peer; this one by default
+    peer: tuple[str, ...] = ()  # NAME=PYTHON, or PYTHON for all: the interpreter of a peer; this one by default
     rounds: int = 3  # How often everything is measured, in turn; the median counts
     repeats: int = 3  # Figures of one process
     repeat_time_s: float = 0.5  # About how long each is measured [s]
@@ -36,12 +35,14 @@ class PeersCmd:
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a measurement failed."""
-        pythons = interpreters(self.peer, sys.executable)
+        pythons = interpreters(self.peer, PEERS, default=sys.executable, flag="--peer")
         for case in self.cases:
             if case not in CASES:
                 raise ConfigError(f"no case {case!r}. Known: {', '.join(CASES)}")
         device, beside = device_name(resolve_device(self.device)), provenance()
-        skipped = {name: skip_reason(name, pythons[name], self.device) for name in PEERS}
+        skipped = {
+            name: absence_reason(name, PEERS.get(name), pythons[name], self.device, flag="--peer") for name in PEERS
+        }
         for sentence in filter(None, skipped.values()):
             print(sentence, file=sys.stderr)
         result, failed = self._measure({name: pythons[name] for name, why in skipped.items() if why is None})
@@ -56,7 +57,9 @@ class PeersCmd:
 
     def _measure(self, pythons: dict[str, str]) -> tuple[list[Measurement], bool]:
         """Return the measurements of all rounds, and whether one failed; report progress on stderr."""
-        conditions = Conditions(**{field.name: getattr(self, field.name) for field in fields(Conditions)})
+        shared = ("num_envs", "threads", "device", "repeats", "repeat_time_s")
+        flags = [f"--{name.replace('_', '-')}={getattr(self, name)}" for name in shared]
+        cores = self.threads if self.device == "cpu" else None  # on a GPU the host's threads are left alone
         broken, result = set(), []
         turn_order = [(case, owner) for case in self.cases for owner in schedule(case, list(pythons), self.substeps)]
         for turn in range(self.rounds):
@@ -64,7 +67,8 @@ class PeersCmd:
                 if (owner, case) in broken:
                     continue
                 try:
-                    new = measure_case(case, owner, pythons.get(str(owner), sys.executable), conditions)
+                    python = pythons.get(str(owner), sys.executable)
+                    new = measure_case(case, owner, python, flags, threads=cores)
                 except RunFailedError as error:
                     broken.add((owner, case))
                     print(f"{owner} failed in case {case}: {error}", file=sys.stderr)

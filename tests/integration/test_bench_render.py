@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,9 @@ from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.workloads.measure import WorkloadError
 from aerial_gym.workloads.peers import renderer_names
+from aerial_gym.workloads.process import absence_reason, interpreters
 from aerial_gym.workloads.renderers import runs
-from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.workloads.renderers.runs import absence_reason, mismatch_share, run_peer, scene_arrays
+from aerial_gym.workloads.renderers.runs import RENDER_PEERS, mismatch_share, run_peer, scene_arrays
 from aerial_gym.workloads.scenes import RenderScene, make_scene
 from tests.integration.commands import run_bench as run
 
@@ -57,10 +58,10 @@ def test_what_cannot_be_measured_is_skipped_with_the_way_out(capsys: pytest.Capt
     assert "shared_mesh is skipped: the environments of this scene differ. Use --scene boxes_aligned." in err
     assert "newton is skipped: /bin/false does not have it." in err
     assert "VENV/bin/pip install newton, then --peer-python newton=VENV/bin/python" in err
-    why = absence_reason("mujoco", sys.executable, "cuda")
-    assert why == "mujoco is skipped: it runs on cpu only."
-    assert "does not start" in str(absence_reason("mujoco", "/nowhere/python", "cpu"))
-    assert absence_reason("mujoco", sys.executable, "cpu") is None
+    reason = partial(absence_reason, "mujoco", RENDER_PEERS.get("mujoco"), flag="--peer-python")
+    assert reason(sys.executable, "cuda") == "mujoco is skipped: it runs on cpu only."
+    assert "does not start" in str(reason("/nowhere/python", "cpu"))
+    assert reason(sys.executable, "cpu") is None
     argv = ("--scene", "env_with_obstacles", "--num-envs", "2", "--against", "mujoco")
     status, _, err = run(capsys, "render", *QUICK, *argv)
     assert "mujoco is skipped: it needs a scene of its own kind, such as --scene boxes" in err
@@ -73,12 +74,13 @@ def test_wrong_requests_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "render", *QUICK, "--against", "merged", "--threads", "2")
     assert status == 2
     assert "--threads 2 with --against: others draw with one thread. Use --threads 1" in err
+    chosen = partial(interpreters, peers=RENDER_PEERS, default="python", flag="--peer-python")
     with pytest.raises(ConfigError, match="must be PYTHON or NAME=PYTHON"):
-        interpreters(("newton=",), "python")
+        chosen(("newton=",))
     with pytest.raises(UnknownNameError, match="no render peer 'newtn'. Did you mean 'newton'"):
-        interpreters(("newtn=python",), "python")
+        chosen(("newtn=python",))
     assert renderer_names(("all",)) == ["merged", "shared_mesh", *RENDER_PEERS]
-    result = interpreters(("venv/bin/python", "newton=python3"), "python")
+    result = chosen(("venv/bin/python", "newton=python3"))
     assert result["newton"] == "python3"
     assert result["mujoco"] == str(Path.cwd() / "venv/bin/python")
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +12,19 @@ from torch import Tensor
 
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
+from aerial_gym.registry import Registry
 from aerial_gym.workloads.measure import WorkloadError
-from aerial_gym.workloads.process import RunFailedError, run_process
-from aerial_gym.workloads.renderers.catalog import RENDER_PEERS
+from aerial_gym.workloads.process import PeerProgram, RunFailedError, run_process
 from aerial_gym.workloads.scenes import RenderScene
+
+RENDER_PEERS: Registry[PeerProgram] = Registry("render peer")
+
+for _needs, _install, _devices in (
+    (("newton",), "newton", ("cpu", "cuda")),
+    (("mujoco",), "mujoco", ("cpu",)),
+    (("mujoco_warp", "mujoco"), "mujoco-warp mujoco", ("cpu", "cuda")),
+):
+    RENDER_PEERS.register(_needs[0], PeerProgram(needs=_needs, install=_install, devices=_devices))
 
 WORKER = Path(__file__).with_name("worker.py")
 
@@ -35,24 +43,6 @@ class PeerTimes:
     depth: np.ndarray  # Along the optical axis [m], -1 for a miss, (E, H, W)
     identity: np.ndarray | None  # Segmentation id of each pixel, -2 for a miss, (E, H, W)
     versions: dict[str, str]  # By package
-
-
-def absence_reason(name: str, python: str, device: str) -> str | None:
-    """Return the reason against measuring a peer, with the remedy; None if it can be measured."""
-    peer = RENDER_PEERS.get(name)
-    if device not in peer.devices:
-        return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
-    code = f"import importlib.util as u, sys; sys.exit(not all(map(u.find_spec, {peer.needs!r})))"
-    try:
-        available = subprocess.run([python, "-c", code], capture_output=True).returncode == 0
-    except OSError as error:
-        return f"{name} is skipped: {python} does not start ({error})."
-    if available:
-        return None
-    return (
-        f"{name} is skipped: {python} does not have it. Install it there, or in an environment of its own: python -m venv "
-        f"VENV && VENV/bin/pip install {peer.install}, then --peer-python {name}=VENV/bin/python"
-    )
 
 
 def run_peer(

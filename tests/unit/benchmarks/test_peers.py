@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.errors import ConfigError
+from aerial_gym.workloads.process import RunFailedError
 from benchmarks.peers.__main__ import PeersCmd, print_ratios
-from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import RunFailedError, run_python, schedule, skip_reason
-from benchmarks.peers.table import Measurement, ratios
+from benchmarks.peers.runs import CASES, PEERS, Measurement, ratios, run_python, schedule
 from benchmarks.peers.timing import Request, StepBlock, check_flight, measure_rates
 
 PEER_FILES = sorted((Path(__file__).parents[3] / "benchmarks" / "peers").glob("peer_*.py"))
@@ -51,12 +50,6 @@ def test_ours_and_the_peers_take_turns() -> None:
     assert list(schedule("attitude", ["l2f"], (1, 10))) == []
 
 
-def test_a_missing_peer_is_skipped_with_a_sentence() -> None:
-    sentence = skip_reason("l2f", "/nowhere/bin/python", "cpu")
-    assert sentence.startswith("l2f is skipped: /nowhere/bin/python cannot import it (")
-    assert skip_reason("l2f", sys.executable, "cuda") == "l2f is skipped: it runs on cpu only."
-
-
 def test_the_words_of_a_failed_process_are_kept() -> None:
     with pytest.raises(RunFailedError, match="no such peer"):
         run_python(sys.executable, ["-c", "raise SystemExit('no such peer')"], threads=1)
@@ -68,13 +61,7 @@ def test_a_process_is_pinned_to_as_many_cores_as_it_has_threads() -> None:
     assert run_python(sys.executable, ["-c", code], threads=1) == "1 1"
 
 
-def test_interpreters_are_named() -> None:
-    result = interpreters(("crazyflow=/venv/bin/python",), "python")
-    assert result == {**dict.fromkeys(PEERS, "python"), "crazyflow": "/venv/bin/python"}
-    with pytest.raises(UnknownNameError, match="no peer 'crazyflw'. Did you mean 'crazyflow'"):
-        interpreters(("crazyflw=python",), "python")
-    with pytest.raises(ConfigError, match="must be NAME=PYTHON"):
-        interpreters(("crazyflow",), "python")
+def test_an_unknown_case_is_refused() -> None:
     with pytest.raises(ConfigError, match="no case 'plnt'. Known: plant"):
         PeersCmd(cases=("plnt",)).run()
 
