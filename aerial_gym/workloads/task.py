@@ -32,10 +32,9 @@ class TaskBench:
         """Return the figures with everything they depend on."""
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
-        from aerial_gym.workloads.episodes import Episodes
+        from aerial_gym.workloads.episodes import Episodes, time_parts
         from aerial_gym.workloads.measure import rate_figures, time_launches, torch_threads
         from aerial_gym.workloads.output import backend_packages, device_name, provenance
-        from aerial_gym.workloads.step_parts import time_parts
 
         device = resolve_device(self.device)
         options = {"num_envs": self.num_envs, "seed": self.seed, "backend": self.backend}

@@ -9,14 +9,15 @@ from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.sensors import IMUS
-from aerial_gym.sensors.allan import allan_deviation, record_at_rest
 from benchmarks.devices.imu_allan import (
     AllanRecord,
     ImuAllanCmd,
+    allan_deviation,
     compare_densities,
     crossing_s,
     fit_densities,
     lowest_point,
+    record_at_rest,
     root_mean_interval,
     variance_shares,
 )

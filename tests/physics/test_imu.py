@@ -31,8 +31,8 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.secondary_states import SecondaryStates
 from aerial_gym.sensors import Pose
-from aerial_gym.sensors.allan import record_at_rest
 from aerial_gym.sensors.imu import Imu
+from benchmarks.devices.imu_allan import record_at_rest
 from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, ImuRig, spin_about_z
 
 QUADROTOR = ROBOTS.get("base_quadrotor")
