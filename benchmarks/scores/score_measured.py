@@ -135,7 +135,7 @@ def score_set(name: str, data: Path) -> dict[str, object]:
     return {
         "set": name,
         **{key: verdict[key] for key in keys},
-        "refused": render_findings(judged.selection.chosen.refused),
+        "refused": render_findings(judged.selection.refused),
         "processor_s": round(time.process_time() - start, 1),
         "most_memory_gb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
     }

@@ -1,4 +1,4 @@
-"""The first stages of the loop: ``Declared`` and ``SelectionResult``. The last one is ``Judged`` in ``judge.analysis``."""
+"""The first stages of the loop: the comparison of a robot with its flights, and the selection of effects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,6 +86,6 @@ def select_effects_of_setup(
 
 def final_model(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
     """Return the final model, with parameters rounded as in the robot file."""
-    params, effects = selection.final.fit.params, selection.effect_names
+    params, effects = selection.fit.params, selection.effects
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in parameter_row(params, effects)])
     return replace_params(declared.robot, params, effects, values)

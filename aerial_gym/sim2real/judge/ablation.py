@@ -105,7 +105,7 @@ def ablations_of_effects(
     """Return the ablation of each accepted effect; ``points`` are the declared and the final model."""
     train, tested = predictors
     _, final = points
-    without = {name: selection.chosen.without[name].params for name in selection.effect_names}
+    without = {name: selection.without[name].params for name in selection.effects}
     flown: list[RolloutErrors] = []
     if "free" in evaluations[0].rollouts:
         if len(without) > 1:
@@ -173,7 +173,7 @@ def gains_of_rivals(name: str, selection: SelectionResult, train: Predictor) -> 
     def squares(fitted: EffectSetFit) -> Array:
         return np.mean(np.square(np.concatenate(train.residuals(fitted.model_with_deviations))), axis=0)
 
-    left, own = squares(selection.chosen.without[name]), squares(selection.chosen.named)
+    left, own = squares(selection.without[name]), squares(selection.named)
     place, results = int(np.argmin(own / left)), []
     instead_of, channel = float(max(0.0, 1.0 - own[place] / left[place])), train.channels[place].name
     for rival in selection.effect_rivals(name)[:MOST_WEIGHED]:

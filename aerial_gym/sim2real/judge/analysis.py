@@ -11,6 +11,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.learned import add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
+from aerial_gym.sim2real.identify.selection.scoring import leave_out_flights
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup, final_model
 from aerial_gym.sim2real.judge.ablation import ablations_of_effects
@@ -65,18 +66,19 @@ def judge_on_test_flights(
     floors = noise_floors_in_declared_wind(declared, model)
     still = rms_of_noise_floors(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
-    pair = (declared.params, model) if selection.effect_names else (declared.params,)
+    pair = (declared.params, model) if selection.effects else (declared.params,)
     evaluations = evaluate_models(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_residual_excess(declared.train, tested, selection, (declared.params, model), named, still)
-    doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
+    doubtful = selection.effects and (unexplained.left_open or unexplained.open_to)
     result = selection_with_doubt(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
     effects = effects_with_ablations(declared, result, model, (before, named), unexplained.floor, seed=seed)
     learned = None
     if learn_residual:
         progress("fit of the learned residual", 0.9)
-        trained = train_residual(declared.train, model, result.left_out, seed=seed)
+        left_out = leave_out_flights(declared.train, result.weights, result.criteria, result.tolerated)
+        trained = train_residual(declared.train, model, left_out, seed=seed)
         learned = add_test_shares(trained, tested, model, unexplained.floor)
     if learned is None or learned.effect is None:
         params, after = model, unexplained.with_wind_floor(named)
@@ -96,14 +98,14 @@ def judge_on_test_flights(
     verdict = Verdict(
         verdict=made.kind, open_points=made.findings, effects=(*effects, *gusts), candidates=made.candidates,
         not_testable=untestable_effects(result, declared.stated, unexplained), manoeuvre=manoeuvre, fly_next=fly_next,
-        inclusion=result.chosen.inclusion, sets=result.chosen.sets, structure=unexplained.structure,
+        inclusion=result.inclusion, sets=result.sets, structure=unexplained.structure,
         before=before, after=after, outcomes=became,
         flights=errors_by_flight(tested, models, both, floors_with_gusts, least=least, seed=seed),
         unexplained=unexplained.channels, not_shown=unexplained.left_open, learned=learned,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         notes=verdict_notes(declared, result, model, unexplained, effects, named),
     )  # fmt: skip
-    accepted = (*result.effect_names, *(effect.name for effect in gusts))
+    accepted = (*result.effects, *(effect.name for effect in gusts))
     corrected = correct_robot(declared, model_with_wind(params, unexplained.wind), accepted)
     return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
 
@@ -145,7 +147,7 @@ def effects_with_ablations(
     test, models = declared.test, (declared.params, model)
     worth = ablations_of_effects(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
     weight = selection.weights.weight
-    regimes = {name: active_regime(test, *models, name, weight, floor, seed=seed) for name in selection.effect_names}
+    regimes = {name: active_regime(test, *models, name, weight, floor, seed=seed) for name in selection.effects}
     return effects_of_selection(selection, worth, regimes, declared.stated)
 
 
@@ -154,7 +156,7 @@ def decision_with_gusts(
 ) -> Decision:
     """Return the kind, candidates and open points of the verdict, accepted gusts included."""
     made = verdict_decision(
-        {name: names_of_ties(name, selection) for name in selection.effect_names},
+        {name: names_of_ties(name, selection) for name in selection.effects},
         unexplained.channels,
         unexplained.floor is not None,
         open_to=unexplained.open_to,
@@ -232,7 +234,7 @@ def absent_tolerances(declared: LoopSetup, params: ModelParams) -> set[str]:
 def notes_on_surrogates_and_offsets(selection: SelectionResult) -> list[Finding]:
     """Return notes on effects that follow a structure, and on offsets of flights: neither belongs to the vehicle."""
     results = [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
-    offsets = selection.chosen.best.flight_offsets
+    offsets = selection.best.flight_offsets
     sizes = [{"channel": o.channel, f"rms_{unit_key(UNITS[o.channel.split('.')[0]])}": o.size} for o in offsets]
     return [*results, *([Finding("offsets_sizes", "", {"offsets": sizes})] if sizes else [])]
 
@@ -260,7 +262,7 @@ def untestable_effects(selection: SelectionResult, robot: RobotCfg, unexplained:
     for name in results:
         if robot.joints is None and not can_have_effect(name, selection, robot):
             results[name] = Finding("no_soft_arms", name)
-    for name in selection.effect_names:
+    for name in selection.effects:
         for other in EFFECTS.get(name).confused_with:
             if other not in EFFECTS:
                 results.setdefault(other, Finding("no_such_effect", other, {"alike": name}))

@@ -28,11 +28,11 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 def selection_with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
     """Return the selection with the log odds that the test flights add to each rival of a named effect, at least 0."""
-    rivals = {one.fitted.label: one.fitted for name in selection.effect_names for one in selection.effect_rivals(name)}
+    rivals = {one.fitted.label: one.fitted for name in selection.effects for one in selection.effect_rivals(name)}
     if not rivals:
         return selection
-    densities = log_densities(test, [selection.chosen.named, *rivals.values()], selection)
-    gain = (densities[1:] - densities[0]) / selection.chosen.best.parameter_overdispersion
+    densities = log_densities(test, [selection.named, *rivals.values()], selection)
+    gain = (densities[1:] - densities[0]) / selection.best.parameter_overdispersion
     return replace(selection, doubt=dict(zip(rivals, np.maximum(gain, 0.0).tolist(), strict=True)))
 
 
@@ -40,7 +40,7 @@ def notes_on_doubt(selection: SelectionResult) -> list[Finding]:
     """Return a note on each rival that is tied only because of the test flights."""
     return [
         Finding("doubt_by_test", name, {"other": rival.effect, "log_odds": rival.log_odds - rival.doubt})
-        for name in selection.effect_names
+        for name in selection.effects
         for rival in selection.effect_ties(name)
         if rival.is_distinct_in_training
     ]
@@ -86,7 +86,7 @@ def log_densities(test: Predictor, fits: Sequence[EffectSetFit], selection: Sele
 
 def residual_sums(test: Predictor, fitted: EffectSetFit, selection: SelectionResult) -> ResidualSums:
     """Return the residual sums of a set on the test flights at its most probable model, without offsets of flights."""
-    at, offsets = fitted.model_with_deviations, selection.own_offsets
+    at, offsets = fitted.model_with_deviations, selection.flight_offsets
     predicted = test.predict(at)
     tolerance = tolerance_jacobian(test, at)
     columns = effect_jacobian(test, at, fitted.effects, predicted, beside=tolerance)

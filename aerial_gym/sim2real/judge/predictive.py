@@ -48,7 +48,7 @@ def largest_open_squares(
     Args:
         fitted: Whether the training residual of each channel is only noise, (C,); None: in all channels.
     """
-    fit = selection.final.fit
+    fit = selection.fit
     predicted = test.predict(params)
     tolerance = tolerance_jacobian(test, params)
     jacobian = np.concatenate(effect_jacobian(test, params, fit.effects, predicted, beside=tolerance))
@@ -66,13 +66,13 @@ def largest_open_squares(
     product, _ = normal_equations(fit, selection.weights.weight)
     covariance = np.linalg.inv((product + np.diag(precision))[np.ix_(chosen, chosen)])
     wider = np.ones(chosen.size)
-    for place, std in zip(selection.final.spread.columns, selection.final.spread.std, strict=True):
+    for place, std in zip(selection.spread.columns, selection.spread.std, strict=True):
         own = np.flatnonzero(chosen == place)
         wider[own] = np.maximum(1.0, std / np.sqrt(np.diag(covariance)[own]))
     columns = jacobian[:, :, chosen]
     mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
     rows = np.array([time.size for time in test.times])
-    offset_channels, significance = selection.own_offsets, selection.criteria.significance
+    offset_channels, significance = selection.flight_offsets, selection.criteria.significance
     flights = np.unique(fit.moments.flight).size
 
     def with_offsets(size: Array, covariance: Array, freedom: float) -> Array:
@@ -149,7 +149,7 @@ def effects_left_open(
     names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
     skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
-    known, weight, frozen = selection.effect_names, selection.weights.weight, selection.final.fit.frozen
+    known, weight, frozen = selection.effects, selection.weights.weight, selection.fit.frozen
     more = {"frozen": frozen, "skipped": skipped, "by_channel": True}
     trained, tested = (build_library(flights, declared, final, known, weight, **more) for flights in (train, test))
     return sufficient_effects(trained, tested, selection.weights, asked, selection.criteria.significance)

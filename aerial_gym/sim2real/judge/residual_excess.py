@@ -83,13 +83,13 @@ def find_residual_excess(
     """
     _, params = models
     flights = [*train.flights, *test.flights]
-    within = model_with_best_deviations(params, selection.final.fit, selection.weights.weight)
-    left, tolerated = test.residuals(within), selection.left_out.tolerated
+    within = model_with_best_deviations(params, selection.fit, selection.weights.weight)
+    left, tolerated = test.residuals(within), selection.tolerated
     rms = np.minimum(channel_rms(left), [channel.value for channel in after.residual])  # deviations may only lower it
     not_judged = KINEMATIC if can_judge_forces(flights) else (*KINEMATIC, "specific_force")
     judged = np.array([channel.kind not in not_judged for channel in test.channels])
     suspected = judged & is_material_excess(rms, floor, tolerated)
-    seen, own = train.residuals(within), selection.own_offsets.size > 0.0
+    seen, own = train.residuals(within), selection.flight_offsets.size > 0.0
 
     def about_offsets(parts: list[Array]) -> Array:
         return channel_rms([part - own * part.mean(axis=0) for part in parts])

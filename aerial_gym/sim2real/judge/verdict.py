@@ -207,7 +207,7 @@ def effects_of_selection(
     selection: SelectionResult, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
-    fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
+    fit, spread, inclusion = selection.fit, selection.spread, selection.inclusion
     values, scale = parameter_row(fit.params, fit.effects), parameter_scales(fit.effects)
     std = dict(zip(fit.free_effect_params.tolist(), spread.std, strict=True))
     noise = dict(zip(fit.free_effect_params.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
@@ -228,7 +228,7 @@ def effects_of_selection(
                 ablation=ablations[name],
                 regime=regimes[name],
                 ties=tuple(names_of_ties(name, selection)),
-                in_part=tuple(rival for rival in selection.chosen.in_part if rival.effect == name),
+                in_part=tuple(rival for rival in selection.in_part if rival.effect == name),
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
                     for key in own

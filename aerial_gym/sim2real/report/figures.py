@@ -43,7 +43,7 @@ def evidence_of_effects(judged: LoopResult) -> dict[str, list[ParameterEvidence]
     Models include the jointly fitted deviations, so that the fitted line matches the residual.
     """
     declared, selection = judged.declared, judged.selection
-    models = dict.fromkeys(selection.effect_names, judged.within)
+    models = dict.fromkeys(selection.effects, judged.within)
     for fitted in () if models else most_probable_single_effects(selection):
         models.setdefault(fitted.effects[0], fitted.model_with_deviations)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
@@ -62,7 +62,7 @@ def report_figures(
     before, after = verdict.before, verdict.after if verdict.corrects else None
     clouds = []
     for name, own in told.items():
-        rejected = "" if name in judged.selection.effect_names else ", which is not accepted"
+        rejected = "" if name in judged.selection.effects else ", which is not accepted"
         clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence_figure(name, own)})
     rest = [
         {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.residual_figure(parts, channel)}
@@ -124,5 +124,5 @@ def residuals_to_plot(judged: LoopResult) -> list[tuple[Channel, list[plots.Flig
 
 def most_probable_single_effects(selection: SelectionResult) -> list[EffectSetFit]:
     """Return the most probable fitted sets with a single effect, for a report without accepted effects."""
-    fits = [one for one in selection.chosen.fits if len(one.effects) == 1 and not one.structures]
+    fits = [one for one in selection.fits if len(one.effects) == 1 and not one.structures]
     return [one for one in fits if np.isfinite(one.log_posterior)][:MOST_REJECTED]

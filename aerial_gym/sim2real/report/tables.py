@@ -126,21 +126,21 @@ def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> l
 
 def rejection_rows(selection: SelectionResult) -> list[dict[str, str]]:
     """Return one row per effect that is not named, the most probable first: its odds, and the reason of its rejection."""
-    chosen, reasons = selection.chosen, dict(selection.not_testable)
-    for name, odds in chosen.adds.items():
+    reasons = dict(selection.not_testable)
+    for name, odds in selection.adds.items():
         reasons.setdefault(name, Finding("only_linear" if odds > 0.0 else "less_probable", name))
-    for name, rises in chosen.immaterial.items():
+    for name, rises in selection.immaterial.items():
         reasons[name] = Finding("trifle", name, {"rise": max(rise.high for rise in rises.values())})
-    for name, kind in chosen.surrogates.items():
+    for name, kind in selection.surrogates.items():
         reasons[name] = Finding("follows_structure", name, {"structure": kind})
-    reasons |= chosen.refused
-    shown = {name: reason for name, reason in reasons.items() if name not in selection.effect_names}
-    order = sorted(shown, key=lambda name: (name in selection.not_testable, -chosen.adds.get(name, np.inf)))
+    reasons |= selection.refused
+    shown = {name: reason for name, reason in reasons.items() if name not in selection.effects}
+    order = sorted(shown, key=lambda name: (name in selection.not_testable, -selection.adds.get(name, np.inf)))
     return [
         {
             "effect": name,
-            "log_odds": f"{chosen.adds[name]:.1f}" if name in chosen.adds else "–",
-            "probability": f"{chosen.inclusion[name]:.2g}" if name in chosen.inclusion else "–",
+            "log_odds": f"{selection.adds[name]:.1f}" if name in selection.adds else "–",
+            "probability": f"{selection.inclusion[name]:.2g}" if name in selection.inclusion else "–",
             "because": text(shown[name]),
         }
         for name in order

@@ -12,9 +12,9 @@ from aerial_gym.sim2real.identify.evidence.guard import Support
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, Weighting
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation, FitScore
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub
@@ -89,10 +89,10 @@ def make_left_out(
     return CrossValidation(**rows, weights=weights, criteria=Criteria(), channels=channels)
 
 
-def make_score(
+def make_final_fit(
     params: ModelParams, effects: tuple[str, ...] = (), *, variance: Sequence[float] = (), frozen: Frozen = frozenset()
-) -> FitScore:
-    """Return the score of a fit whose parameters of ``effects`` have these variances in units of scale, one by default."""
+) -> tuple[ModelFit, Uncertainty]:
+    """Return a fit whose parameters of ``effects`` have these variances in units of scale, one by default."""
     size = sum(params.effects[name].size for name in effects)
     moments = Moments(
         count=np.ones(1), square=np.ones((1, 1)), gradient=np.zeros((1, 1, size)), product=np.eye(size)[None, None],
@@ -103,15 +103,13 @@ def make_score(
         effects=effects, params=params, moments=moments, low=-limit, high=limit, num_effect_params=size, frozen=frozen
     )
     covariance = np.diag(variance) if len(variance) else np.eye(size)
-    spread = make_spread(fit.free_effect_params, covariance, np.zeros((size, size)))
-    return FitScore(fit=fit, spread=spread, left_out=np.ones((1, 1)))
+    return fit, make_spread(fit.free_effect_params, covariance, np.zeros((size, size)))
 
 
-def make_selection(
-    chosen: MostProbableSet | None = None, final: FitScore | None = None, **more: Any
-) -> SelectionResult:
+def make_selection(chosen: MostProbableSet | None = None, **more: Any) -> SelectionResult:
     """Return the selection with a choice; by default no effect is named."""
     chosen = chosen or make_choice(make_fit())
-    scored = final or make_score(chosen.named.params, chosen.effects)
-    defaults = {"not_testable": {}, "left_out": make_left_out(chosen.weights), "criteria": Criteria()}
-    return SelectionResult(declared=scored, final=scored, chosen=chosen, **defaults | more)
+    fit, spread = make_final_fit(chosen.named.params, chosen.effects)
+    offsets = FlightOffsets(size=np.zeros(1), weight=chosen.weights.weight, most=np.zeros(1))
+    defaults = {"fit": fit, "spread": spread, "not_testable": {}, "criteria": Criteria(), "flight_offsets": offsets}
+    return SelectionResult(**vars(chosen), **defaults | more)

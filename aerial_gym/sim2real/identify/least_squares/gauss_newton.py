@@ -116,12 +116,7 @@ def normal_equations(fit: ModelFit, weight: Array, blocks: Indices | None = None
 
 def best_step(fit: ModelFit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
     """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
-    return solve_bounded_step(fit, *normal_equations(fit, weight, blocks), free)
-
-
-def solve_bounded_step(fit: ModelFit, product: Array, gradient: Array, free: Indices) -> Array:
-    """Return the bounded solution (K,) of the normal equations with the prior; 0 where not free."""
-    step = np.zeros(fit.low.size)
+    (product, gradient), step = normal_equations(fit, weight, blocks), np.zeros(fit.low.size)
     if free.size:
         a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
         step[free] = minimise_in_bounds(a, gradient[free], fit.low[free], fit.high[free])
@@ -260,12 +255,3 @@ def least_weighted_squares(beside: NuisanceSums, residuals: Sequence[Array]) -> 
     product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
     step = minimise_in_bounds(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)
-
-
-def leave_out_steps(fit: ModelFit, weight: Array, free: Indices, label: Indices) -> Array:
-    """Return for each block the best step from the blocks of all other labels, (B, K); ``label`` is (B,)."""
-    labels, place = np.unique(label, return_inverse=True)
-    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
-    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
-    steps = [solve_bounded_step(fit, product - own, gradient - pull, free) for own, pull in parts]
-    return np.stack(steps)[place]

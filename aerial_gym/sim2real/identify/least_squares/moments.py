@@ -13,7 +13,6 @@ from aerial_gym.sim2real.arrays import Array, Indices
 BLOCK_S = 2.0  # Block length [s], several times the correlation time of residuals
 SHORTEST_BLOCK_S = 0.5  # Block length of short flights [s]: five periods of the usual band
 ENOUGH_BLOCKS = 24  # Number of blocks that determines a scatter to 15 %
-QUARTERS = 4  # Number of folds of a single flight
 SUMS = ("count", "square", "gradient", "product")  # Fields of ``Moments`` with sums
 
 
@@ -48,14 +47,6 @@ def block_length(times: Sequence[Array]) -> float:
     return float(np.clip(total / ENOUGH_BLOCKS, SHORTEST_BLOCK_S, BLOCK_S))
 
 
-def cross_validation_folds(flight: Indices) -> Indices:
-    """Return the cross-validation fold of each block, (B,): its flight, or a quarter of a single flight."""
-    if flight.max() > 0:
-        return flight
-    parts = min(QUARTERS, flight.size)
-    return np.arange(flight.size) * parts // flight.size
-
-
 def time_block_of_rows(times: Sequence[Array]) -> Indices:
     """Return the block number of each row, unique over all flights in sequence."""
     parts, start, length = [], 0, block_length(times)
@@ -71,6 +62,15 @@ def flight_of_rows(times: Sequence[Array]) -> Indices:
     return np.repeat(np.arange(len(times)), [time.size for time in times])
 
 
+def time_blocks(times: Sequence[Array], length: float) -> list[tuple[int, Indices]]:
+    """Return the flight and the rows of each time block of about ``length`` [s]."""
+    blocks = list[tuple[int, Indices]]()
+    for flight, time in enumerate(times):
+        count = max(1, round(float(time[-1] - time[0]) / length))
+        blocks += [(flight, rows) for rows in np.array_split(np.arange(time.size), count)]
+    return blocks
+
+
 def block_moments(
     times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float | None = None
 ) -> Moments:
@@ -78,11 +78,7 @@ def block_moments(
 
     ``times`` [s], (rows,); ``residuals``, (rows, C); ``jacobians``, (rows, C, K), of each flight.
     """
-    length = block_length(times) if length is None else length
-    blocks = list[tuple[int, Indices]]()
-    for flight, time in enumerate(times):
-        count = max(1, round(float(time[-1] - time[0]) / length))
-        blocks += [(flight, rows) for rows in np.array_split(np.arange(time.size), count)]
+    blocks = time_blocks(times, block_length(times) if length is None else length)
     num_channels, width = residuals[0].shape[1], jacobians[0].shape[2]
     moments = Moments(
         count=np.array([float(rows.size) for _, rows in blocks]),

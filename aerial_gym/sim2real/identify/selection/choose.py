@@ -75,11 +75,6 @@ class MostProbableSet:
         return [fitted for fitted in self.fits if fitted.is_supported]
 
     @property
-    def structures(self) -> tuple[str, ...]:
-        """Return the names of the structures in the best set, by kind and channel."""
-        return tuple(structure.name for structure in self.best.structures)
-
-    @property
     def sets(self) -> dict[tuple[str, ...], float]:
         """Return the probability of each set over all structures; generalisations of an effect of the best set count as it."""
         meant = {wide: name for name in self.best.effects for wide in EFFECTS if name in EFFECTS.get(wide).contains}

@@ -6,15 +6,13 @@ Letters: B blocks of time, C channels, K parameters.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, leave_out_steps
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting, cross_validation_folds
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, block_length, time_blocks
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import student_tail
 
 LEAST_SCORE = 3.0
@@ -22,6 +20,8 @@ LEAST_SCORE = 3.0
 
 Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
 """
+
+QUARTERS = 4  # Number of folds of a single flight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,20 +40,6 @@ class Criteria:
         """Raise ``ConfigError`` if ``material`` is not in [0, 1)."""
         if not 0.0 <= self.material < 1.0:
             raise ConfigError(f"material = {self.material}: must lie in [0, 1), a share of a residual")
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitScore:
-    """A fitted model with its squared residuals on flights left out of the fit."""
-
-    fit: ModelFit  # The fit, with its sums merged by flight
-    spread: Uncertainty
-    left_out: Array  # Sum of squared residuals of each block under the fit without its flight, (B, C)
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Return the fitted effects."""
-        return self.fit.effects
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +69,9 @@ class CrossValidation:
     @property
     def fold(self) -> Indices:
         """Return the fold of each block: its flight, or a quarter of a single flight, (B,)."""
-        return cross_validation_folds(self.flight)
-
-    def squares(self, fit: ModelFit) -> Array:
-        """Return the squared residuals (B, C) of each fold after a fit of effects and tolerances to the other folds."""
-        return fit.moments.block_squares(leave_out_steps(fit, self.weights.weight, fit.free_params, self.fold))
+        if self.flight.max() > 0:
+            return self.flight
+        return np.arange(self.flight.size) * min(QUARTERS, self.flight.size) // self.flight.size
 
     def gain(self, less: Array, more: Array) -> Gain:
         """Return the gain of the larger model, by left-out squares (B, C) of the smaller (``less``) and larger (``more``) one.
@@ -145,26 +129,26 @@ class CrossValidation:
         return bool(np.any(ratio > 2.0 * np.log1p(self.criteria.harmless)))
 
     def _has_harmful_rise(self, less: Array, more: Array, count: Array) -> Flags:
-        """Return whether the squares (B, C) of each channel rise harmfully, (C,); see ``is_rise_harmful``."""
-        return is_rise_harmful(
-            less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria
-        )
+        """Return whether the sum of squares (B, C) of each channel rises harmfully, (C,).
+
+        Such a rise exceeds a small share of the residual, that of the tolerances, and a small share of the total gain: the
+        fit of a large effect may harm a small channel as long as the model lacks others.
+        """
+        less, more, rows, rules = less.sum(axis=0), more.sum(axis=0), count.sum(), self.criteria
+        gains = 0.5 * rows * self.weights.effective * _log_ratio(less, more)
+        beyond_share = more > (1.0 + rules.harmless) ** 2 * less
+        beyond_tolerances = more - less > np.maximum(rows, 1.0) * self.tolerated**2
+        return beyond_share & beyond_tolerances & (-gains > rules.forgiven * np.maximum(gains.sum(), 0.0))
 
 
-def is_rise_harmful(
-    less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria
-) -> Flags:
-    """Return whether an effect makes the sum of squares of each channel harmfully larger, (..., C).
-
-    A harmful rise exceeds a small share of the residual, that of the tolerances ``tolerated`` (rms, (C,)), and a small
-    share of the total gain: the fit of a large effect may harm a small channel as long as the model lacks others. ``less``,
-    ``more``: sums without and with it, (..., C), over ``rows`` (...). ``effective``: independent samples per row, (C,).
-    """
-    rows = np.asarray(rows)[..., None]
-    gains = 0.5 * rows * effective * _log_ratio(less, more)
-    forgiven = criteria.forgiven * np.maximum(gains.sum(axis=-1, keepdims=True), 0.0)
-    beyond_share, beyond_tolerances = more > (1.0 + criteria.harmless) ** 2 * less, np.maximum(rows, 1.0) * tolerated**2
-    return beyond_share & (more - less > beyond_tolerances) & (-gains > forgiven)
+def leave_out_flights(
+    predictor: Predictor, weights: Weighting, criteria: Criteria, tolerated: Array
+) -> CrossValidation:
+    """Return the cross-validation over the flights of a predictor; ``tolerated``: residual (rms) from tolerances, (C,)."""
+    blocks = time_blocks(predictor.times, block_length(predictor.times))
+    count, flight = np.array([float(rows.size) for _, rows in blocks]), np.array([index for index, _ in blocks])
+    judged = {"weights": weights, "criteria": criteria, "channels": predictor.channels, "tolerated": tolerated}
+    return CrossValidation(count=count, flight=flight, **judged)
 
 
 def _log_ratio(less: Array, more: Array) -> Array:

@@ -12,13 +12,13 @@ from aerial_gym.sim2real.identify.candidates.library import neutral_params
 from aerial_gym.sim2real.identify.candidates.nuisance import flight_offsets
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Label
-from aerial_gym.sim2real.identify.least_squares.covariance import is_identifiable, uncertainty
+from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, is_identifiable, uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise_at_params
-from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Weighting
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, CrossValidation, FitScore
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -53,42 +53,21 @@ def default_effects() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SelectionResult:
+class SelectionResult(MostProbableSet):
     """The named effects with their fit, the sets that were compared, and the effects that cannot be tested."""
 
-    declared: FitScore
-    final: FitScore
-    chosen: MostProbableSet  # The sets that were compared
+    fit: ModelFit  # Fit of the named effects, with sums by flight and channel
+    spread: Uncertainty
+    flight_offsets: FlightOffsets  # Channel offsets that differ between training flights
     not_testable: dict[str, Finding]  # Effects that these flights cannot show, with the reason
-    left_out: CrossValidation
     criteria: Criteria
     looked_for: tuple[str, ...] = field(default_factory=default_effects)  # Effects that the selection was to consider
     doubt: dict[Label, float] = field(default_factory=dict)  # Log odds by test flights over the named set, at least 0
 
-    @property
-    def effect_names(self) -> tuple[str, ...]:
-        """Return the named effects."""
-        return self.final.effects
-
-    @property
-    def weights(self) -> Weighting:
-        """Return the weights of the channels."""
-        return self.chosen.weights
-
-    @property
-    def own_offsets(self) -> FlightOffsets:
-        """Return the channel offsets that differ between training flights."""
-        return flight_offsets(self.chosen.best.structures, self.left_out.channels, self.weights.weight)
-
-    @property
-    def surrogates(self) -> dict[str, str]:
-        """Return the surrogate effects, each with the structure that its size follows."""
-        return self.chosen.surrogates
-
     def effect_rivals(self, name: str) -> list[Rival]:
         """Return the rivals of a named effect, the most probable first."""
-        best, rival_fits = self.chosen.best, dict[str, Rival]()
-        for fitted in self.chosen.sets_with_support:
+        best, rival_fits = self.best, dict[str, Rival]()
+        for fitted in self.sets_with_support:
             if name in fitted.effects:
                 continue
             doubt = self.doubt.get(fitted.label, 0.0)
@@ -147,81 +126,57 @@ def select_effects(
     able = [name for name in sought if not reasons[name]]
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
     give_back_memory()
-    scorer = _Scorer(predictor, declared, criteria, chosen)
-    final, chosen = scorer.score_without_undetermined()
+    final = FinalFit(predictor, declared, chosen)
+    chosen, fit, spread = final.fit_determined()
     unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effects}
     return SelectionResult(
-        declared=scorer.nothing,
-        final=final,
-        chosen=chosen,
+        **vars(chosen),
+        fit=fit,
+        spread=spread,
+        flight_offsets=final.offsets,
         not_testable={name: reason for name, reason in reasons.items() if reason} | unseen,
-        left_out=scorer.left_out,
         criteria=criteria,
         looked_for=named,
     )
 
 
-class _Scorer:
-    """Fits sets with their uncertainty, and predicts flights left out."""
+class FinalFit:
+    """Fit of the named effects with their uncertainty."""
 
-    def __init__(
-        self, predictor: Predictor, declared: ModelParams, criteria: Criteria, chosen: MostProbableSet
-    ) -> None:
-        self.predictor, self.declared, self.chosen, self.weights = predictor, declared, chosen, chosen.weights
+    def __init__(self, predictor: Predictor, declared: ModelParams, chosen: MostProbableSet) -> None:
+        self.predictor, self.declared, self.chosen, weight = predictor, declared, chosen, chosen.weights.weight
         self.tolerance = tolerance_jacobian(predictor, chosen.named.model_with_deviations, np.float32)
-        weight = self.weights.weight
         self.offsets = flight_offsets(chosen.best.structures, predictor.channels, weight)
-        parts = [[part] for part in self.tolerance]
-        self.beside = NuisanceSums(predictor.times, parts, weight, offsets=self.offsets)
-        empty_fit = self._fit((), declared, frozenset())
-        self.left_out = CrossValidation(
-            count=empty_fit.moments.count,
-            flight=empty_fit.moments.flight,
-            weights=self.weights,
-            criteria=criteria,
-            channels=predictor.channels,
-            tolerated=chosen.tolerated,
-        )
-        self.nothing = self._score(empty_fit)
-        """The declared model."""
+        self.beside = NuisanceSums(predictor.times, [[part] for part in self.tolerance], weight, offsets=self.offsets)
 
-    def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> ModelFit:
-        rival_fits, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
-        params = rival_fits.params
-        by_channel = linearise_at_params(self.predictor, effects, params, self.tolerance, offsets=self.offsets)
-        return replace(by_channel, frozen=frozen)
+    def fit(
+        self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()
+    ) -> tuple[ModelFit, Uncertainty]:
+        """Return a model with these effects fitted, and its uncertainty."""
+        params = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)[0].params
+        fit = linearise_at_params(self.predictor, effects, params, self.tolerance, offsets=self.offsets)
+        fit = replace(fit, frozen=frozen)
+        by_flight = replace(fit, moments=fit.moments.sum_by_label(fit.moments.flight))  # suffices from here on
+        return by_flight, uncertainty(fit, self.chosen.weights.weight)
 
-    def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
-        """Return the model with these effects fitted, and its squared residuals on flights left out."""
-        return self._score(self._fit(effects, start, frozen))
-
-    def _score(self, fit: ModelFit) -> FitScore:
-        spread, left_out = uncertainty(fit, self.weights.weight), self.left_out.squares(fit)
-        by_flight = replace(
-            fit, moments=fit.moments.sum_by_label(fit.moments.flight)
-        )  # these sums suffice from here on
-        return FitScore(fit=by_flight, spread=spread, left_out=left_out)
-
-    def score_without_undetermined(self) -> tuple[FitScore, MostProbableSet]:
-        """Return the fit of the named effects, and the choice, both with undetermined parameters at neutral."""
-        scored = self.score(self.chosen.effects, self.chosen.named.params)
-        owners = {scored.fit.parameter_owners[k]: k for k in scored.fit.free_effect_params}
-        uncertain = scored.fit.free_effect_params[~is_identifiable(scored.spread.plain)]  # by more than their scale
+    def fit_determined(self) -> tuple[MostProbableSet, ModelFit, Uncertainty]:
+        """Return the choice with undetermined parameters at neutral, the fit of its effects, and the uncertainty."""
+        fit, spread = self.fit(self.chosen.effects, self.chosen.named.params)
+        owners = {fit.parameter_owners[k]: k for k in fit.free_effect_params}
+        uncertain = fit.free_effect_params[~is_identifiable(spread.plain)]  # by more than their scale
         unseen = {owner for owner, k in owners.items() if k in uncertain}
         if not unseen:
-            return scored, self.chosen
-        seen = owners.keys() - unseen
-        blind = set(self.chosen.effects).difference(name for name, _ in seen)
+            return self.chosen, fit, spread
+        blind = set(self.chosen.effects).difference(name for name, _ in owners.keys() - unseen)
         if blind:  # the complete fit determines none of their parameters
             name = min(blind)
             neutral = neutral_params(name, self.declared, self.predictor.robot)
             self.chosen = self.chosen.without_undetermined_effect(name, neutral)
-            return self.score_without_undetermined()
+            return self.fit_determined()
         start = self.params_at_neutral(self.chosen.named.params, unseen)
-        scored = self.score(self.chosen.effects, start, frozenset(unseen))
         sets = self.chosen.without.items()
         without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
-        return scored, replace(self.chosen, without=without)
+        return replace(self.chosen, without=without), *self.fit(self.chosen.effects, start, frozenset(unseen))
 
     def params_at_neutral(self, params: ModelParams, places: Iterable[tuple[str, int]]) -> ModelParams:
         """Return model parameters with some, by effect and index, at their neutral values."""

@@ -73,8 +73,7 @@ class ManoeuvreCatalogue:
             train.robot, self.flights, bandwidth=train.bandwidth, channels=train.channels, tolerances=train.tolerances
         )
         self.weight = selection.weights.weight
-        final = selection.final.fit.params
-        self._tolerance = tolerance_jacobian(self.predictor, final)
+        self._tolerance = tolerance_jacobian(self.predictor, selection.fit.params)
         self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
 
     def score_of_pair(self, one: tuple[ModelParams, Sequence[str]], other: tuple[ModelParams, Sequence[str]]) -> Array:
@@ -134,18 +133,18 @@ def manoeuvre_for_ties(
 
     ``tied`` has the rivals of each accepted effect that fit the flights equally well.
     """
-    final, scores, names = selection.final, [], []
+    fit, scores, names = selection.fit, [], []
     for name, rivals in tied.items():
         for rival in rivals:
             other = rival.fitted
-            scores.append(catalogue.score_of_pair((final.fit.params, final.effects), (other.params, other.effects)))
+            scores.append(catalogue.score_of_pair((fit.params, fit.effects), (other.params, other.effects)))
             names += [name, rival.effect]
     return catalogue.best_advice(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
 
 
 def effects_to_show(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
     """Return the effects that these flights do not show, but other flights of this vehicle could."""
-    unseen = [name for name in selection.not_testable if name not in selection.effect_names]
+    unseen = [name for name in selection.not_testable if name not in selection.effects]
     possible = (name for name in unseen if not finding_on_untestable_effect(name, robot, flights))
     return [name for name in possible if can_have_effect(name, selection, robot)]
 
@@ -154,7 +153,7 @@ def can_have_effect(name: str, selection: SelectionResult, robot: RobotCfg) -> b
     """Return whether a vehicle may have an effect; soft arms need such an effect in its file or among the named ones."""
     if not isinstance(EFFECTS.get(name), ArmJoint):
         return True
-    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.effect_names))
+    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.effects))
 
 
 def recommend_manoeuvres(
@@ -165,14 +164,14 @@ def recommend_manoeuvres(
     ``open_to`` names effects that would explain the test residual and that training flights do not show.
     """
     train = declared.train
-    tied = {name: selection.effect_ties(name) for name in selection.effect_names}
+    tied = {name: selection.effect_ties(name) for name in selection.effects}
     hidden = list(dict.fromkeys((*effects_to_show(selection, train.robot, train.flights), *open_to)))
     if not any(tied.values()) and not hidden:
         return None, {}
-    catalogue, final = ManoeuvreCatalogue(train, selection), selection.final
+    catalogue, fit = ManoeuvreCatalogue(train, selection), selection.fit
     shows = {}
     for name in hidden:
-        score = catalogue.score_of_effect(name, final.fit.params, final.effects, declared.params)
+        score = catalogue.score_of_effect(name, fit.params, fit.effects, declared.params)
         shows[name] = catalogue.best_advice(score, (name,))
     tells = manoeuvre_for_ties(catalogue, selection, tied)
     return tells or next((shows[name] for name in open_to), None), shows

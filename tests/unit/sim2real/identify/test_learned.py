@@ -14,15 +14,14 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.learned import OUTPUTS, ResidualFit, _Trainer, add_test_shares, train_residual
-from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
-from aerial_gym.sim2real.identify.selection.scoring import CrossValidation
+from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation, leave_out_flights
 from aerial_gym.sim2real.logs.flights import Flight, load_train_and_test
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from tests.physics.vehicles import random_network
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
-from tests.unit.sim2real.set_fits import make_left_out
 
 CUBIC = 0.08
 FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
@@ -35,10 +34,8 @@ def fly(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path]
 
 
 def make_judge(predictor: Predictor) -> CrossValidation:
-    residuals = predictor.residuals(params_from_robot(ROBOT))
-    blocks = block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals])
-    weights = inverse_variance_weights(residuals)
-    return make_left_out(weights, blocks.count, blocks.flight, predictor.channels, tolerated=0.02)
+    weights = inverse_variance_weights(predictor.residuals(params_from_robot(ROBOT)))
+    return leave_out_flights(predictor, weights, Criteria(), np.full(len(predictor.channels), 0.02))
 
 
 def learn(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[ResidualFit, list[Flight]]:

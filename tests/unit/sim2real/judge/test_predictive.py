@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
+from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, flight_offsets
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
@@ -38,7 +38,7 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 from tests.unit.sim2real.judge.builders import make_evaluation
 from tests.unit.sim2real.predict.test_scene import hover
-from tests.unit.sim2real.set_fits import make_choice, make_fit, make_score, make_selection, make_spread
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection, make_spread
 
 INERTIA = {f"angular_acceleration.{axis}" for axis in "xyz"}
 
@@ -104,16 +104,13 @@ def judge_flight(
     columns = [
         NuisanceColumns(kind=OF_FLIGHTS, channel=name, columns=[], size=size, most=most) for name, size in own.items()
     ]
-    selection = make_selection(
-        replace(make_choice(make_fit(structures=tuple(columns))), weights=weights),
-        final=replace(make_score(declared), fit=fit),
-        looked_for=looked_for,
-    )
-    left_out = replace(selection.left_out, channels=channels, tolerated=np.sqrt(squares))
+    offsets = flight_offsets(columns, channels, weights.weight)
+    chosen = replace(make_choice(make_fit()), weights=weights, tolerated=np.sqrt(squares))
+    selection = make_selection(chosen, fit=fit, looked_for=looked_for, flight_offsets=offsets)
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
     rms = np.sqrt(np.mean(np.square(np.concatenate(test.residuals(declared))), axis=0))
     after = make_evaluation(*rms.tolist(), channels=channels)
-    return find_residual_excess(train, test, replace(selection, left_out=left_out), (declared, declared), after, floor)
+    return find_residual_excess(train, test, selection, (declared, declared), after, floor)
 
 
 def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tmp_path) -> None:
@@ -132,13 +129,11 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     fit = linearise_at_params(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
     weights = inverse_variance_weights(predictor.residuals(params))
     chosen = replace(make_choice(make_fit()), weights=weights)
-    selection = make_selection(chosen)
-    selection = replace(selection, left_out=replace(selection.left_out, channels=predictor.channels))
+    selection = make_selection(chosen, flight_offsets=flight_offsets((), predictor.channels, weights.weight))
 
     def limit(std: float) -> np.ndarray:
         spread = make_spread(np.array([0]), np.zeros((1, 1)), np.array([[std**2]]))
-        final = replace(selection.final, fit=fit, spread=spread)
-        within, whole = largest_open_squares(predictor, params, replace(selection, final=final))
+        within, whole = largest_open_squares(predictor, params, replace(selection, fit=fit, spread=spread))
         np.testing.assert_allclose(within, whole, rtol=1e-9)
         return within
 

@@ -92,7 +92,7 @@ def test_an_effect_is_as_sure_as_the_sets_that_hold_it_are_probable(behind: floa
     selection = make_selection(make_choice(best, make_fit(log=-behind)))
     (named,) = verdict.effects_of_selection(selection, {"rotor_drag": None}, {"rotor_drag": None}, ROBOT)
     assert named.confidence == pytest.approx(confidence)
-    assert named.confidence == min(selection.chosen.inclusion["rotor_drag"], verdict.MOST_CONFIDENT)
+    assert named.confidence == min(selection.inclusion["rotor_drag"], verdict.MOST_CONFIDENT)
     assert list(named.std) == ["dx", "dy", "dz"]
 
 

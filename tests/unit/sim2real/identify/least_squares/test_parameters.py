@@ -9,8 +9,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
 from aerial_gym.sim2real.identify.least_squares import box_minimum
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step, leave_out_steps
-from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, block_moments
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.identify.least_squares.parameters import (
     is_number,
     parameter_bounds,
@@ -144,28 +143,3 @@ def test_without_offsets_nothing_changes() -> None:
     assert not offsets.has_offsets
     for before, after in zip(residuals, offsets.remove_offsets(residuals), strict=True):
         assert after is before
-
-
-OWN, TOLERANCES = 3, 2
-
-
-def fit_of_noise() -> ModelFit:
-    rng = np.random.default_rng(0)
-    times = [np.arange(rows) / 50.0 for rows in (310, 120, 250)]
-    residuals = [rng.normal(size=(time.size, 2)) for time in times]
-    jacobians = [rng.normal(size=(time.size, 2, OWN + TOLERANCES)) for time in times]
-    return ModelFit(
-        effects=("rotor_drag",), params=ModelParams(effects={"rotor_drag": np.zeros(3)}),
-        moments=block_moments(times, residuals, jacobians, length=1.0), low=np.full(OWN + TOLERANCES, -0.02),
-        high=np.full(OWN + TOLERANCES, 5.0), num_effect_params=OWN,
-    )  # fmt: skip
-
-
-def test_each_flight_is_left_out_of_its_own_step() -> None:
-    fit, weight = fit_of_noise(), np.array([1.0, 4.0])
-    label = 10 * fit.moments.flight
-    result = leave_out_steps(fit, weight, fit.free_params, label)
-    for flight in range(3):
-        expected = best_step(fit, weight, fit.free_params, np.flatnonzero(fit.moments.flight != flight))
-        own = result[fit.moments.flight == flight]
-        np.testing.assert_allclose(own, np.tile(expected, (len(own), 1)), atol=1e-12)

@@ -16,12 +16,12 @@ from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.partial_rivals import rivals_of_parameters
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, FitScore
-from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria
+from aerial_gym.sim2real.identify.selection.select import FinalFit, SelectionResult, select_effects
 from aerial_gym.sim2real.judge.verdict import names_of_ties
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub, flight, load_tables, make_predictor
-from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_score, make_selection
+from tests.unit.sim2real.set_fits import PLACE, make_choice, make_final_fit, make_fit, make_selection
 
 ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
 
@@ -57,7 +57,7 @@ def add_ground_push(table: pd.DataFrame) -> pd.DataFrame:
 ])  # fmt: skip
 def test_a_name_holds_or_only_substitutes(scale, change, named, surrogates, tmp_path) -> None:
     result = select_hidden(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
-    assert result.effect_names == named
+    assert result.effects == named
     assert result.surrogates == surrogates
 
 
@@ -72,7 +72,7 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(gyro
         return table if gyro else table.drop(columns=["omega_x", "omega_y", "omega_z"])
 
     result = select_hidden(tmp_path, ("thrust_coefficient", "payload_mass"), change=log_columns, thrust_scale=0.95)
-    (named,) = result.effect_names
+    (named,) = result.effects
     assert {named, *names_of_ties(named, result)} == candidates
 
 
@@ -90,8 +90,8 @@ def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> Non
         flights.append(replace(read, name=str(seed), other_position=other))
     names = ("downwash", "thrust_coefficient", "rotor_drag")
     result = select_effects(make_predictor(flights), params_from_robot(ROBOT), Criteria(), candidates=names)
-    assert result.effect_names == ("downwash",)
-    force, sigma = result.final.fit.params.effects["downwash"]
+    assert result.effects == ("downwash",)
+    force, sigma = result.fit.params.effects["downwash"]
     assert force == pytest.approx(0.6, rel=0.1)
     assert sigma == pytest.approx(width, rel=0.1)
 
@@ -104,11 +104,11 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
     result = select_hidden(
         tmp_path, ("constant_wind", "wind_shear", "rotor_drag"), robot=robot, drag=0.3, wind=(0.4, -0.3, 0.0)
     )
-    assert result.effect_names == ("constant_wind",)
+    assert result.effects == ("constant_wind",)
     assert names_of_ties("constant_wind", result) == []
     (rival,) = result.effect_rivals("constant_wind")
     assert (rival.effect, rival.wider, rival.is_distinct) == ("wind_shear", True, False)
-    assert result.chosen.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
+    assert result.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
 
 
 def test_rivals_are_the_best_sets_with_another_effect_in_the_place_of_a_named_one() -> None:
@@ -161,30 +161,32 @@ def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
 
 def test_an_effect_that_flights_cannot_show_is_told_when_it_is_requested(tmp_path: Path) -> None:
     result = select_hidden(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
-    assert result.effect_names == ()
+    assert result.effects == ()
     assert set(result.not_testable) == {"ceiling_effect"}
 
 
-class PriorScorer(_Scorer):
+class PriorFit(FinalFit):
     """Parameters known to a given variance, in units of their scale, with what was asked for."""
 
     def __init__(self, named: EffectSetFit, variance: Mapping[str, Sequence[float]]) -> None:
-        self.chosen, self.declared = make_choice(named), ModelParams()
+        drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
+        self.chosen, self.declared = (
+            make_choice(named, without={"com_offset": drag, "rotor_drag": offset}),
+            ModelParams(),
+        )
         self.predictor, self.variance = PredictorStub(), variance
 
-    def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
-        return make_score(start, effects, variance=[v for name in effects for v in self.variance[name]], frozen=frozen)
+    def fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()):
+        variance = [v for name in effects for v in self.variance[name]]
+        return make_final_fit(start, effects, variance=variance, frozen=frozen)
 
 
 def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     named = make_fit(
         "rotor_drag", "com_offset", params={"rotor_drag": [0.2, 0.3, 0.4], "com_offset": [0.004, 0.005, 0.006]}
     )
-    given = PriorScorer(named, {"rotor_drag": [0.1, 0.9, 1.1], "com_offset": [0.2, 7.0, 0.2]})
-    drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in named.effects)
-    given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
-    scored, chosen = given.score_without_undetermined()
-    fit = scored.fit
+    given = PriorFit(named, {"rotor_drag": [0.1, 0.9, 1.1], "com_offset": [0.2, 7.0, 0.2]})
+    chosen, fit, _ = given.fit_determined()
     assert fit.frozen == {("rotor_drag", 2), ("com_offset", 1)}
     assert {name: values.tolist() for name, values in fit.params.effects.items()} == {
         "rotor_drag": [0.2, 0.3, 0.0],
@@ -192,19 +194,18 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     }
     assert chosen.without["com_offset"].params.effects["rotor_drag"].tolist() == [9.0, 8.0, 0.0]
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
-    given = PriorScorer(named, dict.fromkeys(named.effects, [0.9] * 3))
-    shown, same = given.score_without_undetermined()
-    assert (shown.fit.frozen, shown.fit.params) == (frozenset(), named.params)
+    given = PriorFit(named, dict.fromkeys(named.effects, [0.9] * 3))
+    same, shown, _ = given.fit_determined()
+    assert (shown.frozen, shown.params) == (frozenset(), named.params)
     assert same is given.chosen
 
 
 def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> None:
     named = make_fit("com_offset", "rotor_drag")
-    given = PriorScorer(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
-    drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
-    given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
-    scored, chosen = given.score_without_undetermined()
-    assert scored.fit.params is drag.params
+    given = PriorFit(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
+    drag = given.chosen.without["com_offset"]
+    chosen, fit, _ = given.fit_determined()
+    assert fit.params is drag.params
     assert chosen.effects == ("rotor_drag",)
     assert chosen.refused == {"com_offset": Finding("parameters_unknown", "com_offset")}
     assert chosen.without["rotor_drag"].effects == ()
