@@ -60,7 +60,7 @@ def close_loop(
         tolerances: Standard deviations of the declared values.
         effects: Candidate effects; None: all.
         failures: Whether to search each flight for failures and compare it only up to the first one.
-        joints: Whether to fit the joint springs to the training flights as well (``find_joints``).
+        joints: Whether to fit the joint springs to the training flights as well (``fit_joints_to_flights``).
         learn_residual: Whether a small network may be added for the unexplained residual. It does not change the verdict.
         ranges: Whether robot.yaml also draws identified parameters from their uncertainty at every reset (``randomize:``).
         progress: Called with each stage and the completed share.
@@ -117,7 +117,7 @@ def close_loop(
 
 def _identify_joints(robot: RobotCfg, inputs: FlightInputs, progress: Progress) -> "FlightJointStudy":
     """Return the joint parameters fitted to the training flights."""
-    from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints
+    from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, fit_joints_to_flights
 
     used, rate = [Path(flight.path) for flight in inputs.train], min(flight.rate for flight in inputs.train)
-    return find_joints(robot, used, bandwidth=min(BANDWIDTH_HZ, OF_RATE * rate), progress=progress)
+    return fit_joints_to_flights(robot, used, bandwidth=min(BANDWIDTH_HZ, OF_RATE * rate), progress=progress)

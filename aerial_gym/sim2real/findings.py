@@ -96,13 +96,13 @@ class Finding:
         return CODES[self.code]
 
 
-def refusal(code: str, subject: str, objections: Iterable[Finding]) -> Finding:
+def finding_on_refusal(code: str, subject: str, objections: Iterable[Finding]) -> Finding:
     """Return a finding whose values list the objections to an effect."""
     rows = [{"code": one.code, "subject": one.subject, "values": one.values} for one in objections]
     return Finding(code, subject, {"objections": rows})
 
 
-def unit_key(unit: str) -> str:
+def unit_suffix(unit: str) -> str:
     """Return the suffix of a key for a unit: ``m_s2`` for m/s², ``ratio`` for none."""
     plain = unit.translate(str.maketrans("²³⁴", "234")).lower()
     return "_".join(part for part in re.split(r"[^a-z0-9]+", plain) if part) or "ratio"

@@ -135,7 +135,7 @@ class FailureFinder:
         if cause.rotor is not None:
             params["motor"] = float(cause.rotor + 1)
         if cause.kind == "stuck_rotor":
-            values = [self._state_of_rotor(cause, event.change + step * event.std) for step in (0.0, -1.96, 1.96)]
+            values = [self._speed_of_stuck_rotor(cause, event.change + step * event.std) for step in (0.0, -1.96, 1.96)]
             name = "speed"
         else:
             off = event.std
@@ -170,7 +170,7 @@ class FailureFinder:
         state = state_for_thrust(self._vehicle, max(done, 0.0) * rotor_thrust(self._vehicle, hover))
         return float((state / hover).mean())
 
-    def _state_of_rotor(self, cause: FailureCause, done: float) -> float:
+    def _speed_of_stuck_rotor(self, cause: FailureCause, done: float) -> float:
         """Return the state of a rotor with a given output relative to hover."""
         assert cause.rotor is not None
         hover = self._hover[None]

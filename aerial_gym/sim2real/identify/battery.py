@@ -28,7 +28,7 @@ PASSES = 3  # Number of replays with the last sag estimate, so that speed and vo
 FARTHEST = 1.2  # Largest ratio of the nominal voltage to the range of measured voltages
 
 
-def add_battery_estimate(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
+def robot_with_estimated_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     """Return the robot with a battery estimated from flights; unchanged if its file has one or the flights show none.
 
     Charge and load are fitted by ``V = E_f - k q - r I`` with ``I = P / V``, the rotors' mechanical power P, and the charge
@@ -41,7 +41,7 @@ def add_battery_estimate(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg
         return robot
     if finding_on_steady_voltage(sag, flights):
         return robot
-    nominal, how = _nominal_voltage(robot, flights)
+    nominal, how = _voltage_at_commanded_speed(robot, flights)
     numbers = {"nominal_voltage": nominal, **_fit_discharge(robot, flights)}
     source = f"estimated by aerial-gym close-loop from the flights {', '.join(flight.name for flight in flights)}"
     rounded = {name: float(f"{value:.{SIGNIFICANT_DIGITS}g}") for name, value in numbers.items()}
@@ -96,7 +96,7 @@ def _rotor_power(robot: RobotCfg, flight: Flight) -> Array:
     return (rotor_drag_torques(robot, rotor) * rotor).sum(axis=1)
 
 
-def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float, str]:
+def _voltage_at_commanded_speed(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float, str]:
     """Return the voltage at which rotors reach the commanded speeds [V], and its source in words."""
     highest = max(float(_block_means(_voltage(flight), flight.rate).max()) for flight in flights)
     guess = highest, "the highest voltage seen"
@@ -104,7 +104,7 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
         return guess
     gain, nominal = 0.0, highest
     for _ in range(PASSES):
-        voltage, ratio = _speed_ratios(robot, flights, gain, nominal)
+        voltage, ratio = _voltage_and_speed_ratio(robot, flights, gain, nominal)
         slope, intercept, probability = fit_line(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
         if not (slope > 0.0 and probability < SURE):
             return guess
@@ -115,7 +115,9 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
     return nominal, "where rotors reach the commanded speeds"
 
 
-def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nominal: float) -> tuple[Array, Array]:
+def _voltage_and_speed_ratio(
+    robot: RobotCfg, flights: Sequence[Flight], gain: float, nominal: float
+) -> tuple[Array, Array]:
     """Return block means of voltage [V] and of measured over replayed rotor speed with a given sag, (B,) each."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     vehicle = replace(vehicle, battery=torch.full_like(vehicle.battery, nominal))  # a sag needs no other number

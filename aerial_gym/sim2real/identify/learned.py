@@ -18,7 +18,7 @@ from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.learned_residual import network
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.findings import Finding, refusal
+from aerial_gym.sim2real.findings import Finding, finding_on_refusal
 from aerial_gym.sim2real.identify.selection.scoring import CrossValidation, Gain
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -55,7 +55,7 @@ class ResidualFit:
     def findings(self) -> tuple[Finding, ...]:
         """Return the findings on acceptance with shares, or on rejection with reasons."""
         if self.cfg is None:
-            return (refusal("learned_refused", LearnedResidual.name, self.objections),)
+            return (finding_on_refusal("learned_refused", LearnedResidual.name, self.objections),)
         rows = {"rows": self.rows, "rows_outside": self.rows_outside}
         shares = {"shares": {name: share for name, share in self.gaps.items() if share is not None}}
         return Finding("learned_added", LearnedResidual.name, rows), Finding("learned_share", "", shares)
@@ -161,7 +161,7 @@ class _Trainer:
         self._inputs = torch.from_numpy((np.clip(self._felt, self._low, self._high) - self._centre) / self._scale)
         self._targets = torch.from_numpy(target / self._size)
         self._count = left_out.count.astype(int)
-        self._fold = np.repeat(left_out.fold, self._count)
+        self._fold = np.repeat(left_out.fold_of_blocks, self._count)
 
     def keep_outputs(self, chosen: Flags) -> None:
         """Restrict the network to the chosen outputs; others stay zero."""

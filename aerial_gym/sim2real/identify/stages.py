@@ -7,7 +7,7 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real.identify.battery import add_battery_estimate
+from aerial_gym.sim2real.identify.battery import robot_with_estimated_battery
 from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, replace_params
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
@@ -59,7 +59,7 @@ def prepare_comparison(
 ) -> LoopSetup:
     """Return a robot with its flights, ready for comparison; raise ``ConfigError`` or ``DataError`` if it cannot be."""
     check_effects(robot)
-    flights, powered = [*train, *test], add_battery_estimate(robot, train)
+    flights, powered = [*train, *test], robot_with_estimated_battery(robot, train)
     band, channels = comparison_band(flights, bandwidth), find_channels(flights)
     on_train, on_test = (
         Predictor(powered, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
@@ -84,7 +84,7 @@ def select_effects_of_setup(
     )
 
 
-def final_model(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
+def final_model_of_robot_file(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
     """Return the final model, with parameters rounded as in the robot file."""
     params, effects = selection.fit.params, selection.effects
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in parameter_row(params, effects)])

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, t
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
-from aerial_gym.sim2real.judge.whiteness import EDGES, power_by_octave, spectral_lines
+from aerial_gym.sim2real.judge.whiteness import EDGES, periodogram_of_flights, power_by_octave
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -140,7 +140,7 @@ def share_removed_by_octave(
     powers = []
     for values in (without, residuals):
         own = [rows[:, place : place + 1] for rows in values]
-        frequency, power = spectral_lines(predictor.times, own, predictor.bandwidth, tapered=True)
+        frequency, power = periodogram_of_flights(predictor.times, own, predictor.bandwidth, tapered=True)
         powers.append(power_by_octave(frequency, power, predictor.bandwidth)[:, 0])
     return tuple((1.0 - powers[1] / np.maximum(powers[0], 1e-300)).tolist())
 
@@ -186,6 +186,6 @@ def gains_of_rivals(name: str, selection: SelectionResult, train: Predictor) -> 
 
 def reason_against_rival(name: str, rival: Rival) -> Finding:
     """Return the reason why a rival is not named in place of the accepted effect."""
-    if rival.is_distinct:
+    if rival.is_clearly_less_probable:
         return Finding("rival_less_probable", rival.effect, {"log_odds": rival.log_odds})
     return Finding("rival_wider" if rival.wider else "rival_not_rejected", rival.effect, {"effect": name})

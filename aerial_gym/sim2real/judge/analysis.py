@@ -8,16 +8,16 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.identify.learned import add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.scoring import leave_out_flights
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.identify.stages import LoopSetup, final_model
+from aerial_gym.sim2real.identify.stages import LoopSetup, final_model_of_robot_file
 from aerial_gym.sim2real.judge.ablation import ablations_of_effects
-from aerial_gym.sim2real.judge.breakdown import active_regime, errors_by_flight
+from aerial_gym.sim2real.judge.breakdown import errors_by_flight, errors_where_effect_acts
 from aerial_gym.sim2real.judge.decision import Decision, verdict_decision
-from aerial_gym.sim2real.judge.doubt import notes_on_doubt, selection_with_doubt
+from aerial_gym.sim2real.judge.doubt import notes_on_doubt, selection_with_test_odds
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models
 from aerial_gym.sim2real.judge.experiments.design import can_have_effect, recommend_manoeuvres
 from aerial_gym.sim2real.judge.outcome import error_outcomes
@@ -60,7 +60,7 @@ def judge_on_test_flights(
     declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
 ) -> LoopResult:
     """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot."""
-    tested, model = declared.test, final_model(declared, selection)
+    tested, model = declared.test, final_model_of_robot_file(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
     floors = noise_floors_in_declared_wind(declared, model)
@@ -71,7 +71,7 @@ def judge_on_test_flights(
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_residual_excess(declared.train, tested, selection, (declared.params, model), named, still)
     doubtful = selection.effects and (unexplained.left_open or unexplained.open_to)
-    result = selection_with_doubt(selection, tested) if doubtful else selection
+    result = selection_with_test_odds(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
     effects = effects_with_ablations(declared, result, model, (before, named), unexplained.floor, seed=seed)
     learned = None
@@ -81,7 +81,7 @@ def judge_on_test_flights(
         trained = train_residual(declared.train, model, left_out, seed=seed)
         learned = add_test_shares(trained, tested, model, unexplained.floor)
     if learned is None or learned.effect is None:
-        params, after = model, unexplained.with_wind_floor(named)
+        params, after = model, unexplained.evaluation_with_wind_floor(named)
     else:
         params = replace(model, learned=learned.effect)
         (after,) = evaluate_models(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
@@ -147,7 +147,9 @@ def effects_with_ablations(
     test, models = declared.test, (declared.params, model)
     worth = ablations_of_effects(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
     weight = selection.weights.weight
-    regimes = {name: active_regime(test, *models, name, weight, floor, seed=seed) for name in selection.effects}
+    regimes = {
+        name: errors_where_effect_acts(test, *models, name, weight, floor, seed=seed) for name in selection.effects
+    }
     return effects_of_selection(selection, worth, regimes, declared.stated)
 
 
@@ -200,7 +202,7 @@ def notes_on_implausible_deviations(
 ) -> list[Finding]:
     """Return a note on each implausible deviation, and one on the errors that all deviations together change."""
     results = declared.tolerances.implausible_deviations(
-        unexplained.deviation, absent=absent_tolerances(declared, model), farthest=FARTHEST_DEVIATION
+        unexplained.deviation, absent=tolerances_of_absent_parts(declared, model), farthest=FARTHEST_DEVIATION
     )
     if not results:
         return []
@@ -208,14 +210,14 @@ def notes_on_implausible_deviations(
     rms = channel_rms(unexplained.left).tolist()
     for channel, value, bare in zip(declared.channels, rms, named.residual, strict=True):
         if abs(value - bare.value) > least * bare.value:
-            unit = unit_key(channel.unit)
+            unit = unit_suffix(channel.unit)
             changed.append({"channel": channel.name, f"with_{unit}": value, f"without_{unit}": bare.value})
     if not changed:
         return [*results, Finding("strained_changes_little")]
     return [*results, Finding("strained_changes", "", {"errors": changed})]
 
 
-def absent_tolerances(declared: LoopSetup, params: ModelParams) -> set[str]:
+def tolerances_of_absent_parts(declared: LoopSetup, params: ModelParams) -> set[str]:
     """Return the tolerances of parts and sensors that the vehicle or its logs lack: their deviations mean nothing."""
     flights = declared.train.flights
     soft = any(effect.replayed and effect.remembers for effect in map(EFFECTS.get, params.effects))
@@ -235,7 +237,7 @@ def notes_on_surrogates_and_offsets(selection: SelectionResult) -> list[Finding]
     """Return notes on effects that follow a structure, and on offsets of flights: neither belongs to the vehicle."""
     results = [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
     offsets = selection.best.flight_offsets
-    sizes = [{"channel": o.channel, f"rms_{unit_key(UNITS[o.channel.split('.')[0]])}": o.size} for o in offsets]
+    sizes = [{"channel": o.channel, f"rms_{unit_suffix(UNITS[o.channel.split('.')[0]])}": o.size} for o in offsets]
     return [*results, *([Finding("offsets_sizes", "", {"offsets": sizes})] if sizes else [])]
 
 

@@ -5,7 +5,7 @@ Every part is a list of findings with numbers from the verdict.
 
 from collections.abc import Iterator, Sequence
 
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, WORSE, Outcome
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
@@ -99,7 +99,7 @@ def _with_errors(verdict: Verdict, point: Finding) -> Finding:
     rows, after = [], verdict.after
     for place, channel in enumerate(after.channels):
         if channel.name in point.values["channels"]:  # type: ignore[operator]
-            unit, floor = unit_key(channel.unit), None if after.floor is None else after.floor[place]
+            unit, floor = unit_suffix(channel.unit), None if after.floor is None else after.floor[place]
             rows.append({"channel": channel.name, f"rms_{unit}": after.residual[place].value, f"floor_{unit}": floor})
     return Finding(point.code, point.subject, {**point.values, "errors": rows})
 
@@ -133,7 +133,7 @@ def _error_change(verdict: Verdict, one: Outcome) -> dict[str, object]:
         variant, _, quantity = one.quantity.partition(".")
         unit = QUANTITIES[quantity]
         before, after = (model.rollout[variant][quantity][one.horizon] for model in (verdict.before, verdict.after))
-    key = unit_key(unit)
+    key = unit_suffix(unit)
     change = {"rise": one.rise.value, "rise_low": one.rise.low, "rise_high": one.rise.high}
     return {"quantity": one.name, f"before_{key}": before.value, f"after_{key}": after.value, **change}
 

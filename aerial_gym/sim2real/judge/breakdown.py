@@ -45,7 +45,7 @@ class FlightError:
 
 
 @dataclass(frozen=True)
-class Regime:
+class ErrorsWhereActive:
     """The rows of the test flights in which an effect acts most."""
 
     channel: str  # Channel in which the effect's weighted mean-square contribution is largest
@@ -111,7 +111,7 @@ def _rollout_errors(
     return parts
 
 
-def active_regime(
+def errors_where_effect_acts(
     predictor: Predictor,
     declared: ModelParams,
     final: ModelParams,
@@ -120,7 +120,7 @@ def active_regime(
     floor: Array | None,
     *,
     seed: int,
-) -> Regime:
+) -> ErrorsWhereActive:
     """Return the errors of both models in the rows in which an effect changes the prediction most.
 
     The effect's contribution is the final prediction minus the one with its parameters at neutral. Rows are ranked by the
@@ -138,11 +138,13 @@ def active_regime(
     )
     channel = predictor.channels[place]
     closed = gap_closed(before.value, after.value, None if floor is None else float(floor[place]))
-    conditions = _conditions(predictor.flights, predictor.times, acts)
-    return Regime(channel.name, channel.unit, before, after, closed, conditions)
+    conditions = _mean_flight_conditions(predictor.flights, predictor.times, acts)
+    return ErrorsWhereActive(channel.name, channel.unit, before, after, closed, conditions)
 
 
-def _conditions(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:
+def _mean_flight_conditions(
+    flights: Sequence[Flight], times: Sequence[Array], acts: Flags
+) -> dict[str, tuple[float, float]]:
     """Return mean speed, height and turn rate over the rows in which an effect acts, and over the others."""
     parts = []
     for flight, time in zip(flights, times, strict=True):

@@ -20,13 +20,13 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number
+from aerial_gym.sim2real.identify.least_squares.parameters import is_continuous_parameter
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.predictive import PASSES
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 
-def selection_with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
+def selection_with_test_odds(selection: SelectionResult, test: Predictor) -> SelectionResult:
     """Return the selection with the log odds that the test flights add to each rival of a named effect, at least 0."""
     rivals = {one.fitted.label: one.fitted for name in selection.effects for one in selection.effect_rivals(name)}
     if not rivals:
@@ -42,7 +42,7 @@ def notes_on_doubt(selection: SelectionResult) -> list[Finding]:
         Finding("doubt_by_test", name, {"other": rival.effect, "log_odds": rival.log_odds - rival.doubt})
         for name in selection.effects
         for rival in selection.effect_ties(name)
-        if rival.is_distinct_in_training
+        if rival.is_clearly_less_probable_in_training
     ]
 
 
@@ -80,7 +80,7 @@ def log_densities(test: Predictor, fits: Sequence[EffectSetFit], selection: Sele
     rows, weight = sum(time.size for time in test.times), weights.weight
     for _ in range(PASSES):
         least = np.min([one.squares_after_step(one.joint_step(weight)) for one in sums], axis=0) / rows
-        weight = weights.weight_limit(least)
+        weight = weights.weight_below_limit(least)
     return np.array([one.log_density(weight) for one in sums])
 
 
@@ -91,7 +91,7 @@ def residual_sums(test: Predictor, fitted: EffectSetFit, selection: SelectionRes
     tolerance = tolerance_jacobian(test, at)
     columns = effect_jacobian(test, at, fitted.effects, predicted, beside=tolerance)
     owners = [(name, place) for name in fitted.effects for place in range(len(EFFECTS.get(name).parameters))]
-    own = [k for k, owner in enumerate(owners) if is_number(*owner)]
+    own = [k for k, owner in enumerate(owners) if is_continuous_parameter(*owner)]
     kept = np.array([*own, *range(len(owners), len(owners) + test.num_tolerances)])
     jacobian = np.concatenate(offsets.remove_offsets([part[:, :, kept] for part in columns]))
     left = np.concatenate(offsets.remove_offsets([m - p for m, p in zip(test.measured, predicted, strict=True)]))

@@ -17,9 +17,13 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, normal_equations, prior_precision
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    WEAK_PRIOR,
+    normal_equations_without_prior,
+    prior_precision,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number
+from aerial_gym.sim2real.identify.least_squares.parameters import is_continuous_parameter
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -60,10 +64,10 @@ def largest_open_squares(
         [
             place
             for place in range(precision.size)
-            if place >= len(fit.parameter_owners) or is_number(*fit.parameter_owners[place])
+            if place >= len(fit.parameter_owners) or is_continuous_parameter(*fit.parameter_owners[place])
         ]
     )
-    product, _ = normal_equations(fit, selection.weights.weight)
+    product, _ = normal_equations_without_prior(fit, selection.weights.weight)
     covariance = np.linalg.inv((product + np.diag(precision))[np.ix_(chosen, chosen)])
     wider = np.ones(chosen.size)
     for place, std in zip(selection.spread.columns, selection.spread.std, strict=True):
@@ -152,10 +156,10 @@ def effects_left_open(
     known, weight, frozen = selection.effects, selection.weights.weight, selection.fit.frozen
     more = {"frozen": frozen, "skipped": skipped, "by_channel": True}
     trained, tested = (build_library(flights, declared, final, known, weight, **more) for flights in (train, test))
-    return sufficient_effects(trained, tested, selection.weights, asked, selection.criteria.significance)
+    return effects_sufficient_alone(trained, tested, selection.weights, asked, selection.criteria.significance)
 
 
-def sufficient_effects(
+def effects_sufficient_alone(
     seen: Library, tested: Library, weights: Weighting, asked: ResidualCriterion, significance: float
 ) -> tuple[str, ...]:
     """Return the effects whose joint fit agrees with training and explains every unexplained channel, the best first.
@@ -223,7 +227,7 @@ def _joint_step(
         whole[columns] = step
         squares = tested.moments.block_squares(np.tile(whole, (blocks, 1))).sum(axis=0) / rows
         squares = np.maximum(squares, 0.0)
-        weight = weights.weight_limit(squares)
+        weight = weights.weight_below_limit(squares)
     return step, squares
 
 

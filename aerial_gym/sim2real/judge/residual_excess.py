@@ -10,7 +10,7 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.identify.candidates.structure import Structure, find_structure
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, least_squares_step_in_bounds
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.predictive import (
@@ -60,7 +60,7 @@ class ResidualExcess:
         assert self.within.deviation is not None
         return self.within.deviation
 
-    def with_wind_floor(self, evaluation: ModelEvaluation) -> ModelEvaluation:
+    def evaluation_with_wind_floor(self, evaluation: ModelEvaluation) -> ModelEvaluation:
         """Return an evaluation whose noise floor includes random wind, if random wind is accepted."""
         if self.floor is None or not self.wind.is_accepted:
             return evaluation
@@ -83,7 +83,7 @@ def find_residual_excess(
     """
     _, params = models
     flights = [*train.flights, *test.flights]
-    within = model_with_best_deviations(params, selection.fit, selection.weights.weight)
+    within = model_with_training_deviations(params, selection.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.tolerated
     rms = np.minimum(channel_rms(left), [channel.value for channel in after.residual])  # deviations may only lower it
     not_judged = KINEMATIC if can_judge_forces(flights) else (*KINEMATIC, "specific_force")
@@ -138,10 +138,10 @@ def channel_rms(parts: Sequence[Array]) -> Array:
     return np.sqrt(np.mean(np.square(np.concatenate(parts)), axis=0))
 
 
-def model_with_best_deviations(params: ModelParams, fit: ModelFit, weight: Array) -> ModelParams:
+def model_with_training_deviations(params: ModelParams, fit: ModelFit, weight: Array) -> ModelParams:
     """Return a model with the deviations within the tolerances that fit the training flights best beside its own effects."""
     own = fit.num_effect_params
-    step = best_step(fit, weight, np.arange(own, fit.low.size))
+    step = least_squares_step_in_bounds(fit, weight, np.arange(own, fit.low.size))
     return replace(params, deviation=step[own:])
 
 

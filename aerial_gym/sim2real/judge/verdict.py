@@ -12,15 +12,19 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.flight_event import Failure
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import ResidualFit
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_row, parameter_scales
+from aerial_gym.sim2real.identify.least_squares.parameters import (
+    is_continuous_parameter,
+    parameter_row,
+    parameter_scales,
+)
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.ablation import Ablation
-from aerial_gym.sim2real.judge.breakdown import FlightError, Regime
+from aerial_gym.sim2real.judge.breakdown import ErrorsWhereActive, FlightError
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Outcome
@@ -49,7 +53,9 @@ class NamedEffect:
     ablation: Ablation | None = None
     """Rise of the errors without it, and its rivals; None for gusts and failures, which the selection does not compare."""
 
-    regime: Regime | None = None  # Errors of both models in the rows in which it acts most; None for gusts and failures
+    regime: ErrorsWhereActive | None = (
+        None  # Errors of both models in the rows in which it acts most; None for gusts and failures
+    )
     ties: tuple[str, ...] = ()  # Effects that explain the flights equally well in its place
 
     in_part: tuple[ParameterRival, ...] = ()
@@ -75,7 +81,7 @@ class NamedEffect:
         for parameter in own:
             if parameter.name in shown or parameter.kind != "number":
                 std = self.std.get(parameter.name)
-                values[f"{parameter.name}_{unit_key(parameter.unit)}"] = {
+                values[f"{parameter.name}_{unit_suffix(parameter.unit)}"] = {
                     "value": self.params[parameter.name],
                     "declared": self.declared.get(parameter.name),
                     "half_width": None if std is None else 1.96 * std,
@@ -204,26 +210,30 @@ def place_of_affected_rotor(name: str, params: Array, robot: RobotCfg) -> str:
 
 
 def effects_of_selection(
-    selection: SelectionResult, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
+    selection: SelectionResult, ablations: dict[str, Ablation], regimes: dict[str, ErrorsWhereActive], robot: RobotCfg
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
     fit, spread, inclusion = selection.fit, selection.spread, selection.inclusion
     values, scale = parameter_row(fit.params, fit.effects), parameter_scales(fit.effects)
-    std = dict(zip(fit.free_effect_params.tolist(), spread.std, strict=True))
-    noise = dict(zip(fit.free_effect_params.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
-    owners = (fit.parameter_owners[k] for k in fit.free_effect_params.tolist())
+    std = dict(zip(fit.indices_of_fitted_effect_params.tolist(), spread.std, strict=True))
+    noise = dict(zip(fit.indices_of_fitted_effect_params.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
+    owners = (fit.parameter_owners[k] for k in fit.indices_of_fitted_effect_params.tolist())
     numbers = [f"{name}.{EFFECTS.get(name).parameters[place].name}" for name, place in owners]
     correlation = spread.correlation
     results = []
     for name in fit.effects:
-        own = dict(zip((p.name for p in EFFECTS.get(name).parameters), fit.effect_columns(name).tolist(), strict=True))
+        own = dict(
+            zip((p.name for p in EFFECTS.get(name).parameters), fit.indices_of_effect(name).tolist(), strict=True)
+        )
         results.append(
             NamedEffect(
                 name=name,
                 params={key: float(values[k]) for key, k in own.items()},
                 std={key: float(std[k] * scale[k]) for key, k in own.items() if k in std},
                 noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
-                frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.parameter_owners[k])),
+                frozen=tuple(
+                    key for key, k in own.items() if k not in std and is_continuous_parameter(*fit.parameter_owners[k])
+                ),
                 confidence=min(inclusion[name], MOST_CONFIDENT),
                 ablation=ablations[name],
                 regime=regimes[name],

@@ -46,7 +46,7 @@ class Whiteness:
         return select_fields(self, "probability", "white", "octaves")
 
 
-def spectral_lines(
+def periodogram_of_flights(
     times: Sequence[Array], values: Sequence[Array], bandwidth: float, *, tapered: bool = False
 ) -> tuple[Array, Array]:
     """Return frequencies (L,) [Hz] and powers (L, C) of all spans without a gap, with the low-pass gain divided out.
@@ -71,7 +71,7 @@ def spectral_lines(
     return np.concatenate(frequencies), np.concatenate(powers)
 
 
-def integrals(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
+def integrals_over_time(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
     """Return the integrals of values (T, C): trapezoidal rule, with its gain ``(w h/2) cot(w h/2)`` divided out."""
     results = []
     for time, rows in zip(times, values, strict=True):
@@ -104,8 +104,8 @@ def whiteness_of_channels(
     Source: Durbin (1969), Tests for serial correlation in regression analysis based on the periodogram of least-squares
     residuals, Biometrika 56; finite samples: Stephens (1970), JRSS B 32.
     """
-    frequency, power = spectral_lines(times, residuals, bandwidth)
-    read = spectral_lines(times, integrals(times, residuals), bandwidth)[1]
+    frequency, power = periodogram_of_flights(times, residuals, bandwidth)
+    read = periodogram_of_flights(times, integrals_over_time(times, residuals), bandwidth)[1]
     order, count = np.argsort(frequency), frequency.size
     results = []
     for place, channel in enumerate(channels):

@@ -26,7 +26,7 @@ from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import Dataset, row_stride
 from aerial_gym.sim2real.predict.rows.flight_batch import Columns, FlightBatch
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
-from aerial_gym.sim2real.predict.tolerances import Tolerances, sensor_deviation, vehicle_deviation
+from aerial_gym.sim2real.predict.tolerances import Tolerances, sensor_errors, vehicle_for_replay
 
 KEPT_BYTES = 6e7  # Memory for stored predictions [bytes], as if they shared nothing; fits often return to one
 MOST_TOLD = 512  # Number of models whose prediction keys are stored
@@ -111,10 +111,10 @@ class Predictor:
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
         }
         remaining = {name: values for name, values in params.effects.items() if name not in on_vehicle}
-        off = vehicle_deviation(self._declared, self.tolerances, params.deviation)
+        off = vehicle_for_replay(self._declared, self.tolerances, params.deviation)
         vehicle = build_model(off.vehicle, expand_effects(ModelParams(effects=on_vehicle), 1)).vehicle
         deviation = None if params.deviation is None else torch.from_numpy(params.deviation)
-        logged = b"" if deviation is None else sensor_deviation(self.tolerances, deviation).key
+        logged = b"" if deviation is None else sensor_errors(self.tolerances, deviation).key
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
         others_key = params_key(ModelParams(effects=remaining))
         return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)

@@ -42,7 +42,7 @@ from aerial_gym.sim2real.predict.replay.rotors import (
 )
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
-from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_deviation
+from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_for_replay
 from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, windows_of_longest_horizon
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)  # Times after the start at which rollout and flight are compared [s]
@@ -93,7 +93,7 @@ def rollout_errors_of_models(
     kept, windows = windows_of_longest_horizon(flights, horizons)
     commanded = has_commands(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    off = vehicle_deviation(declared, tolerances or Tolerances(), models[0].deviation)
+    off = vehicle_for_replay(declared, tolerances or Tolerances(), models[0].deviation)
     flown = [replace_by_arriving_commands(off, flights, one) if commanded else flights for one in models]
     shape = (len(models), len(variants))
     errors = {name: np.full((*shape, windows.row.size, len(kept)), np.nan) for name in QUANTITIES}
@@ -238,7 +238,7 @@ class WindowBatch:
         speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
         for index in np.unique(self._flight):
             chosen = np.flatnonzero(self._flight == index)
-            along = self._rotor_speed_track(int(index))
+            along = self._rotor_speed_along_flight(int(index))
             speed[chosen] = along[np.minimum(rows[chosen], len(along) - 1)]
         return speed
 
@@ -266,14 +266,14 @@ class WindowBatch:
             numbers = torch.empty(self._row.size, len(effect.fresh_memory(self._rotors)), dtype=torch.float64)
             vehicle, one, step = vehicle_of_row(self._model.vehicle, 0), params[:1], 1.0 / self._rate
             for index in np.unique(self._flight):
-                chosen, speed = np.flatnonzero(self._flight == index), self._rotor_speed_track(int(index))
+                chosen, speed = np.flatnonzero(self._flight == index), self._rotor_speed_along_flight(int(index))
                 track = make_flight_track(self._flights[index], vehicle, speed, step, settled=self._settled)
                 along = effect.replay(track, one)
                 numbers[chosen] = along[self._row[chosen]]
             results[effect.name] = numbers
         return results
 
-    def _rotor_speed_track(self, index: int) -> Tensor:
+    def _rotor_speed_along_flight(self, index: int) -> Tensor:
         """Return the true rotor speeds along a flight [rad/s], (T, R): measured, else from commands."""
         speed = self._flights[index].rotor_speed
         if speed is None:
@@ -321,10 +321,10 @@ class WindowBatch:
         if values is None:
             width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
             values = np.zeros((1, width))
-        return mean_over_rows(values, self._stride) if name == "rotor_speed" else values
+        return mean_over_neighbour_rows(values, self._stride) if name == "rotor_speed" else values
 
 
-def mean_over_rows(values: Array, rows: int) -> Array:
+def mean_over_neighbour_rows(values: Array, rows: int) -> Array:
     """Return the centred moving mean over ``rows`` rows, (T, any); for an even number the end weights are halved."""
     weights = np.ones(rows + 1 - rows % 2)
     weights[[0, -1]] = 1.0 if rows % 2 else 0.5

@@ -98,7 +98,7 @@ def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VehicleDeviation:
+class VehicleForReplay:
     """Vehicle and replay settings with deviations within the tolerances."""
 
     vehicle: Vehicle  # One environment
@@ -106,12 +106,12 @@ class VehicleDeviation:
     joint_start: float  # Initial angle of soft arms as a share of their rest angle
 
 
-def vehicle_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleDeviation:
+def vehicle_for_replay(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleForReplay:
     """Return vehicle and replay settings for deviations (N,) in standard deviations; None: exactly as declared."""
     if deviation is None:
-        return VehicleDeviation(vehicle=declared, command_shift=0.0, joint_start=1.0)
+        return VehicleForReplay(vehicle=declared, command_shift=0.0, joint_start=1.0)
     off = torch.from_numpy(deviation)
-    return VehicleDeviation(
+    return VehicleForReplay(
         vehicle=vehicle_with_deviations(declared, tolerances, off),
         command_shift=command_shift(tolerances, off),
         joint_start=joint_start(tolerances, off),
@@ -119,7 +119,7 @@ def vehicle_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Arra
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorDeviation:
+class SensorErrors:
     """Sensor errors of a vehicle's log for given deviations."""
 
     acc_bias: Tensor  # [m/s²], body, (3,)
@@ -143,11 +143,11 @@ class SensorDeviation:
         return numbers.numpy().tobytes() if numbers.any() else b""
 
 
-def sensor_deviation(tolerances: Tolerances, deviation: Tensor) -> SensorDeviation:
+def sensor_errors(tolerances: Tolerances, deviation: Tensor) -> SensorErrors:
     """Return the sensor errors of deviations (N,) in standard deviations."""
     off = split_deviations(deviation)
     names = ("acc_bias", "gyro_bias", "acc_scale", "imu_place", "attitude")
-    return SensorDeviation(
+    return SensorErrors(
         **{name: getattr(tolerances, name) * off[name] for name in names},
         rotor_motion=off["rotor_motion"],
         answered_noise=off["answered_noise"],

@@ -99,20 +99,23 @@ class Panel:
         if any(mark.filled for mark in self.marks) and not self.log:
             y_low = max(y_low, min(0.0, float(y_values.min())))  # bars stand on the frame
 
-        def to_pixels(x: Array) -> Array:
+        def to_horizontal_pixels(x: Array) -> Array:
             return left + wide * (x - x_low) / (x_high - x_low)
 
-        def upright(y: Array) -> Array:
+        def to_vertical_pixels(y: Array) -> Array:
             scaled = np.log10(np.maximum(y, 1e-300)) if self.log else y
             return top + high * (1.0 - np.clip((scaled - y_low) / (y_high - y_low), 0.0, 1.0))
 
-        parts = [_mark_path(mark, to_pixels(mark.x), upright(mark.y)) for mark in self.marks]
+        parts = [_mark_path(mark, to_horizontal_pixels(mark.x), to_vertical_pixels(mark.y)) for mark in self.marks]
         ends = np.array([left, left + wide])
-        parts += [_stroke_path(ends, upright(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"') for y in self.levels]
+        parts += [
+            _stroke_path(ends, to_vertical_pixels(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"')
+            for y in self.levels
+        ]
         x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_low, x_high)
         y_ticks = _logarithmic_ticks(y_low, y_high) if self.log else ticks(y_low, y_high)
         bottom, out = top + high, 3 * POINT
-        x_at, y_at = to_pixels(x_ticks), upright(y_ticks)
+        x_at, y_at = to_horizontal_pixels(x_ticks), to_vertical_pixels(y_ticks)
         x_ends = np.concatenate((np.repeat(x_at, 2), np.tile([left - out, left], y_at.size)))
         y_ends = np.concatenate((np.tile([bottom, bottom + out], x_at.size), np.repeat(y_at, 2)))
         parts.append(_stroke_path(x_ends, y_ends, 2, 'stroke="#000" stroke-width="8"'))

@@ -24,8 +24,8 @@ from aerial_gym.sim2real.teststand.causes import (
     ROTORS,
     BalanceCause,
     candidate_causes,
-    cause_probabilities,
     experiments_for_causes,
+    prior_probabilities_of_causes,
 )
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, find_hover_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pool_scatter
@@ -208,8 +208,10 @@ def judge_balance(
         condition = np.log([hover.effort for hover in (*flights, *test)])
         fits = _with_probabilities(fits, [logs[0], condition, *logs[2:]], usual)
     verdict, candidates = _verdict(fits, possible)
-    (total,) = _changes([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
-    shares = _changes([np.array([hover.effort / hover.effort.sum() for hover in group]) for group in filled], share)
+    (total,) = _changes_with_intervals([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
+    shares = _changes_with_intervals(
+        [np.array([hover.effort / hover.effort.sum() for hover in group]) for group in filled], share
+    )
     notes = _balance_notes(baseline, flights, test, scatter, added_mass)
     notes += [Finding("flights_differ") for fit in fits[-1:] if not _repeats_agree(fit)]
     notes += [Finding("other_cause", "", {"probability": fit.probability}) for fit in fits[-1:] if candidates]
@@ -230,7 +232,11 @@ def _fit_cause(cause: BalanceCause, efforts: Array, usual: Array, scatter: Scatt
     ratio = np.exp(efforts.mean(axis=0)) / usual
     fit = fit_scatter(1.0 - 1.0 / ratio, cause.columns / ratio[:, None], scatter, 1.0 / len(efforts) + 1.0 / count)
     place = None
-    if cause.name == "payload_mass + com_offset" and (x := fit.ratio(1, 0)) and (y := fit.ratio(2, 0)):
+    if (
+        cause.name == "payload_mass + com_offset"
+        and (x := fit.ratio_of_parameters(1, 0))
+        and (y := fit.ratio_of_parameters(2, 0))
+    ):
         place = x, y
     return CauseFit(cause=cause, fit=fit, params=_physical_parameters(cause, fit), place=place)
 
@@ -279,7 +285,9 @@ def _with_probabilities(fits: Sequence[CauseFit], groups: Sequence[Array], usual
     scatter, share = pool_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
     evidence = [log_evidence(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits]
-    probability = special.softmax(np.array(evidence) + np.log(cause_probabilities([fit.cause for fit in fits])))
+    probability = special.softmax(
+        np.array(evidence) + np.log(prior_probabilities_of_causes([fit.cause for fit in fits]))
+    )
     return tuple(replace(fit, probability=float(p)) for fit, p in zip(fits, probability, strict=True))
 
 
@@ -309,7 +317,7 @@ def _verdict(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tupl
     return ("explained" if len(parts) == 1 else "ambiguous"), tuple(part[0].cause.name for part in parts.values())
 
 
-def _changes(values: Sequence[Array], share: float) -> list[Change]:
+def _changes_with_intervals(values: Sequence[Array], share: float) -> list[Change]:
     """Return the change of each column from the first group (L, columns) to the second; all groups give the scatter."""
     scatter = pool_scatter(values)
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)

@@ -36,7 +36,7 @@ class BalanceCause:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThrustLayout:
+class ThrustsInBalance:
     """Thrusts in balance, relative to weight."""
 
     carried: Array  # Share of the weight carried by each rotor as declared, (R,)
@@ -45,7 +45,7 @@ class ThrustLayout:
     spin: Array  # Spin of each rotor, (R,)
 
 
-def thrust_layout(robot: RobotCfg) -> ThrustLayout:
+def thrusts_in_balance(robot: RobotCfg) -> ThrustsInBalance:
     """Return the thrusts with which four rotors balance a declared vehicle; ``ConfigError`` if they cannot."""
     mounts = robot.mounts.layout
     axes = np.array([mount.axis for mount in mounts])
@@ -64,7 +64,7 @@ def thrust_layout(robot: RobotCfg) -> ThrustLayout:
     if carried.min() <= 0.0:
         raise ConfigError("the declared centre of mass is not between the rotors: check body.com and mounts.layout")
     shift = np.stack((to_x, to_y), axis=1) / carried[:, None]
-    return ThrustLayout(carried=carried, shift=shift, twist=to_yaw / carried, spin=spin)
+    return ThrustsInBalance(carried=carried, shift=shift, twist=to_yaw / carried, spin=spin)
 
 
 def candidate_causes(robot: RobotCfg) -> list[BalanceCause]:
@@ -75,7 +75,7 @@ def candidate_causes(robot: RobotCfg) -> list[BalanceCause]:
         has the share s of its thrust, and r times its drag torque per thrust, then ``sum(spin T) = (1 - r) spin_j T_j``,
         and its effort is ``T_j / s``.
     """
-    layout, mass = thrust_layout(robot), robot.body.mass
+    layout, mass = thrusts_in_balance(robot), robot.body.mass
     heavier = np.ones((ROTORS, 1))
 
     def payload_and_offset(params: Array) -> dict[str, float]:
@@ -98,7 +98,7 @@ OTHER = BalanceCause("something else", "other", np.eye(ROTORS), lambda _: {})
 """Any other change: two causes at once, or one that is not listed."""
 
 
-def cause_probabilities(possible: Sequence[BalanceCause]) -> Array:
+def prior_probabilities_of_causes(possible: Sequence[BalanceCause]) -> Array:
     """Return the prior probability of each candidate.
 
     "none" has one half. The other classes share the rest equally, and the candidates of a class share its part.
@@ -113,7 +113,7 @@ def cause_probabilities(possible: Sequence[BalanceCause]) -> Array:
     return np.array([0.5 if kind == "none" else 0.5 / (num_others * kinds.count(kind)) for kind in kinds])
 
 
-def _weak_propellers(layout: ThrustLayout, rotor: int) -> list[BalanceCause]:
+def _weak_propellers(layout: ThrustsInBalance, rotor: int) -> list[BalanceCause]:
     """Return two weak propellers: one whose drag torque falls with its thrust, and one with free drag torque."""
     name, one = f"weak_motor {rotor + 1}", np.eye(ROTORS)[:, rotor : rotor + 1]
 

@@ -42,7 +42,7 @@ FEWEST_WINDOWS = 4
 
 
 @dataclass(frozen=True)
-class HoverModel:
+class HoverThrustMap:
     """One candidate thrust map."""
 
     thrust_map: tuple[float, float, float]  # c0, c1, c2 [N], [N s/rad], [N s²/rad²]
@@ -58,7 +58,7 @@ class HoverFit:
     scale: Estimate | None  # Factor of the declared thrust map; None without one
     by_flight: dict[str, float]  # Thrust coefficient of each flight
 
-    models: dict[str, HoverModel]
+    models: dict[str, HoverThrustMap]
     chosen: str
     square_sum: Array = field(repr=False)  # Sum of squared speeds [rad²/s²], (W,)
     force: Array = field(repr=False)  # Thrust over mass [m/s²], (W,)
@@ -151,7 +151,7 @@ def fit_hover(
         carried = (moments * declared).sum(axis=1)
         scale = _slope_with_interval(carried, target, sizes, mass_std / mass)
         models = {
-            "declared": HoverModel(declared, cross_validation_error(force - carried / mass, group)),
+            "declared": HoverThrustMap(declared, cross_validation_error(force - carried / mass, group)),
             "declared, scaled": _map_of_shape(declared, moments, force, mass, group),
             **models,
         }
@@ -183,7 +183,7 @@ def _slope_with_interval(cause: Array, effect: Array, sizes: Sequence[int], mass
 
 def _map_of_shape(
     shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: Indices
-) -> HoverModel:
+) -> HoverThrustMap:
     """Return a scaled thrust map of fixed shape, with the error of fits without each group."""
     carried, target = moments @ np.array(shape), mass * force
     errors = errors_on_left_out_folds(
@@ -191,4 +191,4 @@ def _map_of_shape(
     )
     size = _slope_through_zero(carried, target)
     c0, c1, c2 = (size * c for c in shape)
-    return HoverModel((c0, c1, c2), cross_validation_error(errors, group))
+    return HoverThrustMap((c0, c1, c2), cross_validation_error(errors, group))

@@ -53,7 +53,7 @@ class ScatterFit:
     misfit: float  # P-value of the residual under scatter alone
     spread: Array = field(repr=False)  # Covariance of the fitted rows if each row has that of one repeat, (K, K)
 
-    def ratio(self, upper: int, lower: int) -> Estimate | None:
+    def ratio_of_parameters(self, upper: int, lower: int) -> Estimate | None:
         """Return the ratio of two parameters with its 95 % interval; None if the divisor may be 0.
 
         Source: Fieller (1954), Some problems in interval estimation, Journal of the Royal Statistical Society B 16.

@@ -21,7 +21,7 @@ from aerial_gym.sim2real.teststand.statistics import (
     rms,
     smallest_good_candidate,
 )
-from aerial_gym.sim2real.teststand.tables import Bench, check_rotor_numbers
+from aerial_gym.sim2real.teststand.tables import Bench, check_plausibility_of_rotor_data
 
 FEWEST_ROWS = 6
 
@@ -144,12 +144,12 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     Raises:
         DataError: If columns are missing, or no test is usable.
     """
-    column = bench.column("thrust") or ""
+    column = bench.column_of_quantity("thrust") or ""
     if "total" in column.lower() and num_motors == 1:
         raise DataError(f"{bench.path}: {column!r} is the thrust of several motors; say how many with --num-motors")
-    measured = {"speed": bench.values("speed"), "thrust": bench.values("thrust") / num_motors}
-    if bench.column("torque") is not None:
-        measured["torque"] = bench.values("torque") / num_motors
+    measured = {"speed": bench.values_of_quantity("speed"), "thrust": bench.values_of_quantity("thrust") / num_motors}
+    if bench.column_of_quantity("torque") is not None:
+        measured["torque"] = bench.values_of_quantity("torque") / num_motors
     if "test" not in bench.table.columns:
         return [_fit_both_ways(bench.path, measured)], []
     tests = np.asarray(bench.table["test"].astype(str))
@@ -177,7 +177,7 @@ def _fit_both_ways(name: str, measured: dict[str, Array]) -> StaticFit:
 
 def _fit_one_way(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
     speed, thrust = measured["speed"], measured["thrust"]
-    check_rotor_numbers(name, speed, thrust, measured.get("torque"))
+    check_plausibility_of_rotor_data(name, speed, thrust, measured.get("torque"))
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
     notes = (Finding("rows_without_speed", name, {"rows": int(dead.sum())}),) if dead.any() else ()
     kept = {quantity: values[~dead] for quantity, values in measured.items()}

@@ -119,7 +119,7 @@ class StepFit:
 
 def step_record(bench: Bench) -> StepRecord:
     """Return the step record in a file; ``DataError`` if time does not increase or the command has no steps."""
-    time, command, measured = (bench.values(name) for name in ("time", "command", "measured"))
+    time, command, measured = (bench.values_of_quantity(name) for name in ("time", "command", "measured"))
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if back.size:
         raise DataError(
@@ -138,7 +138,7 @@ def step_record(bench: Bench) -> StepRecord:
     return StepRecord(path=bench.path, time=time, command=command, measured=measured, starts=starts)
 
 
-def speed_error_after_step(error: float, tau: float, slew: float, since: Array) -> Array:
+def difference_to_command_after_step(error: float, tau: float, slew: float, since: Array) -> Array:
     """Return the remaining speed error [rad/s] at times ``since`` [s] after a step, (T,): a ramp, then an exponential.
 
     It solves ``e' = -min(|e| / tau, slew) sign(e)`` from ``error``, and is constant before the step.
@@ -163,7 +163,7 @@ def speed_of_law(record: StepRecord, params: dict[str, float]) -> Array:
         tau, slew = params.get(f"tau_{way}", shared), params.get(f"slew_{way}", NO_LIMIT)
         end = record.time[min(stop, record.time.size - 1)]
         since = np.append(record.time[start:stop], end) - record.time[start] - delay
-        course = goal - speed_error_after_step(goal - level, tau, slew, since)
+        course = goal - difference_to_command_after_step(goal - level, tau, slew, since)
         speed[start:stop], level = course[:-1], float(course[-1])
     return speed
 

@@ -8,7 +8,7 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.rotor import POLYNOMIAL_MAP
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.statistics import Rms
@@ -37,7 +37,7 @@ def interval_text(value: Estimate | Rms) -> str:
     return f"{value.value:.4g} [{value.low:.4g}, {value.high:.4g}]"
 
 
-def change_text(before: float, after: float) -> str:
+def relative_change_text(before: float, after: float) -> str:
     """Return a relative change as text."""
     return f"{100.0 * (after / before - 1.0):+.0f} %"
 
@@ -47,9 +47,9 @@ def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCf
     static: list[StaticFit] = []
     steps, notes = [], []
     for bench in benches:
-        if bench.column("command") is not None and bench.column("time") is not None:
+        if bench.column_of_quantity("command") is not None and bench.column_of_quantity("time") is not None:
             steps.append(step_record(bench))
-        elif bench.column("thrust") is not None:
+        elif bench.column_of_quantity("thrust") is not None:
             fits, missed = fit_static(bench, num_motors=num_motors)
             static += fits
             notes += missed
@@ -170,7 +170,12 @@ def _table_of_maps(quantity: str, choice: MapChoice) -> ReportTable:
     before, after = choice.rms_squared_only, choice.rms_chosen
     rows.append(("before: w²", "", interval_text(before), ""))
     rows.append(
-        ("after: selected again without each row", "", interval_text(after), change_text(before.value, after.value))
+        (
+            "after: selected again without each row",
+            "",
+            interval_text(after),
+            relative_change_text(before.value, after.value),
+        )
     )
     head = ("map", f"fit rms [{choice.unit}]", f"held-out rms [{choice.unit}]", "coefficients, 95 %")
     return ReportTable(f"{quantity} map", head, rows)
@@ -188,7 +193,7 @@ def curvature_notes(fit: StaticFit) -> list[Finding]:
             continue
         cubic, best = choice.candidates["w³, w² and w"], choice.best
         if cubic.held_out_rms < 0.8 * best.held_out_rms:
-            key = unit_key(choice.unit)
+            key = unit_suffix(choice.unit)
             errors = {f"cubic_{key}": cubic.held_out_rms, f"chosen_{key}": best.held_out_rms}
             results.append(Finding("curvature_kept", Path(fit.name).name, {"quantity": quantity, **errors}))
     return results
@@ -201,7 +206,9 @@ def step_table(lag: StepFit) -> ReportTable:
         mark = " (chosen)" * (law.name == lag.chosen) + " (in robot file)" * (law.name == lag.in_robot)
         rows.append((law.name + mark, f"{law.fit_rms:.3g}", interval_text(law.error), _parameter_text(law.params)))
     before, after = lag.laws["one time constant"], lag.laws[lag.chosen]
-    rows.append(("change against one time constant", "", change_text(before.held_out_rms, after.held_out_rms), ""))
+    rows.append(
+        ("change against one time constant", "", relative_change_text(before.held_out_rms, after.held_out_rms), "")
+    )
     head = ("law", "fit rms [rad/s]", "held-out rms [rad/s], steps left out", "tau, delay [s]; slew [rad/s²]")
     return ReportTable("Step responses", head, rows)
 
@@ -232,8 +239,10 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     )
     params = [(name, interval_text(value)) for name, value in best.params.items()]
     units = "release, time [s]; stiffness [1/s²], damping [1/s] per inertia of the joint; rest [rad]"
-    law_text = f"# {study.chosen}: {units}\n" + joint_text(study.chosen, {n: p.value for n, p in best.params.items()})
-    whole, early = (change_text(published[name], held_out[name]) for name in ("rms", "rms_first_second"))
+    law_text = f"# {study.chosen}: {units}\n" + joint_law_yaml(
+        study.chosen, {n: p.value for n, p in best.params.items()}
+    )
+    whole, early = (relative_change_text(published[name], held_out[name]) for name in ("rms", "rms_first_second"))
     return Study(
         title="Compliant joint",
         intro=f"Held-out error against the published law: {whole}; in the first second: {early}. "
@@ -249,7 +258,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     )
 
 
-def joint_text(law: str, params: Mapping[str, float]) -> str:
+def joint_law_yaml(law: str, params: Mapping[str, float]) -> str:
     """Return a joint's law as YAML; element stiffness times an inertia is that of a robot file."""
     lines = ["joint:", f"  law: {law!r}"]
     lines += [f"  {name}: {value!r}" for name, value in params.items() if name != "release"]

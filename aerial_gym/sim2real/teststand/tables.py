@@ -31,15 +31,15 @@ _THRUST = {"N": ("thrust", "force", "{}_n"), "mN": ("{}_mn",), "gf": ("{}_gf", "
 _TORQUE = {"N m": ("torque", "moment", "{}_nm"), "mN m": ("{}_mnm", "{}_nmm"), "gf cm": ("{}_gcm",)}
 
 
-def _expand_units(patterns: Mapping[str, Sequence[str]], stems: Sequence[str]) -> dict[str, str]:
+def _units_by_column_name(patterns: Mapping[str, Sequence[str]], stems: Sequence[str]) -> dict[str, str]:
     """Return the unit by lower-case column name; ``{}`` in a pattern stands for each stem."""
     return {p.format(stem): unit for unit, texts in patterns.items() for p in texts for stem in stems}
 
 
 KNOWN: dict[str, tuple[str, dict[str, str]]] = {
-    "speed": ("speed", _expand_units(_SPEED, ("omega", "speed", "rotor_speed")) | {"omega_mean": "rad/s"}),
-    "thrust": ("thrust", _expand_units(_THRUST, ("thrust", "force", "thrust_total"))),
-    "torque": ("torque", _expand_units(_TORQUE, ("torque", "moment"))),
+    "speed": ("speed", _units_by_column_name(_SPEED, ("omega", "speed", "rotor_speed")) | {"omega_mean": "rad/s"}),
+    "thrust": ("thrust", _units_by_column_name(_THRUST, ("thrust", "force", "thrust_total"))),
+    "torque": ("torque", _units_by_column_name(_TORQUE, ("torque", "moment"))),
     "time": ("time", {"t": "s", "time": "s", "t_s": "s", "time_s": "s", "t_ms": "ms", "time_ms": "ms", "t_us": "us"}),
     "command": (
         "speed",
@@ -90,16 +90,16 @@ class Bench:
         """Store a table with the user's names of columns and units."""
         self.path, self.table, self._given, self._units = path, table, given, units
 
-    def column(self, quantity: str) -> str | None:
+    def column_of_quantity(self, quantity: str) -> str | None:
         """Return the column of a quantity; None without one."""
         if quantity in self._given:
             return self._given[quantity]
         known = KNOWN[quantity][1]
         return next((name for name in self.table.columns if name.lower() in known), None)
 
-    def values(self, quantity: str) -> Array:
+    def values_of_quantity(self, quantity: str) -> Array:
         """Return a quantity in SI units, (T,)."""
-        column = self.column(quantity)
+        column = self.column_of_quantity(quantity)
         kind, known = KNOWN[quantity]
         if column is None:
             raise DataError(
@@ -129,7 +129,7 @@ POWER_PER_THRUST = (0.5, 120.0)
 over the figure of merit, 0.3 to 0.8 (Leishman 2006, Principles of Helicopter Aerodynamics, section 2.8)."""
 
 
-def check_rotor_numbers(path: str, speed: Array, thrust: Array, torque: Array | None) -> None:
+def check_plausibility_of_rotor_data(path: str, speed: Array, thrust: Array, torque: Array | None) -> None:
     """Raise ``DataError`` for implausible speeds, thrusts or torques; the message names the likely unit."""
     if np.any(speed < 0.0) or np.any(speed > FASTEST):
         raise DataError(

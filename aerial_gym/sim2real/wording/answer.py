@@ -14,8 +14,8 @@ from aerial_gym.sim2real.wording.words import (
     number_text,
     percent_text,
     quantity_unit,
-    quantity_value,
-    rise_interval,
+    rise_interval_text,
+    value_with_unit_suffix,
 )
 
 
@@ -31,7 +31,7 @@ def failure_sentence(finding: Finding) -> str:
         size = f"{share:g} % ({low:g} to {high:g} %) of {of}"
     else:
         unit = "rad/s" if "state_rad_s" in values else "N"
-        size = f"{quantity_value(values, 'state', unit):.4g} {unit}"
+        size = f"{value_with_unit_suffix(values, 'state', unit):.4g} {unit}"
     span = f"for {values['duration_s']:.3f} s" if "duration_s" in values else "on"
     when = f"{values['time_s']:.3f} s ({values['time_low_s']:.3f} to {values['time_high_s']:.3f} s)"
     return f"{finding.subject}: {rotor} {verb} {size} from {when} {span}."
@@ -45,7 +45,7 @@ def _joint_sentence(finding: Finding) -> str:
     return f"Joint {finding.subject} has {join_words(parts)}."
 
 
-def _declaration_sentence(finding: Finding) -> str:
+def _sentence_on_sufficient_declaration(finding: Finding) -> str:
     start = "Up to the failure, the" if finding.values.get("until_failure") else "The"
     rigid = ", taken as rigid," if finding.values.get("rigid") else ""
     return f"{start} declared model{rigid} explains the flights within noise and tolerances."
@@ -53,7 +53,7 @@ def _declaration_sentence(finding: Finding) -> str:
 
 def _before_and_after_text(row: Values) -> str:
     unit = quantity_unit(str(row["quantity"]))
-    before, after = quantity_value(row, "before", unit), quantity_value(row, "after", unit)
+    before, after = value_with_unit_suffix(row, "before", unit), value_with_unit_suffix(row, "after", unit)
     return f"from {number_text(before)} to {number_text(after, 2 if after < 0.5 * before else 3)} {unit}"
 
 
@@ -67,7 +67,7 @@ def _error_decrease_sentence(finding: Finding) -> str:
 def _error_rise_sentence(finding: Finding) -> str:
     more = int(finding.values["more"])
     further = f"; {more} more error{'s rise' if more > 1 else ' rises'}" if more else ""
-    interval = rise_interval(finding.values)
+    interval = rise_interval_text(finding.values)
     return f"The {error_name(finding.subject)} rises {_before_and_after_text(finding.values)} ({interval}){further}."
 
 
@@ -75,7 +75,7 @@ def _possible_rise_sentence(finding: Finding) -> str:
     more = int(finding.values["more"])
     further = f"; {more} more may rise" if more else ""
     change = f"{100.0 * float(finding.values['rise']):+.0f} %"
-    return f"The {error_name(finding.subject)} may rise: {change} ({rise_interval(finding.values)}){further}."
+    return f"The {error_name(finding.subject)} may rise: {change} ({rise_interval_text(finding.values)}){further}."
 
 
 def _sentence_on_unexplained_errors(finding: Finding) -> str:
@@ -85,14 +85,14 @@ def _sentence_on_unexplained_errors(finding: Finding) -> str:
 
     def floor_multiple(row: Mapping[str, float]) -> float:
         unit = quantity_unit(str(row["channel"]))
-        floor = quantity_value(row, "floor", unit)
-        return quantity_value(row, "rms", unit) / floor if floor else 0.0
+        floor = value_with_unit_suffix(row, "floor", unit)
+        return value_with_unit_suffix(row, "rms", unit) / floor if floor else 0.0
 
     most = max(rows, key=floor_multiple)
     unit, more = quantity_unit(str(most["channel"])), len(rows) - 1
     further = f"; {more} more error{'s exceed' if more > 1 else ' exceeds'} noise and tolerances" if more else ""
     times = f", {multiple:.2g} times the noise floor" if (multiple := floor_multiple(most)) else ""
-    size = number_text(quantity_value(most, "rms", unit))
+    size = number_text(value_with_unit_suffix(most, "rms", unit))
     return f"The model is missing something: the {error_name(str(most['channel']))} is {size} {unit}{times}{further}."
 
 
@@ -131,7 +131,7 @@ ANSWER: dict[str, Template] = {
     "failure_found": failure_sentence,
     "joint_found": _joint_sentence,
     "effects_none": "No known effect explains the flights better than the declared model.",
-    "declared_explains": _declaration_sentence,
+    "declared_explains": _sentence_on_sufficient_declaration,
     "errors_fall": _error_decrease_sentence,
     "no_error_falls": "No error on unseen flights falls for certain.",
     "gusts_lower_no_error": "Gusts are random, so no prediction error falls.",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import degrees
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.wording.words import (
     decimals_of_half_width,
     half_width_text,
@@ -40,7 +40,7 @@ class ParameterChange:
         """Return whether the interval of the change excludes zero; True without an interval."""
         return self.half_width is None or abs(self.change) > self.half_width
 
-    def scale(self, factor: float) -> "ParameterChange":
+    def convert_unit(self, factor: float) -> "ParameterChange":
         """Return the parameter multiplied by a unit factor."""
         half = None if self.half_width is None else abs(factor) * self.half_width
         return ParameterChange(factor * self.value, factor * self.declared, half)
@@ -56,7 +56,7 @@ def parameter_changes(finding: Finding) -> ParameterChanges:
     """Return the parameters in the finding of a named effect, by name."""
     params = {}
     for parameter in EFFECTS.get(finding.subject).parameters:
-        values = finding.values.get(f"{parameter.name}_{unit_key(parameter.unit)}")
+        values = finding.values.get(f"{parameter.name}_{unit_suffix(parameter.unit)}")
         if isinstance(values, dict):
             declared = values["value"] if values["declared"] is None else values["declared"]
             params[parameter.name] = ParameterChange(values["value"], declared, values["half_width"])
@@ -121,7 +121,7 @@ def _change_template(
     """Return the template of changes of parameters, each with the words for a rise and for a fall."""
 
     def sentence(finding: Finding, params: ParameterChanges) -> str:
-        axes = [(params[name].scale(factor), *words[name]) for name in words if name in params]
+        axes = [(params[name].convert_unit(factor), *words[name]) for name in words if name in params]
         rotor = _rotor_name(finding, params) if "motor" in params else ""
         return _change_sentence(axes, unit, start.replace("ROTOR", rotor), unsure.replace("ROTOR", rotor))
 
@@ -147,7 +147,7 @@ def _coefficient_template(start: str, labels: Mapping[str, str], unit: str, fact
     """Return the template of coefficients, their widest half width, and declared values unless all are zero."""
 
     def sentence(_: Finding, params: ParameterChanges) -> str:
-        shown = {name: params[name].scale(factor) for name in labels if name in params}
+        shown = {name: params[name].convert_unit(factor) for name in labels if name in params}
         parts = [
             f"{value_text(one.value, one.half_width)} {unit} {labels[name]}".strip() for name, one in shown.items()
         ]
@@ -161,7 +161,7 @@ def _coefficient_template(start: str, labels: Mapping[str, str], unit: str, fact
 def _failure_template(verb: str, of: str) -> EffectTemplate:
     def sentence(finding: Finding, params: ParameterChanges) -> str:
         rotors = _rotor_name(finding, params) if "motor" in params else "all rotors"
-        share = f" {_value_with_half_width(params['scale'].scale(1e2), '%')}" if "scale" in params else ""
+        share = f" {_value_with_half_width(params['scale'].convert_unit(1e2), '%')}" if "scale" in params else ""
         ends = "duration" in params and params["duration"].value < 1e4
         span = f" for {params['duration'].value:.3g} s" if ends else " on"
         when = f" from {params['time'].value:.2f} s{span}" if "time" in params else ""
@@ -179,7 +179,8 @@ def _value_template(start: str, units: Mapping[str, tuple[float, str]], **clause
     def sentence(_: Finding, params: ParameterChanges) -> str:
         known = {name: unit for name, unit in units.items() if name in params}
         texts = {
-            name: _value_with_half_width(params[name].scale(factor), unit) for name, (factor, unit) in known.items()
+            name: _value_with_half_width(params[name].convert_unit(factor), unit)
+            for name, (factor, unit) in known.items()
         }
         ends = [clause for name, clause in clauses.items() if name in texts]
         return f"{''.join([start, *ends]).format(**texts)}."
@@ -188,22 +189,22 @@ def _value_template(start: str, units: Mapping[str, tuple[float, str]], **clause
 
 
 def _payload_mass_sentence(_: Finding, params: ParameterChanges) -> str:
-    one = params["dm"].scale(1e3)
+    one = params["dm"].convert_unit(1e3)
     word = "heavier" if one.change > 0.0 else "lighter"
     size = value_text(abs(one.change), one.half_width)
     return f"The vehicle is {size} g {word} than declared, {half_width_text(one.half_width, 'g')}."
 
 
 def _motor_time_constant_sentence(_: Finding, params: ParameterChanges) -> str:
-    tau = params["tau"].scale(1e3)
+    tau = params["tau"].convert_unit(1e3)
     declared = value_text(tau.declared, tau.half_width)
     return f"The rotors lag with a time constant of {_value_with_half_width(tau, 'ms')}; {declared} ms is declared."
 
 
-def _motor_asymmetry_sentence(_: Finding, params: ParameterChanges) -> str:
+def _rise_and_fall_time_sentence(_: Finding, params: ParameterChanges) -> str:
     ways = {"tau_up": "rises", "tau_down": "falls"}
     parts = [
-        f"{way} with {_value_with_half_width(params[name].scale(1e3), 'ms')}"
+        f"{way} with {_value_with_half_width(params[name].convert_unit(1e3), 'ms')}"
         for name, way in ways.items()
         if name in params
     ]
@@ -211,17 +212,17 @@ def _motor_asymmetry_sentence(_: Finding, params: ParameterChanges) -> str:
 
 
 def _actuation_delay_sentence(_: Finding, params: ParameterChanges) -> str:
-    delay = params["delay"].scale(1e3)
+    delay = params["delay"].convert_unit(1e3)
     return f"Commands act with a dead time of {_value_with_half_width(delay, 'ms')}{_text_of_declaration(delay, 'ms')}."
 
 
 def _rotor_inertia_sentence(_: Finding, params: ParameterChanges) -> str:
-    one, unit = params["jr"].scale(1e6), "mg m²"
+    one, unit = params["jr"].convert_unit(1e6), "mg m²"
     return f"Each rotor has an inertia of {_value_with_half_width(one, unit)} about its axis{_text_of_declaration(one, unit)}."
 
 
 def _slung_payload_sentence(_: Finding, params: ParameterChanges) -> str:
-    mass = _value_with_half_width(params["mass"].scale(1e3), "g") if "mass" in params else "unknown mass"
+    mass = _value_with_half_width(params["mass"].convert_unit(1e3), "g") if "mass" in params else "unknown mass"
     length = f" at {_value_with_half_width(params['length'], 'm')} below the body origin" if "length" in params else ""
     return f"A payload of {mass} swings on a cable{length}."
 
@@ -229,7 +230,8 @@ def _slung_payload_sentence(_: Finding, params: ParameterChanges) -> str:
 def _inertia_error_sentence(_: Finding, params: ParameterChanges) -> str:
     words = {"sx": "in roll", "sy": "in pitch", "sz": "in yaw"}
     axes = [
-        (one.scale(1e2 / one.declared), f"higher {words[axis]}", f"lower {words[axis]}") for axis, one in params.items()
+        (one.convert_unit(1e2 / one.declared), f"higher {words[axis]}", f"lower {words[axis]}")
+        for axis, one in params.items()
     ]
     unsure = "The moments of inertia differ from the declared ones, but no axis for certain"
     return _change_sentence(axes, "%", "The moment of inertia is {} than declared", unsure)
@@ -257,7 +259,7 @@ def _imu_bias_sentence(_: Finding, params: ParameterChanges) -> str:
 def _h_force_flapping_sentence(_: Finding, params: ParameterChanges) -> str:
     units = {"kh": ("drag coefficient", "µN s²/(m rad)"), "kf": ("moment coefficient", "µN s²/rad")}
     parts = [
-        f"a {word} of {_value_with_half_width(params[name].scale(1e6), unit)}"
+        f"a {word} of {_value_with_half_width(params[name].convert_unit(1e6), unit)}"
         for name, (word, unit) in units.items()
         if name in params
     ]
@@ -285,7 +287,7 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "weak_motor": _ratio_template("ROTOR gives", "more thrust", "less thrust"),
     "torque_ratio": _ratio_template("The drag torque of the rotors is", "higher", "lower"),
     "motor_time_constant": _motor_time_constant_sentence,
-    "motor_asymmetry": _motor_asymmetry_sentence,
+    "motor_asymmetry": _rise_and_fall_time_sentence,
     "motor_failure": _failure_template("follows", "of its commands"),
     "stuck_rotor": _failure_template("keeps", "its speed"),
     "brown_out": _failure_template("follow", "of their commands"),

@@ -12,9 +12,9 @@ from aerial_gym.sim2real.wording.words import (
     number_text,
     percent_text,
     quantity_unit,
-    quantity_value,
-    rise_interval,
+    rise_interval_text,
     template_sentence,
+    value_with_unit_suffix,
 )
 
 REMEDIES_OF_DEVIATIONS = {
@@ -46,7 +46,7 @@ def _sentence_on_errors_with_deviations(finding: Finding) -> str:
     parts = []
     for row in rows:
         unit = quantity_unit(str(row["channel"]))
-        new, old = (number_text(quantity_value(row, when, unit), 2) for when in ("with", "without"))
+        new, old = (number_text(value_with_unit_suffix(row, when, unit), 2) for when in ("with", "without"))
         parts.append(f"the {error_name(str(row['channel']))} is {new} instead of {old} {unit}")
     return f"With these deviations, {join_words(parts[:3])}."
 
@@ -56,7 +56,7 @@ def _sentence_on_offsets_of_flights(finding: Finding) -> str:
     parts = []
     for row in rows:
         unit = quantity_unit(str(row["channel"]))
-        parts.append(f"{row['channel']} {number_text(quantity_value(row, 'rms', unit), 2)} {unit}")
+        parts.append(f"{row['channel']} {number_text(value_with_unit_suffix(row, 'rms', unit), 2)} {unit}")
     return (
         f"Each flight has its own offset: {join_words(parts)} (rms). "
         "A warming sensor or a new battery does that; it is no property of the vehicle."
@@ -105,11 +105,11 @@ def _sentence_on_body_motion_errors(finding: Finding) -> str:
 NOTES: dict[str, Template] = {
     "effect_immaterial": lambda f: (
         f"{f.subject} is immaterial: without it no error of the test flights rises by {percent_text(f.values['least'])}. "
-        f"The {error_name(f.values['channel'])} rises most ({rise_interval(f.values)}). The robot file may leave it out."
+        f"The {error_name(f.values['channel'])} rises most ({rise_interval_text(f.values)}). The robot file may leave it out."
     ),
     "materiality_open": lambda f: (
         f"The test flights do not show whether {f.subject} is material: without it, the {error_name(f.values['channel'])} "
-        f"changes by {rise_interval(f.values)}."
+        f"changes by {rise_interval_text(f.values)}."
     ),
     "doubt_by_test": (
         "The training flights alone show {subject}, not {other} (log odds {log_odds:.1f}). The test flights speak for {other}."

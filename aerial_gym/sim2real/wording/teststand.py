@@ -1,12 +1,12 @@
 """Sentences of notes on the test stand, and of experiments that distinguish candidates."""
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import Template, number_text, quantity_value
+from aerial_gym.sim2real.wording.words import Template, number_text, value_with_unit_suffix
 
 
 def _curvature_sentence(finding: Finding) -> str:
     values, unit = finding.values, "N" if "cubic_n" in finding.values else "N m"
-    cubic, chosen = (number_text(quantity_value(values, name, unit)) for name in ("cubic", "chosen"))
+    cubic, chosen = (number_text(value_with_unit_suffix(values, name, unit)) for name in ("cubic", "chosen"))
     return (
         f"The {values['quantity']} residual keeps a curvature that a cubic removes (held-out error {cubic} instead of {chosen} "
         f"{unit}). A robot file holds no cubic."

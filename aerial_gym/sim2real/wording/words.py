@@ -7,7 +7,7 @@ from string import Formatter
 from typing import Any
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
@@ -60,9 +60,9 @@ def quantity_unit(quantity: str) -> str:
     return UNITS[kind] if kind in UNITS else QUANTITIES[rest.partition(".")[0]]
 
 
-def quantity_value(values: Values, name: str, unit: str) -> Any:
+def value_with_unit_suffix(values: Values, name: str, unit: str) -> Any:
     """Return the value whose key is ``name`` plus the suffix of its unit; None where it is not known."""
-    return values[f"{name}_{unit_key(unit)}"]
+    return values[f"{name}_{unit_suffix(unit)}"]
 
 
 def name_list(items: Iterable[object]) -> str:
@@ -88,7 +88,7 @@ def percent_text(share: float, digits: int = 2) -> str:
     return f"{float(f'{100.0 * abs(share):.{digits}g}'):g} %"
 
 
-def rise_interval(values: Values) -> str:
+def rise_interval_text(values: Values) -> str:
     """Return the interval ``rise_low`` to ``rise_high`` in per cent."""
     low, high = (f"{100.0 * float(values[end]):+.0f}" for end in ("rise_low", "rise_high"))
     return f"{low} to {high} %".replace("inf", "∞")
@@ -116,7 +116,7 @@ def half_width_text(half_width: float | None, unit: str) -> str:
     return "interval not known" if places is None else f"± {half_width:.{places}f}{space}{unit}"
 
 
-def excitation_text(effect: str) -> str:
+def excitation_requirement_text(effect: str) -> str:
     """Return the sentence on the motion that an effect needs."""
     return f"Needed: {EFFECTS.get(effect).excitation}."
 
@@ -135,7 +135,7 @@ FORMATS: dict[str, Callable[[Any], str]] = {
     "names": name_list,
     "and": join_words,
     "or": partial(join_words, last="or"),
-    "excitation": excitation_text,
+    "excitation": excitation_requirement_text,
     "params": parameter_list,
 }
 """Formats of values in a template, beside those of Python."""

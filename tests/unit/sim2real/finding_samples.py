@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.findings import Finding, unit_key
+from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.wording import text
 
 GOLDEN = Path(__file__).parent / "wording_golden.txt"
@@ -13,7 +13,7 @@ def effect(
     name: str, place: str = "", *, probability: float = 0.99, ties: tuple[str, ...] = (), **params: tuple
 ) -> Finding:
     """Return a found effect; parameters are (value, declared, half width)."""
-    units = {parameter.name: unit_key(parameter.unit) for parameter in EFFECTS.get(name).parameters}
+    units = {parameter.name: unit_suffix(parameter.unit) for parameter in EFFECTS.get(name).parameters}
     values: dict[str, object] = {
         f"{key}_{units[key]}": dict(zip(("value", "declared", "half_width"), numbers, strict=True))
         for key, numbers in params.items()

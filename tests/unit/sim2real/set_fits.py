@@ -103,7 +103,7 @@ def make_final_fit(
         effects=effects, params=params, moments=moments, low=-limit, high=limit, num_effect_params=size, frozen=frozen
     )
     covariance = np.diag(variance) if len(variance) else np.eye(size)
-    return fit, make_spread(fit.free_effect_params, covariance, np.zeros((size, size)))
+    return fit, make_spread(fit.indices_of_fitted_effect_params, covariance, np.zeros((size, size)))
 
 
 def make_selection(chosen: MostProbableSet | None = None, **more: Any) -> SelectionResult:

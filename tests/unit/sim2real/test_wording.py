@@ -12,7 +12,7 @@ import pytest
 
 import aerial_gym.sim2real
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.findings import CODES, Finding, unit_key
+from aerial_gym.sim2real.findings import CODES, Finding, unit_suffix
 from aerial_gym.sim2real.json_values import plain, select_fields, write_json
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.wording import TEMPLATES, finding_rows, render_findings, text
@@ -94,7 +94,7 @@ def test_an_interval_without_end_is_null_in_json_and_infinite_in_words() -> None
     [("m/s²", "m_s2"), ("-", "ratio"), ("N s²/(m rad)", "n_s2_m_rad"), ("rad/s", "rad_s"), ("kg m²", "kg_m2")],
 )
 def test_units_end_keys(unit: str, key: str) -> None:
-    assert unit_key(unit) == key
+    assert unit_suffix(unit) == key
 
 
 @pytest.mark.parametrize(("value", "half_width", "shown"), [

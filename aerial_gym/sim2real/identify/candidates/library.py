@@ -23,13 +23,17 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     correct_derivatives,
-    directional_change,
     effect_jacobian,
+    linear_change,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, parameter_scales
+from aerial_gym.sim2real.identify.least_squares.parameters import (
+    is_continuous_parameter,
+    parameter_bounds,
+    parameter_scales,
+)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -76,7 +80,7 @@ class Tangent:
     start: Array  # All parameters at the linearisation, (P,)
     columns: list[SparseDerivatives]  # Derivatives by the parameters, per scale, (rows, C, P) of each flight
 
-    def derivatives_of_channels(self, channels: int) -> Derivatives:
+    def dense_derivatives(self, channels: int) -> Derivatives:
         """Return the derivatives of all C channels, zeros included, (rows, C, P) of each flight."""
         return [part.dense_columns(range(channels)) for part in self.columns]
 
@@ -143,12 +147,14 @@ def build_library(
         neutral, scale = neutral_params(name, declared, predictor.robot), parameter_scales((name,))
         if named:  # back to neutral
             step = (tangent.start - neutral) / scale
-            exact = [part.astype(np.float64) for part in tangent.derivatives_of_channels(len(predictor.channels))]
+            exact = [part.astype(np.float64) for part in tangent.dense_derivatives(len(predictor.channels))]
             change = [b - n for b, n in zip(base, predictor.predict(present.with_effect(name, neutral)), strict=True)]
             correct_derivatives(exact, step, change)
-            residuals = [r + directional_change(c, step) for r, c in zip(residuals, exact, strict=True)]
+            residuals = [r + linear_change(c, step) for r, c in zip(residuals, exact, strict=True)]
             columns = drop_zero_channels(exact)
-        free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
+        free = [
+            k for k in range(scale.size) if is_continuous_parameter(name, k) and not (named and (name, k) in frozen)
+        ]
         low, high = (((bound - neutral) / scale)[free] for bound in parameter_bounds(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
         candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high, start=tangent.start))

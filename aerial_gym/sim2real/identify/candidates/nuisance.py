@@ -55,7 +55,7 @@ class NuisanceColumns:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _StructureUnit:
+class _ChannelStructure:
     """Unit of structure in a channel, before removal of effects."""
 
     kind: str
@@ -81,7 +81,7 @@ class Nuisances:
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
         motion = [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]
         self._lines = CommonLines(times, motion)
-        self._shapes = list[_StructureUnit]()
+        self._shapes = list[_ChannelStructure]()
         alone, force = [np.ones((time.size, 1)) for time in times], force_channel_indices(channels)
         turns = [Rotation.from_quat(f.attitude[rows_at_times(f, time)]) for f, time in zip(flights, times, strict=True)]
         world = [[turn.apply(axis, inverse=True) for turn in turns] for axis in np.eye(3)]
@@ -96,9 +96,9 @@ class Nuisances:
                 moved, axes = (place,), alone
                 if kind in IN_WORLD and place in force:  # world axis in body coordinates
                     moved, axes = force, world[force.index(place)]
-                size = _rms_of_flights([part[:, place] for part in seen])
+                size = _rms_over_all_flights([part[:, place] for part in seen])
                 unit = {"kind": kind, "channel": channel.name, "size": size, "functions": functions}
-                self._shapes.append(_StructureUnit(**unit, moved=moved, axes=axes))
+                self._shapes.append(_ChannelStructure(**unit, moved=moved, axes=axes))
 
     def structures_beyond_effects(
         self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[SparseDerivatives]]]
@@ -126,7 +126,7 @@ class Nuisances:
             line = self._lines.strongest_line([part[:, place] for part in present])
             if line is None:
                 continue
-            size, columns = _rms_of_flights([part[:, place] for part in self._declared]), []
+            size, columns = _rms_over_all_flights([part[:, place] for part in self._declared]), []
             for number, time in enumerate(times):
                 turn = 2.0 * np.pi * line[0] * time
                 waves = size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))[:, None]
@@ -137,7 +137,9 @@ class Nuisances:
         return matrices
 
 
-def flight_offsets(structures: Sequence[NuisanceColumns], channels: Sequence[Channel], weight: Array) -> FlightOffsets:
+def prior_of_flight_offsets(
+    structures: Sequence[NuisanceColumns], channels: Sequence[Channel], weight: Array
+) -> FlightOffsets:
     """Return the flight offsets among some structures; ``weight``: weight of a row of each channel, (C,)."""
     own = {one.channel: (one.size, one.most) for one in structures if one.is_flight_offset}
     size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
@@ -168,7 +170,7 @@ def _functions_beyond_effects(functions: Sequence[Array], effects: Sequence[Sequ
     return np.split(whole - made, ends)
 
 
-def largest_flight_offsets(predictor: Predictor, tolerated: Array) -> Array:
+def limits_of_flight_offsets(predictor: Predictor, tolerated: Array) -> Array:
     """Return the largest offsets of single flights in each channel, (C,): ``tolerated`` plus that of an accelerometer.
 
     Larger differences are no offsets: flights in different winds differ by drag.
@@ -203,7 +205,7 @@ def _columns_of_one_flight(flight: int, flights: int, values: Array, channel: in
     )
 
 
-def _rms_of_flights(parts: Sequence[Array]) -> float:
+def _rms_over_all_flights(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 

@@ -32,7 +32,7 @@ def finding_on_untestable_effect(
     if isinstance(effect, WindEffect) or "velocity" in effect.follows:
         needs += ("lin_vel",)  # hub velocities alone would attribute other errors to the air
     reason = finding_on_absent_data(name, needs, flights) or finding_on_steady_voltage(effect, train)
-    if reason := reason or _finding_on_slow_commands(effect, robot, train):
+    if reason := reason or _finding_on_low_command_rate(effect, robot, train):
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)
@@ -66,7 +66,7 @@ def finding_on_steady_voltage(effect: Effect, flights: Sequence[Flight]) -> Find
     return Finding("voltage_too_steady", effect.name, {"share": float((high - low) / middle)})
 
 
-def _finding_on_slow_commands(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
+def _finding_on_low_command_rate(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding if commands are slower than the rotor lag, which would compensate for those between rows."""
     rates = [flight.rate for flight in flights if flight.rotor_command is not None]
     if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:

@@ -9,7 +9,7 @@ import numpy as np
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library, has_several_starts, is_of_one_rotor, neutral_params
-from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns, flight_offsets
+from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns, prior_of_flight_offsets
 from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
 from aerial_gym.sim2real.identify.evidence.guard import Support, num_parts_per_flight, supports_of_fit
 from aerial_gym.sim2real.identify.evidence.laplace import EMPTY_POSTERIOR, Model, Posterior, posterior
@@ -22,9 +22,19 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     to_single_precision,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import NOTHING_LEFT, FitGoal, Frozen, ModelFit, fit_effects
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    CONVERGENCE,
+    Frozen,
+    ModelFit,
+    StopRule,
+    fit_effects,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, parameter_scales
+from aerial_gym.sim2real.identify.least_squares.parameters import (
+    is_continuous_parameter,
+    parameter_bounds,
+    parameter_scales,
+)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -36,14 +46,6 @@ KEPT_BESIDE = 2  # Number of cached sums of nuisance columns
 ENOUGH = 2.0  # Log likelihood, times the best set's overdispersion, that a comparison fit may leave to its linear model
 
 _log_posterior = attrgetter("log_posterior")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ComparisonDepth:
-    """Stopping rule of a fit that is only compared with the best set and needs no exact parameters."""
-
-    least: float  # Log posterior that the set, or a subset, must be able to reach; otherwise the fit stops
-    enough: float  # Log likelihood that the fit may leave to its linear model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +78,7 @@ class EffectSetFit:
         return tuple(structure for structure in self.structures if structure.is_flight_offset)
 
     @property
-    def has_only_flight_offsets(self) -> bool:
+    def has_no_structures_but_offsets(self) -> bool:
         """Return whether there are no structures but flight offsets, as required for a robot file."""
         return self.flight_offsets == self.structures
 
@@ -99,7 +101,7 @@ class Fitter:
         self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
     ) -> None:
         self.predictor, self.declared, self.weights = predictor, declared, weights
-        self.log_prior_cost, self._present = float(np.log(max(1, num_names))), present
+        self.log_prior_cost_of_effect, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: Derivatives | None = None
         self._beside: dict[tuple[NuisanceColumns, ...], NuisanceSums] = {}
         self._derivatives: dict[Label, tuple[EffectSetFit, Derivatives]] = {}
@@ -107,7 +109,7 @@ class Fitter:
     def clear_caches(self) -> None:
         """Clear all caches; they are recomputed on demand."""
         self.clear_nuisance_sums()
-        self.tolerance = None
+        self.tolerance_derivatives = None
         self._derivatives.clear()
 
     def clear_nuisance_sums(self) -> None:
@@ -115,14 +117,14 @@ class Fitter:
         self._beside.clear()
 
     @property
-    def tolerance(self) -> Derivatives:
+    def tolerance_derivatives(self) -> Derivatives:
         """Return the derivatives by the deviations about the present model, (rows, C, N) of each flight."""
         if self._tolerance is None:
             self._tolerance = tolerance_jacobian(self.predictor, self._present, np.float32)
         return self._tolerance
 
-    @tolerance.setter
-    def tolerance(self, known: Derivatives | None) -> None:
+    @tolerance_derivatives.setter
+    def tolerance_derivatives(self, known: Derivatives | None) -> None:
         self._tolerance = known
 
     def nuisance_sums(self, structures: Sequence[NuisanceColumns], more: Sequence[Array] | None = None) -> NuisanceSums:
@@ -132,10 +134,13 @@ class Fitter:
             return self._beside[key]
         if more is None and len(self._beside) == KEPT_BESIDE:  # free memory before the next one
             del self._beside[next(iter(self._beside))]
-        parts: list[Sequence[Part]] = [self.tolerance, *(one.columns for one in structures if not one.is_flight_offset)]
+        parts: list[Sequence[Part]] = [
+            self.tolerance_derivatives,
+            *(one.columns for one in structures if not one.is_flight_offset),
+        ]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
         times, weight = self.predictor.times, self.weights.weight
-        offsets = flight_offsets(structures, self.predictor.channels, weight)
+        offsets = prior_of_flight_offsets(structures, self.predictor.channels, weight)
         results = NuisanceSums(times, flights, weight, parts=num_parts_per_flight(len(times)), offsets=offsets)
         if more is None:
             self._beside[key] = results
@@ -154,19 +159,18 @@ class Fitter:
         *,
         fresh: bool = False,
         frozen: Frozen = frozenset(),
-        compared: ComparisonDepth | None = None,
+        rule: StopRule = CONVERGENCE,
     ) -> EffectSetFit:
         """Return a set fitted from ``start``, with ``derivatives`` (rows, C, P) at the start if ``fresh``, else near it.
 
-        ``frozen`` parameters are fixed. ``compared``: stopping rule of a comparison fit; None: full convergence.
+        ``frozen`` parameters are fixed. Without a ``rule`` the fit converges.
         """
         beside, effects = self.nuisance_sums(structures), tuple(effects)
-        asked = compared or ComparisonDepth(least=-np.inf, enough=NOTHING_LEFT)
-        goal = FitGoal(worth=lambda fit: self._fit_from_linear_model(fit, effects, structures).most, **vars(asked))
+        rule = replace(rule, worth=lambda fit: self._fit_with_evidence(fit, effects, structures).most)
         results, last, more = fit_effects(
-            self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, goal=goal
+            self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, rule=rule
         )
-        fitted = self._fit_from_linear_model(results, effects, structures, more)
+        fitted = self._fit_with_evidence(results, effects, structures, more)
         give_back_memory()
         if not frozen:
             self._derivatives[fitted.label] = fitted, to_single_precision(last)
@@ -174,7 +178,7 @@ class Fitter:
                 del self._derivatives[next(iter(self._derivatives))]
         return fitted
 
-    def _fit_from_linear_model(
+    def _fit_with_evidence(
         self, fit: ModelFit, effects: tuple[str, ...], structures: Sequence[NuisanceColumns], more: float = 0.0
     ) -> EffectSetFit:
         """Return a set from the linear model about its fit, which may have missed ``more`` log likelihood."""
@@ -182,10 +186,10 @@ class Fitter:
         if fit.is_finite:
             linear = linearise_about_fit(fit, [self.neutral_of_effect(name) for name in effects])
             parameters = posterior(linear.candidates, linear.whole, linear.set_of_all)
-            support = supports_of_fit(linear, parameters.step, self.log_prior_cost)
-        free = fit.free_effect_params.size
+            support = supports_of_fit(linear, parameters.step, self.log_prior_cost_of_effect)
+        free = fit.indices_of_fitted_effect_params.size
         beyond = self.nuisance_sums(structures).log_likelihood
-        value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_prior_cost
+        value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_prior_cost_of_effect
         against = sum(max(0.0, -one.log_odds) for one in support.values())
         return EffectSetFit(
             effects=effects,
@@ -204,7 +208,7 @@ class Fitter:
         sets: SetPosterior,
         model: Model,
         structures: Sequence[NuisanceColumns],
-        compared: ComparisonDepth | None = None,
+        rule: StopRule = CONVERGENCE,
     ) -> EffectSetFit:
         """Return a set of a library fitted from the present model, the best over the starts of its new effects."""
         chosen = [library.candidates[k] for k in model]
@@ -212,25 +216,25 @@ class Fitter:
         kept = [structure for structure in structures if structure.name in beside]
         effects = [k for k in model if not library.candidates[k].structure]
         names, results = [library.candidates[k].name for k in effects], []
-        for start in self.fit_starts(library, sets, model):
+        for start in self.start_models_of_fit(library, sets, model):
             base = self.predictor.predict(start)
             parts = [
                 effect_jacobian(self.predictor, start, (tangent.name,), base)
                 if has_several_starts(tangent.name, self.predictor.robot) and not tangent.named
-                else tangent.derivatives_of_channels(len(self.predictor.channels))
+                else tangent.dense_derivatives(len(self.predictor.channels))
                 for tangent in (library.tangents[k] for k in effects)
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
-            results.append(self.fit(names, kept, start, derivatives, compared=compared))
+            results.append(self.fit(names, kept, start, derivatives, rule=rule))
         return max(results, key=_log_posterior)
 
-    def fit_starts(self, library: Library, sets: SetPosterior, model: Model) -> list[ModelParams]:
+    def start_models_of_fit(self, library: Library, sets: SetPosterior, model: Model) -> list[ModelParams]:
         """Return the starts of a set's fit: old effects as present, new ones by a linear step, or far from it unmoved."""
         results, step, robot = posterior(sets.candidates, sets.normal, model), 0, self.predictor.robot
         best = plain = self.declared
         for candidate in (library.candidates[k] for k in model if not library.candidates[k].structure):
             values, name = candidate.start.copy(), candidate.name
-            numbers = [k for k in range(values.size) if is_number(name, k)]
+            numbers = [k for k in range(values.size) if is_continuous_parameter(name, k)]
             if not candidate.named:
                 values[numbers] += parameter_scales((name,))[numbers] * results.step[step : step + len(numbers)]
                 values = np.clip(values, *parameter_bounds(robot, (name,)))
@@ -249,7 +253,7 @@ class Fitter:
         return self.fit(fitted.effects, fitted.structures, there, known[1], fresh=True)
 
     def refit_without_effects(
-        self, fitted: EffectSetFit, names: Sequence[str], compared: ComparisonDepth | None = None
+        self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE
     ) -> EffectSetFit:
         """Return a set refitted without some of its effects, which return to their declared values."""
         kept = {name: values for name, values in fitted.params.effects.items() if name not in names}
@@ -262,13 +266,13 @@ class Fitter:
             owners = [name for name in fitted.effects for _ in parameter_scales((name,))]
             rest = np.array([name not in names for name in owners], dtype=bool)
             derivatives = [part[:, :, rest] for part in known[1]]
-        return self.fit(effects, fitted.structures, start, derivatives, compared=compared)
+        return self.fit(effects, fitted.structures, start, derivatives, rule=rule)
 
-    def refit_without_weakest(self, fitted: EffectSetFit, compared: ComparisonDepth | None = None) -> EffectSetFit:
+    def refit_without_weakest(self, fitted: EffectSetFit, rule: StopRule = CONVERGENCE) -> EffectSetFit:
         """Return a set refitted without its least supported effect; effects without support count as the least."""
-        odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
+        odds = {name: one.log_odds_with_overdispersion for name, one in fitted.support.items()}
         weakest = min(fitted.effects, key=lambda name: odds.get(name, -np.inf))
-        return self.refit_without_effects(fitted, (weakest,), compared)
+        return self.refit_without_effects(fitted, (weakest,), rule)
 
     def drop_unsupported(
         self, fitted: EffectSetFit, holds: Callable[[EffectSetFit], bool] = lambda one: one.is_supported
@@ -316,7 +320,7 @@ class Fitter:
         """Return a set's model at its posterior mode, where unobservable parameters follow their prior."""
         params, start = fitted.params, 0
         for name in fitted.effects:
-            numbers = [k for k in range(parameter_scales((name,)).size) if is_number(name, k)]
+            numbers = [k for k in range(parameter_scales((name,)).size) if is_continuous_parameter(name, k)]
             step = fitted.parameters.step[start : start + len(numbers)]
             start += len(numbers)
             values = params.effects[name].copy()
@@ -325,7 +329,7 @@ class Fitter:
         return params
 
     def fit_special_cases(
-        self, fitted: EffectSetFit, names: Sequence[str], compared: ComparisonDepth | None = None
+        self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE
     ) -> list[EffectSetFit]:
         """Return the fits with a narrower effect in place of a general one, which may win by its curvature alone."""
         results = []
@@ -336,7 +340,7 @@ class Fitter:
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, self.neutral_of_effect(name))
                     effects = [name if other == wide else other for other in fitted.effects]
-                    results.append(self.fit(effects, fitted.structures, start, compared=compared))
+                    results.append(self.fit(effects, fitted.structures, start, rule=rule))
         return results
 
 
@@ -349,7 +353,7 @@ def set_label(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -
     return tuple(sorted([*named, *structures]))
 
 
-def candidate_label(library: Library, model: Model) -> Label:
+def label_of_candidate_set(library: Library, model: Model) -> Label:
     """Return the label of a set of library candidates."""
     chosen = [library.candidates[k] for k in model]
     effects = [(one.name, one.start) for one in chosen if not one.structure]

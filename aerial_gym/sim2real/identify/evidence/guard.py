@@ -36,7 +36,7 @@ class Support:
     shown: bool = True  # Whether flights determine any of the parameters better than its scale
 
     @property
-    def robust_log_odds(self) -> float:
+    def log_odds_with_overdispersion(self) -> float:
         """Return the log odds with the Wald statistic over the larger covariance.
 
         Occam's factor keeps that of noise; the larger one concealed a measured ground effect (docs/results/measured.md).
@@ -46,7 +46,7 @@ class Support:
     @property
     def is_supported(self) -> bool:
         """Return whether the effect is more probable than not."""
-        return self.robust_log_odds > 0.0
+        return self.log_odds_with_overdispersion > 0.0
 
 
 class Guard:
@@ -61,7 +61,7 @@ class Guard:
     def drop_unsupported(self, model: Model) -> Model:
         """Return a set after removal of its least supported candidate, structures included, repeated until all hold."""
         while (by_name := self.support(model)) and not all(one.is_supported for one in by_name.values()):
-            weakest = min(by_name, key=lambda k: by_name[k].robust_log_odds)
+            weakest = min(by_name, key=lambda k: by_name[k].log_odds_with_overdispersion)
             model = tuple(k for k in model if k != weakest)
         return model
 

@@ -69,7 +69,7 @@ class MarginalSums:
             product=product - across.T @ across, gradient=gradient - across.T @ self._right, constant=self._constant
         )
 
-    def restore_columns(self, gone: Indices, kept: Indices) -> NormalEquations:
+    def sums_with_columns_at_zero(self, gone: Indices, kept: Indices) -> NormalEquations:
         """Return the sums of ``kept`` columns if the integrated columns ``gone`` are fixed at zero instead."""
         inverse = _solve_lower(self._root, (self._columns[:, None] == gone).astype(np.float64))
         steps = inverse.T @ np.column_stack((self._across[:, kept], self._right))
@@ -219,7 +219,7 @@ def _marginal_sums(
                 sums = shared.sums_of_columns(np.concatenate((columns, wanted[one])))
                 results[one] = sums.integrate_out(both[: columns.size], both[columns.size :])
             elif len(one) < len(centre):
-                results[one] = shared.restore_columns(columns, wanted[one])
+                results[one] = shared.sums_with_columns_at_zero(columns, wanted[one])
             else:
                 results[one] = shared.sums_of_columns(wanted[one])
     return results

@@ -9,7 +9,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, NormalEquations
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, ModelFit, normal_equations
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, ModelFit, normal_equations_without_prior
 from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, parameter_scales
 
 
@@ -62,7 +62,7 @@ class LinearFit:
 
 def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     """Return the linear model about a fit with weighted moments, whose blocks are the parts, relative to neutral."""
-    free, count = fit.free_params, fit.free_effect_params.size
+    free, count = fit.indices_of_fitted_params, fit.indices_of_fitted_effect_params.size
     away = np.zeros(fit.low.size)
     if fit.effects:
         away[: fit.num_effect_params] = (
@@ -71,7 +71,7 @@ def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     here, every = away[free], np.arange(fit.moments.count.size)
 
     def equations_of_blocks(own: Indices) -> NormalEquations:
-        product, gradient = normal_equations(fit, UNIT, own)
+        product, gradient = normal_equations_without_prior(fit, UNIT, own)
         product, gradient = product[np.ix_(free, free)], gradient[free]
         square = float(fit.moments.square[own].sum())
         constant = -0.5 * square - float(gradient @ here) - 0.5 * float(here @ product @ here)
@@ -79,7 +79,7 @@ def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
 
     low, high = (fit.low + away)[free], (fit.high + away)[free]
     low[count:], high[count:] = -np.inf, np.inf
-    owners = [fit.parameter_owners[k][0] for k in fit.free_effect_params]
+    owners = [fit.parameter_owners[k][0] for k in fit.indices_of_fitted_effect_params]
     columns = tuple(np.flatnonzero([owner == name for owner in owners]) for name in fit.effects)
     candidates = Candidates(
         columns=columns, tolerances=np.arange(count, free.size), low=low, high=high, exclusive=fit.effects

@@ -27,7 +27,7 @@ class SetPosterior:
     log_posterior: dict[Model, float] = field(default_factory=dict)  # Of each evaluated set, up to a constant
 
     @cached_property
-    def log_prior_cost(self) -> float:
+    def log_prior_cost_of_effect(self) -> float:
         """Return the prior cost of one more effect, ``log m``."""
         names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
         return float(np.log(max(1, len(names))))
@@ -39,7 +39,7 @@ class SetPosterior:
         if new:
             log_sums = log_evidences(self.candidates, self.normal, new)
             for key, value in zip(new, log_sums.tolist(), strict=True):
-                self.log_posterior[key] = value - self.log_prior_cost * len(key)
+                self.log_posterior[key] = value - self.log_prior_cost_of_effect * len(key)
         return np.array([self.log_posterior.get(key, -np.inf) for key in keys])
 
     def _is_allowed(self, model: Model) -> bool:

@@ -10,8 +10,8 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
-    best_step,
-    normal_equations,
+    least_squares_step_in_bounds,
+    normal_equations_without_prior,
     prior_precision,
 )
 from aerial_gym.sim2real.statistics import FEWEST_FLIGHTS, half_width_of_scatter, normal_quantile
@@ -65,17 +65,17 @@ def uncertainty(fit: ModelFit, weight: Array) -> Uncertainty:
     Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over clusters); Hoerl,
     Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over the prior.
     """
-    free, own = fit.free_params, fit.free_effect_params.size
-    product, _ = normal_equations(fit, weight)
+    free, own = fit.indices_of_fitted_params, fit.indices_of_fitted_effect_params.size
+    product, _ = normal_equations_without_prior(fit, weight)
     precision = prior_precision(fit)[free]
     bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(precision))
-    step = best_step(fit, weight, free)
+    step = least_squares_step_in_bounds(fit, weight, free)
     change = np.einsum("bckl,l->bck", fit.moments.product, step)
     scores = np.einsum("c,bck->bk", weight, fit.moments.gradient - change)[:, free] @ bread[:, :own]
     by_flight = np.stack([scores[fit.moments.flight == f].sum(axis=0) for f in np.unique(fit.moments.flight)])
     count, flights = scores.shape[0], len(by_flight)
     return Uncertainty(
-        columns=fit.free_effect_params,
+        columns=fit.indices_of_fitted_effect_params,
         step=step,
         plain=bread[:own, :own],
         blocks=scores.T @ scores * (count / max(count - 1, 1)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
-from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, concatenate_flights
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, concatenate_moments
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,14 +50,14 @@ def num_columns(parts: Sequence[Part]) -> int:
     return sum(part.width if isinstance(part, SparseDerivatives) else part.shape[2] for part in parts)
 
 
-class DerivativeColumns:
+class DerivativesWithWeights:
     """Derivatives of all flights by K parameters, times the square root of the channel weights."""
 
     def __init__(self, flights: Sequence[Sequence[Part]], offsets: FlightOffsets) -> None:
         """Store the parts of each flight, consecutive among the K columns, with random flight ``offsets`` integrated out."""
         self.width = num_columns(flights[0])
         root = np.sqrt(offsets.weight)
-        self.columns = [_nonzero_columns(parts, root) for parts in flights]
+        self.columns = [_nonzero_columns_with_weights(parts, root) for parts in flights]
         """By flight and channel: indices among the K columns, and their values (T, k)."""
         for own in self.columns if offsets.has_offsets else ():
             for channel in np.flatnonzero(offsets.size):
@@ -66,7 +66,7 @@ class DerivativeColumns:
                     columns -= offsets.share_of_mean(len(columns))[channel] * columns.mean(axis=0)
 
 
-def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
+def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
     """Return the nonzero columns of each channel: their indices, and their values times ``root``, (T, k)."""
     sums: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
     start = 0
@@ -90,7 +90,7 @@ def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, 
     ]
 
 
-def sum_of_products(one: DerivativeColumns, other: DerivativeColumns) -> Array:
+def sum_of_products(one: DerivativesWithWeights, other: DerivativesWithWeights) -> Array:
     """Return ``sum w J_one J_other^T`` over all rows, (K, K')."""
     sums = np.zeros((one.width, other.width))
     for left, right in zip(one.columns, other.columns, strict=True):
@@ -111,7 +111,7 @@ class TimeBlocks:
         self.flight = np.repeat(np.arange(len(times)), parts)
         self.count = np.array([float(own.size) for own in split])
 
-    def block_products(self, one: DerivativeColumns, other: DerivativeColumns) -> Array:
+    def block_products(self, one: DerivativesWithWeights, other: DerivativesWithWeights) -> Array:
         """Return ``sum w J_one J_other^T`` of each block, (B, K, K')."""
         sums = np.zeros((len(self.rows), one.width * other.width))
         for flight, blocks in enumerate(self.of_flight):
@@ -142,7 +142,7 @@ class NuisanceSums:
         """Log likelihood term of the offsets, in addition to the squares."""
 
         self.blocks = TimeBlocks(times, parts)
-        self.columns = DerivativeColumns(flights, self.offsets)
+        self.columns = DerivativesWithWeights(flights, self.offsets)
         self.product = self.blocks.block_products(self.columns, self.columns)
         """Sums of products of each block, (B, N, N)."""
 
@@ -157,7 +157,7 @@ class NuisanceSums:
     def moments_with_effects(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
         """Return block sums over all channels: effects, by residuals (T, C) and derivatives (T, C, P), then nuisances."""
         width = own[0].shape[2]
-        front = DerivativeColumns([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
+        front = DerivativesWithWeights([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
         inner, across = self.blocks.block_products(front, front), self.blocks.block_products(front, self.columns)
         product = np.block(
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
@@ -176,7 +176,7 @@ def weighted_moments(
     parts: int = 1,
 ) -> Moments:
     """Return the block sums over all channels as one channel of weight 1, flight by flight to save memory."""
-    return concatenate_flights(
+    return concatenate_moments(
         [
             NuisanceSums([time], [own], weight, parts=parts).moments_with_effects([r], [np.zeros((*r.shape, 0))])
             for time, r, own in zip(times, residuals, flights, strict=True)
@@ -190,7 +190,7 @@ def moments_by_channel(residuals: Sequence[Array], flights: Sequence[Sequence[Pa
     sums = np.zeros((len(flights), channels, width + 1, width + 1))
     for own, parts, residual in zip(sums, flights, residuals, strict=True):
         for product, (here, columns) in zip(
-            own, _nonzero_columns([*parts, residual[:, :, None]], np.ones(channels)), strict=True
+            own, _nonzero_columns_with_weights([*parts, residual[:, :, None]], np.ones(channels)), strict=True
         ):
             product[np.ix_(here, here)] = columns.T @ columns
     count, flight = np.array([float(len(residual)) for residual in residuals]), np.arange(len(flights))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_number,
+    is_continuous_parameter,
     parameter_bounds,
     parameter_row,
     parameter_scales,
@@ -50,7 +50,7 @@ def effect_jacobian(
     for columns, more in zip(matrices, behind, strict=True):
         columns[:, :, width:] = more
     for k, owner in enumerate(owners):
-        if not is_number(*owner):
+        if not is_continuous_parameter(*owner):
             continue
         step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
         there = here.copy()
@@ -80,13 +80,13 @@ def tolerance_jacobian(
     return matrices
 
 
-def tolerance_rms(tolerance: Derivatives, num_rotors: int) -> Array:
+def rms_caused_by_tolerances(tolerance: Derivatives, num_rotors: int) -> Array:
     """Return the RMS residual in each channel, (C,), from the vehicle alone, by derivatives (rows, C, N) of all tolerances."""
     vehicle = np.logical_not(is_tolerance_of_logs(num_rotors))
     return np.sqrt(np.concatenate([(part[:, :, vehicle] ** 2).sum(axis=2) for part in tolerance]).mean(axis=0))
 
 
-def directional_change(columns: NDArray[np.floating], step: Array) -> Array:
+def linear_change(columns: NDArray[np.floating], step: Array) -> Array:
     """Return the linear change of a flight's prediction (rows, C) for derivatives (rows, C, P) and a step (P,)."""
     return np.tensordot(step, columns.T, axes=1).T
 
@@ -100,7 +100,7 @@ def correct_derivatives(columns: Sequence[Array], step: Array, change: Sequence[
         return
     along = step / (step @ step)
     for own, moved in zip(columns, change, strict=True):
-        missed = moved - directional_change(own, step)
+        missed = moved - linear_change(own, step)
         for k in np.flatnonzero(along):
             own[:, :, k] += along[k] * missed
 

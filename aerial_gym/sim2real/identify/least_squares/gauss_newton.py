@@ -13,17 +13,21 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import DerivativeColumns, NuisanceSums, sum_of_products
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
+    DerivativesWithWeights,
+    NuisanceSums,
+    sum_of_products,
+)
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import (
     FlightOffsets,
     Moments,
     block_length,
     block_moments,
-    concatenate_flights,
+    concatenate_moments,
 )
 from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_number,
+    is_continuous_parameter,
     parameter_bounds,
     parameter_row,
     parameter_scales,
@@ -72,24 +76,26 @@ class ModelFit:
         return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
 
     @property
-    def free_effect_params(self) -> Indices:
+    def indices_of_fitted_effect_params(self) -> Indices:
         """Return the indices of the fitted effect parameters."""
         owners = enumerate(self.parameter_owners)
-        return np.array([k for k, owner in owners if owner not in self.frozen and is_number(*owner)], dtype=int)
+        return np.array(
+            [k for k, owner in owners if owner not in self.frozen and is_continuous_parameter(*owner)], dtype=int
+        )
 
     @property
-    def free_params(self) -> Indices:
+    def indices_of_fitted_params(self) -> Indices:
         """Return the indices of the fitted effect parameters and the tolerances."""
-        return np.concatenate((self.free_effect_params, np.arange(self.num_effect_params, self.low.size)))
+        return np.concatenate((self.indices_of_fitted_effect_params, np.arange(self.num_effect_params, self.low.size)))
 
-    def effect_columns(self, effect: str) -> Indices:
+    def indices_of_effect(self, effect: str) -> Indices:
         """Return the indices of an effect's parameters."""
         return np.array([k for k, (name, _) in enumerate(self.parameter_owners) if name == effect], dtype=int)
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitGoal:
-    """Stopping rule of a fit."""
+class StopRule:
+    """Stopping rule of a fit; by default it converges."""
 
     worth: Callable[[ModelFit], float] = lambda _: np.inf  # Value of a fit, or of its best subset, if linear
     least: float = -np.inf  # Value that the fit must be able to reach; otherwise it stops at once
@@ -100,6 +106,9 @@ class FitGoal:
         return np.isfinite(more) and np.isfinite(self.least) and self.worth(fit) + more < self.least
 
 
+CONVERGENCE = StopRule()
+
+
 def prior_precision(fit: ModelFit) -> Array:
     """Return the inverse prior variance of each parameter, (K,): 1 for tolerances, nearly 0 for effects."""
     precision = np.ones(fit.low.size)
@@ -107,16 +116,16 @@ def prior_precision(fit: ModelFit) -> Array:
     return precision
 
 
-def normal_equations(fit: ModelFit, weight: Array, blocks: Indices | None = None) -> tuple[Array, Array]:
+def normal_equations_without_prior(fit: ModelFit, weight: Array, blocks: Indices | None = None) -> tuple[Array, Array]:
     """Return ``sum w J J^T`` (K, K) and ``sum w J r`` (K,) over some blocks."""
     chosen = slice(None) if blocks is None else blocks
     product = np.einsum("c,bckl->kl", weight, fit.moments.product[chosen])
     return product, np.einsum("c,bck->k", weight, fit.moments.gradient[chosen])
 
 
-def best_step(fit: ModelFit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
+def least_squares_step_in_bounds(fit: ModelFit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
     """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
-    (product, gradient), step = normal_equations(fit, weight, blocks), np.zeros(fit.low.size)
+    (product, gradient), step = normal_equations_without_prior(fit, weight, blocks), np.zeros(fit.low.size)
     if free.size:
         a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
         step[free] = minimise_in_bounds(a, gradient[free], fit.low[free], fit.high[free])
@@ -140,7 +149,7 @@ def linearise_at_params(
         if offsets is not None:
             residuals, jacobians = offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians)
         steps.append(block_moments([time], residuals, jacobians, length=length))
-    return fit_of_moments(predictor.robot, effects, params, concatenate_flights(steps))
+    return fit_of_moments(predictor.robot, effects, params, concatenate_moments(steps))
 
 
 def linearise_fit(
@@ -183,14 +192,14 @@ def fit_effects(
     frozen: Frozen = frozenset(),
     derivatives: Derivatives | None = None,
     fresh: bool = False,
-    goal: FitGoal = FitGoal(),
+    rule: StopRule = CONVERGENCE,
 ) -> tuple[ModelFit, list[Array], float]:
     """Return a Gauss-Newton fit of effects, its derivatives, and the log likelihood that it may have missed beyond these.
 
     Steps that overshoot are halved. Nuisance columns ``beside``, with the channel weights (``UNIT``), are fitted jointly.
     Broyden's update corrects the derivatives, so a step costs one prediction. If these promise no gain or give none, they
     are computed anew, and the fit ends if that does not help, or if its steps gained what they promised, to within
-    ``goal.enough``. ``derivatives`` by the parameters, per scale, near the start, (rows, C, P); ``fresh``: at the start.
+    ``rule.enough``. ``derivatives`` by the parameters, per scale, near the start, (rows, C, P); ``fresh``: at the start.
     Source: Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
     params, predicted = start, predictor.predict(start)
@@ -199,24 +208,24 @@ def fit_effects(
         own, fresh = effect_jacobian(predictor, start, effects, predicted), True
     else:
         own = [part.astype(np.float64) for part in derivatives]
-    first, steps = (cost := least_weighted_squares(beside, residuals)), 0
+    first, steps = (cost := least_cost_over_nuisances(beside, residuals)), 0
     off = np.inf  # error of the gain promised by the last computed derivatives, over the steps since
     while True:
         fit = fit_of_moments(predictor.robot, effects, params, beside.moments_with_effects(residuals, own), frozen)
         if not np.isfinite(cost):
             return fit, own, np.inf
-        whole, moved = best_step(fit, UNIT, fit.free_params), None
+        whole, moved = least_squares_step_in_bounds(fit, UNIT, fit.indices_of_fitted_params), None
         promised = 0.5 * cost - _linear_cost(fit, whole)
         more = _possible_gain(promised, 0.5 * (first - cost), fresh=fresh)
-        if (fresh or steps > 1) and goal.is_out_of_reach(fit, more):
+        if (fresh or steps > 1) and rule.is_out_of_reach(fit, more):
             return fit, own, more
-        if promised >= (goal.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
+        if promised >= (rule.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
             step, here = whole[: fit.num_effect_params], parameter_row(params, effects)
             for share in SHARES:
                 gone = share * step
                 there = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * gone)
                 moved = [m - p for m, p in zip(predictor.measured, predictor.predict(there), strict=True)]
-                if (new_cost := least_weighted_squares(beside, moved)) <= cost * (1.0 + ROUNDING):
+                if (new_cost := least_cost_over_nuisances(beside, moved)) <= cost * (1.0 + ROUNDING):
                     wrong = abs(promised - 0.5 * (cost - new_cost)) if share == 1.0 else np.inf
                     off = wrong if fresh or steps == 0 else off + wrong
                     correct_derivatives(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
@@ -227,7 +236,7 @@ def fit_effects(
         if moved is None:
             if fresh:
                 return fit, own, more
-            if off <= goal.enough and promised < NOTHING_LEFT:
+            if off <= rule.enough and promised < NOTHING_LEFT:
                 return fit, own, (MOST_TO_PROMISE - 1.0) * (promised + off)
             own, fresh = effect_jacobian(predictor, params, effects, predictor.predict(params)), True
 
@@ -240,17 +249,17 @@ def _possible_gain(promised: float, gained: float, *, fresh: bool) -> float:
 
 def _linear_cost(fit: ModelFit, step: Array) -> float:
     """Return the negative log likelihood and tolerance prior after a step (K,) in the linear model."""
-    product, gradient = normal_equations(fit, UNIT)
+    product, gradient = normal_equations_without_prior(fit, UNIT)
     prior = float(np.square(step[fit.num_effect_params :]).sum())
     square = float(fit.moments.square.sum()) - 2.0 * float(gradient @ step) + float(step @ product @ step)
     return 0.5 * (square + prior)
 
 
-def least_weighted_squares(beside: NuisanceSums, residuals: Sequence[Array]) -> float:
+def least_cost_over_nuisances(beside: NuisanceSums, residuals: Sequence[Array]) -> float:
     """Return the weighted squares plus prior, minimised over the nuisance columns; infinite for non-finite residuals."""
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
-    one = DerivativeColumns([[part[:, :, None]] for part in residuals], beside.offsets)
+    one = DerivativesWithWeights([[part[:, :, None]] for part in residuals], beside.offsets)
     square, gradient = float(sum_of_products(one, one)[0, 0]), sum_of_products(one, beside.columns)[0]
     product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
     step = minimise_in_bounds(product, gradient, -far, far) if far.size else gradient

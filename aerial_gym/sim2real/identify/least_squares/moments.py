@@ -95,7 +95,7 @@ def block_moments(
     return moments
 
 
-def concatenate_flights(moments: Sequence[Moments]) -> Moments:
+def concatenate_moments(moments: Sequence[Moments]) -> Moments:
     """Return the sums of all flights, concatenated in order."""
     sums = {name: np.concatenate([getattr(one, name) for one in moments]) for name in SUMS}
     return Moments(**sums, flight=np.repeat(np.arange(len(moments)), [one.count.size for one in moments]))
@@ -113,7 +113,7 @@ class Weighting:
         """Return the weight of one row, (C,)."""
         return self.effective / self.variance
 
-    def weight_limit(self, mean_square: Array) -> Array:
+    def weight_below_limit(self, mean_square: Array) -> Array:
         """Return the weight of one row, (C,), limited by the mean square (C,) of other flights' residuals."""
         return self.effective / np.maximum(self.variance, mean_square)
 

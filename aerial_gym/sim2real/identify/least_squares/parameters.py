@@ -10,7 +10,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 
-def is_number(effect: str, place: int) -> bool:
+def is_continuous_parameter(effect: str, place: int) -> bool:
     """Return whether a parameter is continuous and can be fitted, unlike a rotor number or a convention."""
     return EFFECTS.get(effect).parameters[place].kind == "number"
 

@@ -7,16 +7,15 @@ from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
 from aerial_gym.sim2real.identify.evidence.fitting import (
     ENOUGH,
-    ComparisonDepth,
     EffectSetFit,
     Fitter,
     Label,
-    candidate_label,
+    label_of_candidate_set,
 )
 from aerial_gym.sim2real.identify.evidence.guard import Guard
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE, StopRule
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.memory import give_back_memory
 
@@ -52,7 +51,7 @@ class CandidateView:
     @property
     def best_fit_without_structures(self) -> EffectSetFit:
         """Return the most probable of these sets without structures, except offsets of flights."""
-        bare = (fitted for fitted in self.fits.values() if fitted.is_supported and fitted.has_only_flight_offsets)
+        bare = (fitted for fitted in self.fits.values() if fitted.is_supported and fitted.has_no_structures_but_offsets)
         return max(bare, key=lambda one: one.log_posterior)
 
     def has_fit(self, label: Label) -> bool:
@@ -62,27 +61,27 @@ class CandidateView:
     def fit_if_promising(self, model: Model, *, however_far: bool = False) -> None:
         """Fit a new set that may come near the best, with ``MOST_TO_PROMISE`` times its linear gain, or ``however_far``."""
         behind, here = self.sets.log_posteriors([model, self.present_set])
-        if self.has_fit(candidate_label(self.library, model)):
+        if self.has_fit(label_of_candidate_set(self.library, model)):
             return
         beside = any(self.library.candidates[k].is_common_structure for k in model)
-        compared = self.comparison_depth(beside=beside)
-        if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
-            self.add_fit(self.fitter.fit_set(self.library, self.sets, model, self.structures, compared))
+        rule = self.stop_rule_of_comparison(beside=beside)
+        if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > rule.least:
+            self.add_fit(self.fitter.fit_set(self.library, self.sets, model, self.structures, rule))
 
-    def comparison_depth(self, *, beside: bool) -> ComparisonDepth:
+    def stop_rule_of_comparison(self, *, beside: bool) -> StopRule:
         """Return the stopping rule of a fit, relative to the best set with structures (``beside``) or without."""
         best = self.best_fit if beside else self.best_fit_without_structures
         least = best.log_posterior - FAR_BEHIND * occam_window(best)
-        return ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
+        return StopRule(least=least, enough=ENOUGH * best.parameter_overdispersion)
 
     def add_fit(self, fitted: EffectSetFit) -> None:
         """Add a fitted set, and sets without its weakest effects while one lacks support and a subset may be near the best."""
         while not self.has_fit(fitted.label):
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)
-            compared = self.comparison_depth(beside=not fitted.has_only_flight_offsets)
-            if not fitted.is_supported and fitted.most > compared.least:
-                fitted = self.fitter.refit_without_weakest(fitted, compared)
+            rule = self.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets)
+            if not fitted.is_supported and fitted.most > rule.least:
+                fitted = self.fitter.refit_without_weakest(fitted, rule)
 
     def add_relinearised_fit(self, fitted: EffectSetFit, fitter: Fitter) -> None:
         """Add a set linearised about itself; if an effect lacks support, also add the set without its weakest effect."""
@@ -96,7 +95,7 @@ class CandidateView:
         self.library.tangents.clear()
         free_other_fitters(self.own, self.present.label)
         self.fitter.clear_nuisance_sums()
-        self.fitter.tolerance = None
+        self.fitter.tolerance_derivatives = None
         give_back_memory()
 
 

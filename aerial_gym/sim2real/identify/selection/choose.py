@@ -150,9 +150,9 @@ class _Chooser:
         """Return the best supported set of present effects without ``gone``, and without structures except flight offsets."""
         kept = set(present.effects).difference(gone)
         whole = present
-        if gone or not present.has_only_flight_offsets:
+        if gone or not present.has_no_structures_but_offsets:
             whole = fitter.refit_without_effects(replace(present, structures=present.flight_offsets), tuple(gone))
-        cases = [one for one in fits if one.is_supported and one.has_only_flight_offsets]
+        cases = [one for one in fits if one.is_supported and one.has_no_structures_but_offsets]
         cases = [one for one in cases if kept.issuperset(one.effects)]
         return max([fitter.drop_unsupported(whole), *cases], key=lambda one: one.log_posterior)
 
@@ -166,10 +166,10 @@ class _Chooser:
         """
 
         def effect_odds(one: EffectSetFit) -> dict[str, float]:
-            results = {name: support.robust_log_odds for name, support in one.support.items()}
+            results = {name: support.log_odds_with_overdispersion for name, support in one.support.items()}
             for name in results.keys() & present.support.keys():
                 if set_label([(name, one.params.effects[name])], ())[0] in present.label:  # the same rotor
-                    results[name] = max(results[name], present.support[name].robust_log_odds)
+                    results[name] = max(results[name], present.support[name].log_odds_with_overdispersion)
             return results
 
         left = fitter.drop_unsupported(
@@ -193,7 +193,7 @@ class _Chooser:
                 continue
             model = tuple(sorted((*view.present_set, k)))
             if np.isfinite(view.sets.log_posteriors([model])[0]):
-                odds = view.guard.support(model)[k].robust_log_odds
+                odds = view.guard.support(model)[k].log_odds_with_overdispersion
                 results[candidate.name] = max(odds, results.get(candidate.name, -np.inf))
         return results
 
@@ -236,7 +236,7 @@ class _Chooser:
             fit = fit_of_moments(predictor.robot, present.effects, present.params, moments)
             linear = linearise_about_fit(fit, list(neutral.values()))
             parameters = posterior(linear.candidates, linear.whole, linear.set_of_all)
-            return parameters.log_evidence - len(structures) * fitter.log_prior_cost, parameters
+            return parameters.log_evidence - len(structures) * fitter.log_prior_cost_of_effect, parameters
 
         kinds = sorted({structure.kind for structure in present.structures} - {"periodic", OF_FLIGHTS})
         functions = {kind: structure_functions(kind, predictor.flights, predictor.times) for kind in kinds}
@@ -251,7 +251,7 @@ class _Chooser:
             for beside in (present.structures, rest):
                 varied, parameters = log_posterior(beside, columns)
                 share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
-                if varied - fitter.log_prior_cost - steady > occam_window(present) and share > STEADY:
+                if varied - fitter.log_prior_cost_of_effect - steady > occam_window(present) and share > STEADY:
                     results[name] = kind
         return results
 

@@ -14,10 +14,10 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import has_several_starts
-from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, ComparisonDepth, EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_scales
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, StopRule
+from aerial_gym.sim2real.identify.least_squares.parameters import is_continuous_parameter, parameter_scales
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
@@ -52,11 +52,11 @@ def rivals_of_parameters(
         values = best.params.effects[effect].copy()
         values[place] = fitter.neutral_of_effect(effect)[place]
         start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral_of_effect(other))
-        least = best.log_posterior - window - fitter.log_prior_cost
-        compared = ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
-        frame = {"frozen": frozenset({(effect, place)}), "compared": compared}
+        least = best.log_posterior - window - fitter.log_prior_cost_of_effect
+        rule = StopRule(least=least, enough=ENOUGH * best.parameter_overdispersion)
+        frame = {"frozen": frozenset({(effect, place)}), "rule": rule}
         fitted = fitter.fit((*best.effects, other), best.structures, start, **frame)
-        odds = fitted.log_posterior + fitter.log_prior_cost - best.log_posterior
+        odds = fitted.log_posterior + fitter.log_prior_cost_of_effect - best.log_posterior
         if odds > -window and fitted.support[other].is_supported:
             own = zip(EFFECTS.get(other).parameters, fitted.params.effects[other], strict=True)
             name, odds = EFFECTS.get(effect).parameters[place].name, odds / best.parameter_overdispersion
@@ -70,7 +70,9 @@ def _rival_candidates(
 ) -> list[tuple[str, int, str]]:
     """Return triples of effect, index of its parameter and rival that are probable in the linear model."""
     predictor, params, window = fitter.predictor, best.params, occam_window(best)
-    pairs = {name: _confusable_effects(fitter, best, name, names) if name in effects else [] for name in best.effects}
+    pairs = {
+        name: _confounders_in_registry(fitter, best, name, names) if name in effects else [] for name in best.effects
+    }
     rivals = list(dict.fromkeys(other for matches in pairs.values() for other in matches))
     if not rivals:
         return []
@@ -81,8 +83,8 @@ def _rival_candidates(
         moved = params.with_effect(other, fitter.neutral_of_effect(other))
         parts.append(effect_jacobian(predictor, moved, (other,), base))
     owners = [(name, k) for name in best.effects for k in range(parameter_scales((name,)).size)]
-    back = [owner for owner in owners if pairs[owner[0]] and is_number(*owner)]
-    parts.extend(_changes_by_parameter(fitter, params, base, *owner) for owner in back)
+    back = [owner for owner in owners if pairs[owner[0]] and is_continuous_parameter(*owner)]
+    parts.extend(_change_by_one_parameter(fitter, params, base, *owner) for owner in back)
     moments = fitter.nuisance_sums(best.structures).moments_with_effects(
         residuals, [np.concatenate(own, axis=2) for own in zip(*parts, strict=True)]
     )
@@ -103,9 +105,9 @@ def _rival_candidates(
     return matches
 
 
-def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: Sequence[str]) -> list[str]:
+def _confounders_in_registry(fitter: Fitter, best: EffectSetFit, effect: str, names: Sequence[str]) -> list[str]:
     """Return the confounders that can replace one parameter of an effect; none if it has only one parameter."""
-    if sum(is_number(effect, k) for k in range(parameter_scales((effect,)).size)) < 2:
+    if sum(is_continuous_parameter(effect, k) for k in range(parameter_scales((effect,)).size)) < 2:
         return []
     own = EFFECTS.get(effect).confused_with
     robot = fitter.predictor.robot
@@ -113,7 +115,7 @@ def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: 
     return [other for other in confounders if other not in best.effects and not has_several_starts(other, robot)]
 
 
-def _changes_by_parameter(
+def _change_by_one_parameter(
     fitter: Fitter, params: ModelParams, base: list[Array], effect: str, place: int
 ) -> list[Array]:
     """Return the prediction minus that with one parameter at neutral, (rows, C, 1) for each flight."""

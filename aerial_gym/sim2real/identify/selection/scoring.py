@@ -67,7 +67,7 @@ class CrossValidation:
     tolerated: Array  # Residual (rms) that the tolerances of the vehicle cause in each channel, (C,)
 
     @property
-    def fold(self) -> Indices:
+    def fold_of_blocks(self) -> Indices:
         """Return the fold of each block: its flight, or a quarter of a single flight, (B,)."""
         if self.flight.max() > 0:
             return self.flight
@@ -80,16 +80,16 @@ class CrossValidation:
         blocks.
         """
         count, effective = self.count, self.weights.effective
-        folds = [self.fold == part for part in np.unique(self.fold)]
+        folds = [self.fold_of_blocks == part for part in np.unique(self.fold_of_blocks)]
         blocks = (0.5 * count[:, None] * effective * _log_ratio(less, more)).sum(axis=1)
         spread = blocks.std(ddof=1) / np.sqrt(blocks.size) if blocks.size > 1 else np.inf
         concerned = [part for part in folds if self._has_changed(less[part], more[part])]
         judged = concerned if len(concerned) > 1 else folds
-        totals = [self._score(less[part], more[part], count[part]) for part in judged]
+        totals = [self._log_likelihood_gain(less[part], more[part], count[part]) for part in judged]
         rises = [self._has_harmful_rise(less[part], more[part], count[part]) for part in folds]
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
-            score=self._score(less, more, count),
+            score=self._log_likelihood_gain(less, more, count),
             p_value=student_tail(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1)),
             flights_better=float(np.mean([total > 0.0 for total in totals])),
             falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
@@ -119,7 +119,7 @@ class CrossValidation:
             return [Finding("channel_worse_in_flights", self.channels[place].name, {"share": gain.harmed[place]})]
         return []
 
-    def _score(self, less: Array, more: Array, count: Array) -> float:
+    def _log_likelihood_gain(self, less: Array, more: Array, count: Array) -> float:
         samples = count.sum() * self.weights.effective
         return float((0.5 * samples * _log_ratio(less.sum(axis=0), more.sum(axis=0))).sum())
 

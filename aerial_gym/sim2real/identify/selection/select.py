@@ -9,7 +9,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
-from aerial_gym.sim2real.identify.candidates.nuisance import flight_offsets
+from aerial_gym.sim2real.identify.candidates.nuisance import prior_of_flight_offsets
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Label
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, is_identifiable, uncertainty
@@ -37,12 +37,12 @@ class Rival:
     doubt: float = 0.0  # Log odds that the test flights add in its favour, at least 0
 
     @property
-    def is_distinct(self) -> bool:
+    def is_clearly_less_probable(self) -> bool:
         """Whether the named effect is clearly more probable."""
         return self.log_odds < -LEAST_SCORE
 
     @property
-    def is_distinct_in_training(self) -> bool:
+    def is_clearly_less_probable_in_training(self) -> bool:
         """Whether the named effect is clearly more probable by the training flights alone."""
         return self.log_odds - self.doubt < -LEAST_SCORE
 
@@ -80,7 +80,7 @@ class SelectionResult(MostProbableSet):
 
     def effect_ties(self, name: str) -> list[Rival]:
         """Return the rivals that are not distinct from a named effect, without its generalisations."""
-        return [rival for rival in self.effect_rivals(name) if not rival.is_distinct and not rival.wider]
+        return [rival for rival in self.effect_rivals(name) if not rival.is_clearly_less_probable and not rival.wider]
 
 
 def replacement_effects(name: str, best: Sequence[str], other: Sequence[str]) -> list[str]:
@@ -146,7 +146,7 @@ class FinalFit:
     def __init__(self, predictor: Predictor, declared: ModelParams, chosen: MostProbableSet) -> None:
         self.predictor, self.declared, self.chosen, weight = predictor, declared, chosen, chosen.weights.weight
         self.tolerance = tolerance_jacobian(predictor, chosen.named.model_with_deviations, np.float32)
-        self.offsets = flight_offsets(chosen.best.structures, predictor.channels, weight)
+        self.offsets = prior_of_flight_offsets(chosen.best.structures, predictor.channels, weight)
         self.beside = NuisanceSums(predictor.times, [[part] for part in self.tolerance], weight, offsets=self.offsets)
 
     def fit(
@@ -162,8 +162,8 @@ class FinalFit:
     def fit_determined(self) -> tuple[MostProbableSet, ModelFit, Uncertainty]:
         """Return the choice with undetermined parameters at neutral, the fit of its effects, and the uncertainty."""
         fit, spread = self.fit(self.chosen.effects, self.chosen.named.params)
-        owners = {fit.parameter_owners[k]: k for k in fit.free_effect_params}
-        uncertain = fit.free_effect_params[~is_identifiable(spread.plain)]  # by more than their scale
+        owners = {fit.parameter_owners[k]: k for k in fit.indices_of_fitted_effect_params}
+        uncertain = fit.indices_of_fitted_effect_params[~is_identifiable(spread.plain)]  # by more than their scale
         unseen = {owner for owner, k in owners.items() if k in uncertain}
         if not unseen:
             return self.chosen, fit, spread

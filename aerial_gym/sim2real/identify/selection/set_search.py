@@ -20,10 +20,10 @@ from aerial_gym.sim2real.identify.candidates.library import (
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     NuisanceColumns,
     Nuisances,
-    largest_flight_offsets,
+    limits_of_flight_offsets,
     residuals_beyond_structures,
 )
-from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, Label, candidate_label
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, Label, label_of_candidate_set
 from aerial_gym.sim2real.identify.evidence.guard import Guard, num_parts_per_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal_equations
@@ -32,12 +32,12 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDer
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     correct_derivatives,
-    directional_change,
+    linear_change,
+    rms_caused_by_tolerances,
     to_single_precision,
     tolerance_jacobian,
-    tolerance_rms,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, fit_of_moments, least_squares_step_in_bounds
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, inverse_variance_weights
 from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, parameter_scales, replace_params
 from aerial_gym.sim2real.identify.selection.candidate_view import (
@@ -71,9 +71,9 @@ class SetSearch:
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         tolerance = tolerance_jacobian(predictor, declared)
-        self.tolerated = tolerance_rms(tolerance, predictor.robot.num_rotors)
+        self.tolerated = rms_caused_by_tolerances(tolerance, predictor.robot.num_rotors)
         self._tolerance = to_single_precision(tolerance)
-        self.missed, most = predictor.residuals(declared), largest_flight_offsets(predictor, self.tolerated)
+        self.missed, most = predictor.residuals(declared), limits_of_flight_offsets(predictor, self.tolerated)
         self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
@@ -113,7 +113,10 @@ class SetSearch:
         if params is not self._weighed[0]:
             view.fitter.clear_nuisance_sums()
             give_back_memory()
-            self._weighed = params, self.channel_weights(params, view.library.tangents, view.fitter.tolerance)
+            self._weighed = (
+                params,
+                self.channel_weights(params, view.library.tangents, view.fitter.tolerance_derivatives),
+            )
         return self._weighed[1]
 
     def channel_weights(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
@@ -126,9 +129,9 @@ class SetSearch:
 
         channels = len(self.predictor.channels)
         new = [one for one in several if one.name not in params.effects]
-        linear = [tolerance, *(one.derivatives_of_channels(channels) for one in new)]
+        linear = [tolerance, *(one.dense_derivatives(channels) for one in new)]
         empty = [np.empty((*residual.shape, 0)) for residual in self.missed]
-        whole = [one.derivatives_of_channels(channels) for one in common]
+        whole = [one.dense_derivatives(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
         del whole
         return self._weights_after_fits(start, tuple(one.name for one in common), own, linear)
@@ -150,9 +153,11 @@ class SetSearch:
             moments = weighted_moments(predictor.times, residuals, flights, weights.weight)
             give_back_memory()
             fit = fit_of_moments(predictor.robot, effects, params, moments)
-            step, *steps = np.split(best_step(fit, UNIT, fit.free_params), fit.num_effect_params + ends)
+            step, *steps = np.split(
+                least_squares_step_in_bounds(fit, UNIT, fit.indices_of_fitted_params), fit.num_effect_params + ends
+            )
             for part, along in zip((own, *linear), (step, *steps), strict=True):
-                left = [r - directional_change(columns, along) for r, columns in zip(left, part, strict=True)]
+                left = [r - linear_change(columns, along) for r, columns in zip(left, part, strict=True)]
             if not all(np.isfinite(part).all() for part in left):
                 break  # step beyond a pendulum's range: keep the previous weights
             structures = self.nuisances.structures_beyond_effects(left, {})
@@ -174,7 +179,7 @@ class SetSearch:
     ) -> CandidateView:
         """Return the candidates about a set, after removal of the effects without support under these weights."""
         fitter, start = self.fitter_at_model(params, weights), replace(params, deviation=None)
-        fitter.tolerance = tolerance
+        fitter.tolerance_derivatives = tolerance
         present, empty = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.is_supported:
             present = fitter.refit_without_weakest(present)
@@ -208,11 +213,11 @@ class SetSearch:
         """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
         while (best := view.best_fit).label not in view.own:
             free_other_fitters(view.own, view.present.label)
-            view.add_relinearised_fit(*self.relinearise(best, view.fitter))
+            view.add_relinearised_fit(*self.refit_about_own_model(best, view.fitter))
         free_other_fitters(view.own, view.present.label, best.label)
         return best
 
-    def relinearise(self, fitted: EffectSetFit, about: Fitter) -> tuple[EffectSetFit, Fitter]:
+    def refit_about_own_model(self, fitted: EffectSetFit, about: Fitter) -> tuple[EffectSetFit, Fitter]:
         """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
         A delay of 6 ms is fitted only in part about a model without one. A divergent iteration keeps the earlier result.
@@ -247,7 +252,7 @@ class SetSearch:
             for model in turn:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
                     break
-                label = candidate_label(view.library, model)
+                label = label_of_candidate_set(view.library, model)
                 if label in seen or view.has_fit(label):
                     continue
                 seen.add(label)
@@ -259,8 +264,8 @@ class SetSearch:
         """Fit the sets with one effect less than the present one, and those with a special case of an effect."""
         for gone in (k for k in view.present_set if not view.library.candidates[k].structure):
             view.fit_if_promising(tuple(k for k in view.present_set if k != gone))
-        compared = view.comparison_depth(beside=not view.present.has_only_flight_offsets)
-        for fitted in view.fitter.fit_special_cases(view.present, self.names, compared):
+        rule = view.stop_rule_of_comparison(beside=not view.present.has_no_structures_but_offsets)
+        for fitted in view.fitter.fit_special_cases(view.present, self.names, rule):
             view.add_fit(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:
@@ -304,7 +309,7 @@ class SetSearch:
             skipped=self.skipped,
             structures=structures_of_residuals,
             tangents=tangents,
-            tolerance=fitter.tolerance,
+            tolerance=fitter.tolerance_derivatives,
             parts=num_parts_per_flight(len(self.predictor.times)),
         )
         sets = search_sets(

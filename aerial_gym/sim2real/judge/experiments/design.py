@@ -22,12 +22,12 @@ from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestab
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
-    best_step,
+    least_squares_step_in_bounds,
     linearise_fit,
-    normal_equations,
+    normal_equations_without_prior,
     prior_precision,
 )
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number
+from aerial_gym.sim2real.identify.least_squares.parameters import is_continuous_parameter
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup
@@ -89,7 +89,7 @@ class ManoeuvreCatalogue:
         scores = []
         for index in range(len(self.flights)):
             blocks = np.flatnonzero(fit.moments.flight == index)
-            step = best_step(fit, self.weight, fit.free_params, blocks)
+            step = least_squares_step_in_bounds(fit, self.weight, fit.indices_of_fitted_params, blocks)
             squares = fit.moments.block_squares(np.tile(step, (fit.moments.flight.size, 1)))[blocks].sum(axis=0)
             scores.append(0.5 * float(self.weight @ squares + prior_precision(fit) @ step**2))
         return np.multiply(np.maximum(scores, 0.0), self._spans)
@@ -101,11 +101,11 @@ class ManoeuvreCatalogue:
         """
         params = starts_of_effect(name, final, declared, self.predictor.robot)[0]
         fit = self._linear_fit(self.predictor.predict(params), params, (*effects, name))
-        own = [k for k in fit.effect_columns(name) if is_number(*fit.parameter_owners[k])]
+        own = [k for k in fit.indices_of_effect(name) if is_continuous_parameter(*fit.parameter_owners[k])]
         scores = []
         for index in range(len(self.flights)):
-            product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
-            free = fit.free_params
+            product, _ = normal_equations_without_prior(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
+            free = fit.indices_of_fitted_params
             spread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
             best = min(spread[place, place] for place, k in enumerate(free) if k in own)
             scores.append(0.5 / best)

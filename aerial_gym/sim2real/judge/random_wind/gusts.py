@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.findings import Finding, refusal
+from aerial_gym.sim2real.findings import Finding, finding_on_refusal
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.decision import Decision
 from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, NOTHING_NAMED
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     WindSeries,
+    covariance_of_filtered_process,
     fit_process,
     p_value_of_noise,
     p_values_of_rivals,
-    process_covariance,
     std_of_logarithms,
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, parameters_in_file
@@ -68,7 +68,7 @@ class RandomWind:
         """Notes on gusts: their effect on the noise floor, or the objections to them."""
         if self.is_accepted:
             return (Finding("gusts_are_random", NAME),)
-        return (refusal("gusts_refused", NAME, self.objections),) if self.objections else ()
+        return (finding_on_refusal("gusts_refused", NAME, self.objections),) if self.objections else ()
 
     def decision(self, made: Decision) -> Decision:
         """Return a decision with accepted gusts among its candidates."""
@@ -89,7 +89,7 @@ class RandomWind:
     def channel_rms(self, predictor: Predictor, params: ModelParams) -> Array:
         """Return the rms that the wind adds to the residual of each channel below the bandwidth, (C,)."""
         response = np.concatenate(wind_response(predictor, params))
-        inside = float(process_covariance(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
+        inside = float(covariance_of_filtered_process(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
         return self.std * np.sqrt(inside * np.mean((response**2).sum(axis=2), axis=0))
 
 

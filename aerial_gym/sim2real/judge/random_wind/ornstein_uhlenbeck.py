@@ -38,7 +38,7 @@ class WindSeries:
     bandwidth: float  # Bandwidth of the comparison [Hz]
 
 
-def process_covariance(corr_time: float, bandwidth: float, lags: Array) -> Array:
+def covariance_of_filtered_process(corr_time: float, bandwidth: float, lags: Array) -> Array:
     """Return the covariance of a low-passed Ornstein-Uhlenbeck process of unit variance at some lags [s].
 
     It is ``exp(-t / T) - int 4 T (1 - H²) cos(2 pi f t) / (1 + (2 pi f T)²) df``, with H the gain of the low-pass.
@@ -90,7 +90,9 @@ def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: S
 def axis_covariances(series: WindSeries, std: float, corr_time: float, noise: Array) -> Array:
     """Return the covariance of process and noise along each axis at every lag, (3, T)."""
     rows = max(len(wind) for wind in series.wind)
-    results = np.tile(std**2 * process_covariance(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1))
+    results = np.tile(
+        std**2 * covariance_of_filtered_process(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1)
+    )
     results[:, 0] += noise**2
     return results
 

@@ -89,13 +89,13 @@ class LoadReplay:
             swings = integrate_swing(effect, params[0], start, motion, step=STEP_S, gravity=model.gravity)[0].numpy()
             if not np.isfinite(swings).all():  # invalid pendulum parameters, which a fit rejects
                 return torch.full((sum(map(len, self._times)), 6), torch.nan, dtype=torch.float64)
-            self._results[key] = self._link_states_in_rows(swings)
+            self._results[key] = self._interpolate_links_to_rows(swings)
             if len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
         return self._results[key]
 
-    def _link_states_in_rows(self, swings: Array) -> Tensor:
+    def _interpolate_links_to_rows(self, swings: Array) -> Tensor:
         """Return direction and rate in the rows of each flight, (E, 6), from those at every step, (N + 1, F, 6)."""
         curves = [CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)]
         parts = [np.concatenate((c(t), c(t, 1)), axis=1) for c, t in zip(curves, self._times, strict=True)]

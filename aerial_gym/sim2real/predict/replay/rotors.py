@@ -22,7 +22,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
-from aerial_gym.sim2real.predict.tolerances import VehicleDeviation
+from aerial_gym.sim2real.predict.tolerances import VehicleForReplay
 
 
 def target_speeds_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
@@ -46,7 +46,7 @@ def has_commands(flights: Sequence[Flight]) -> bool:
     return all(flight.rotor_command is not None for flight in flights)
 
 
-def replace_by_arriving_commands(off: VehicleDeviation, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
+def replace_by_arriving_commands(off: VehicleForReplay, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
     """Return the flights with commands as they arrive at the rotors, so that windows include those in transit."""
     acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
     model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])

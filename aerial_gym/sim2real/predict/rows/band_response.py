@@ -22,7 +22,7 @@ from aerial_gym.physics.rigid_body import ForceBreakdown
 from aerial_gym.physics.rotors import map_terms, rotor_matrix
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.tolerances import SensorDeviation
+from aerial_gym.sim2real.predict.tolerances import SensorErrors
 
 KEPT = 2  # Number of cached results per effect and sensor, as in ``physics.answers``
 
@@ -107,9 +107,9 @@ class BandResponse:
         turning, products = _motion_selectors()
         square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
         lever = torch.linalg.cross(turning, place[None]) + products @ place - square[:, None] * place
-        return lever.T @ self._rotation_in_band(late)
+        return lever.T @ self._angular_motion_in_band(late)
 
-    def _rotation_in_band(self, late: SensorDelays) -> Tensor:
+    def _angular_motion_in_band(self, late: SensorDelays) -> Tensor:
         """Return the measured rotation, (12, T), with the delay of the force."""
         lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
         if not any(lead):
@@ -144,7 +144,7 @@ def _motion_selectors() -> tuple[Tensor, Tensor]:
     return unit[:, :3], unit[:, 3:].view(-1, 3, 3)
 
 
-def split_columns(rows: Tensor) -> list[Array]:
+def columns_of_rows(rows: Tensor) -> list[Array]:
     """Return the columns (T,) of rows (T, K)."""
     return list(rows.T.contiguous().numpy())
 
@@ -180,20 +180,20 @@ class ImuReading:
         self.data, self._in_band = data, in_band
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
-    def delays_on_prediction_clock(self, logged: SensorDeviation) -> list[float]:
+    def delays_on_prediction_clock(self, logged: SensorErrors) -> list[float]:
         """Return delays of rotor speeds, accelerometer, gyro, attitude and velocity against rotor speeds or commands [s]."""
         late = logged.delays.tolist()
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]
 
-    def delays_by_flight(self, logged: SensorDeviation) -> SensorDelays:
+    def delays_by_flight(self, logged: SensorErrors) -> SensorDelays:
         """Return the delays of force and rotation on that clock; a derived force has the delay of the attitude."""
         _, acc, gyro, attitude, _ = self.delays_on_prediction_clock(logged)
         force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
         return SensorDelays(force=force, gyro=(gyro,) * len(force))
 
     def read_channels(
-        self, model: Model, accelerations: Accelerations, logged: SensorDeviation, seeming: Tensor | None
+        self, model: Model, accelerations: Accelerations, logged: SensorErrors, seeming: Tensor | None
     ) -> dict[str, Columns]:
         """Return the sensor readings by kind of channel, three columns (T,) each.
 
@@ -221,17 +221,15 @@ class ImuReading:
             # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
             force = force + more
-            pairs = zip(implied["kinematic_force"], split_columns(more), strict=True)
+            pairs = zip(implied["kinematic_force"], columns_of_rows(more), strict=True)
             implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
         return {
-            "specific_force": split_columns(force + logged.acc_bias * felt),
-            "angular_acceleration": split_columns(torque),  # a constant error has no derivative
+            "specific_force": columns_of_rows(force + logged.acc_bias * felt),
+            "angular_acceleration": columns_of_rows(torque),  # a constant error has no derivative
             **implied,
         }
 
-    def _read_kinematic_channels(
-        self, model: Model, logged: SensorDeviation, turn: Tensor | None
-    ) -> dict[str, Columns]:
+    def _read_kinematic_channels(self, model: Model, logged: SensorErrors, turn: Tensor | None) -> dict[str, Columns]:
         """Return the kinematic channels with sensor errors, cached for all models with equal errors."""
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
         own = (logged.acc_bias, logged.gyro_bias, logged.delays)
@@ -249,8 +247,8 @@ class ImuReading:
                 force, rate = of_force.apply(force), of_rate.apply(rate)
             bias = logged.acc_bias * self.data.felt_force_kept
             self._of_kinematics[key] = {
-                "kinematic_force": split_columns(force + bias),
-                "kinematic_rate": split_columns(rate + logged.gyro_bias),
+                "kinematic_force": columns_of_rows(force + bias),
+                "kinematic_rate": columns_of_rows(rate + logged.gyro_bias),
             }
             while len(self._of_kinematics) > READINGS:
                 self._of_kinematics.popitem(last=False)

@@ -47,11 +47,11 @@ from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_mode
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import (
-    SensorDeviation,
+    SensorErrors,
     Tolerances,
     command_shift,
     joint_start,
-    sensor_deviation,
+    sensor_errors,
     vehicle_with_deviations,
 )
 
@@ -65,7 +65,7 @@ class _ModelQuery:
 
     model: Model  # One environment
     deviation: Tensor  # Deviations in standard deviations, (N,)
-    logged: SensorDeviation  # Sensor errors of these deviations
+    logged: SensorErrors  # Sensor errors of these deviations
     speeds: list[Array | None] | None  # Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed
 
 
@@ -91,7 +91,7 @@ class FlightBatch:
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
         self._replayed: list[tuple[list[Array | None], float, Columns]] = []
-        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
+        self._mean_flight_conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _LoadQuery | None = None
         self._params, self._in_step = params_from_robot(robot), None
 
@@ -100,7 +100,7 @@ class FlightBatch:
         """Return the predicted channels of each flight; read-only."""
         asked = self._make_query(params)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
-        rows = self._imu_readings(asked) if kinds.keys() - {"rotor_speed"} else {}
+        rows = self._imu_prediction(asked) if kinds.keys() - {"rotor_speed"} else {}
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
             rows["rotor_speed"] = self._rotor_speeds_in_band(asked.speeds, float(asked.logged.delays[0]))
@@ -111,7 +111,7 @@ class FlightBatch:
     def residual_inputs(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         asked = self._make_query(params)
-        condition = self._effect_condition(self._model_rows(asked), asked)
+        condition = self._effect_condition(self._model_in_every_row(asked), asked)
         rows = network_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self.data.lowpass_kept_rows(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
@@ -119,7 +119,7 @@ class FlightBatch:
     def load_links(self, params: ModelParams) -> list[LoadLink]:
         """Return the state of the load's link along each flight."""
         asked = self._make_query(params)
-        model = self._model_rows(asked)
+        model = self._model_in_every_row(asked)
         condition, remembered = self._effect_condition(model, asked), self._effect_memory(model, asked)
         hanging = self._load_query(model, condition, remembered, asked)
         load = self._load_replay.link_states(model, hanging.missed).numpy()
@@ -137,12 +137,12 @@ class FlightBatch:
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
             speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
-        logged = sensor_deviation(self.tolerances, deviation)
+        logged = sensor_errors(self.tolerances, deviation)
         return _ModelQuery(model=model, deviation=deviation, logged=logged, speeds=speeds)
 
-    def _imu_readings(self, asked: _ModelQuery) -> dict[str, Columns]:
+    def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
-        flown = self._model_rows(asked)
+        flown = self._model_in_every_row(asked)
         remembered = self._effect_memory(flown, asked)
         model, hubs = with_memory(flown, remembered), None
         if any(effect.needs_com for effect, _ in model.effects):
@@ -167,7 +167,7 @@ class FlightBatch:
     def _torque_noise_std(self) -> Tensor:
         """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 3)."""
         if self._in_step is None:
-            columns = self._imu_readings(self._make_query(self._params))["angular_acceleration"]
+            columns = self._imu_prediction(self._make_query(self._params))["angular_acceleration"]
             turning, parts = np.stack(columns, axis=1), []
             for flight, span in zip(self.data.flights, self.data.kept_spans, strict=True):
                 share = torque_gain_uncertainty(flight, self._declared, turning[span], self.data.bandwidth)
@@ -216,7 +216,7 @@ class FlightBatch:
             for name, parts in along.items()
         }
 
-    def _model_rows(self, asked: _ModelQuery) -> Model:
+    def _model_in_every_row(self, asked: _ModelQuery) -> Model:
         """Return the model in every row."""
         model = expand_model(asked.model, self.data.state["attitude"].shape[0])
         return add_known_wind(model, self.data.flights, self.data.flight)
@@ -242,17 +242,17 @@ class FlightBatch:
         pose_late = motion.new_tensor(self._imu.delays_on_prediction_clock(asked.logged)[3:])
         numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
         key = (at_origin, *_condition_key(model, at_origin=at_origin), numbers)
-        known = self._conditions.get(key)
+        known = self._mean_flight_conditions.get(key)
         if known is not None and known[0] is speeds:
-            self._conditions.move_to_end(key)
+            self._mean_flight_conditions.move_to_end(key)
             vehicle = replace(model.vehicle, com=known[1].vehicle.com) if at_origin else model.vehicle
             return adapt_condition(vehicle, known[1])
         speed, spin_up = self._rotor_speeds_and_accelerations(model, speeds, motion)
         make = condition_at_origin if at_origin else condition_in
         results = make(model, BodyState(rotor_speed=speed, **self._motion_state(asked)), spin_up)
-        self._conditions[key] = speeds, results
-        while len(self._conditions) > CONDITIONS:
-            self._conditions.popitem(last=False)
+        self._mean_flight_conditions[key] = speeds, results
+        while len(self._mean_flight_conditions) > CONDITIONS:
+            self._mean_flight_conditions.popitem(last=False)
         return results
 
     def _rotor_speeds_and_accelerations(

@@ -26,7 +26,7 @@ def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, b
 
     ``turning``: predicted angular acceleration in the band [rad/s²], body, (T, 3).
     """
-    noise, answer = _angular_noise_rms(flight, bandwidth), _rotor_response_rms(flight, declared, bandwidth)
+    noise, answer = _angular_acceleration_noise_rms(flight, bandwidth), _rotor_response_rms(flight, declared, bandwidth)
     if noise is None or answer is None or not len(turning):
         return np.zeros(3)
     moved = turning.std(axis=0)
@@ -34,7 +34,7 @@ def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, b
     return np.divide(seeming, moved**2, out=np.zeros(3), where=moved > 0.0)
 
 
-def _angular_noise_rms(flight: Flight, bandwidth: float) -> Array | None:
+def _angular_acceleration_noise_rms(flight: Flight, bandwidth: float) -> Array | None:
     """Return the RMS noise of the angular acceleration in the band [rad/s²], (3,); None if the log is too slow."""
     frequency, density = power_density(flight.ang_vel, flight.rate)
     level = noise_level(frequency, density, bandwidth, flight.rate)

@@ -121,14 +121,14 @@ def fit_flown_joints(robot: RobotCfg, motions: Sequence[JointMotion]) -> tuple[l
     """Return the fits of all passive joints to all flights, and findings on joints left out."""
     results, left_out = [], []
     for k, joint in enumerate(require_joints(robot).layout):
-        if reason := reason_against_fit(joint):
+        if reason := reason_against_fitting_joint(joint):
             left_out.append(reason)
         else:
             results.append(_fit_joint(joint, k, motions))
     return results, left_out
 
 
-def reason_against_fit(joint: JointCfg) -> Finding | None:
+def reason_against_fitting_joint(joint: JointCfg) -> Finding | None:
     """Return a finding on the reason why a joint cannot be fitted; None if it can."""
     if joint.drive is not None:
         return Finding("joint_driven", joint.name)

@@ -24,7 +24,12 @@ from aerial_gym.sim2real.logs.signals import num_edge_rows
 from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.joints.angle_logs import MATERIAL, JointResult, reason_against_fit, require_joints
+from aerial_gym.sim2real.teststand.joints.angle_logs import (
+    MATERIAL,
+    JointResult,
+    reason_against_fitting_joint,
+    require_joints,
+)
 from aerial_gym.sim2real.teststand.joints.joint_motion import SLOW
 from aerial_gym.sim2real.teststand.joints.joint_simulation import (
     CHANNELS,
@@ -61,7 +66,9 @@ def fit_hidden_joints(
     robot: RobotCfg, motions: Sequence[BodyMotion], *, bandwidth: float, progress: Progress = silent
 ) -> BodyMotionFit:
     """Return the fit of all joints to the body's motion in all flights."""
-    if left_out := [reason for joint in require_joints(robot).layout if (reason := reason_against_fit(joint))]:
+    if left_out := [
+        reason for joint in require_joints(robot).layout if (reason := reason_against_fitting_joint(joint))
+    ]:
         why = "has a drive, whose effort is not logged" if left_out[0].code == "joint_driven" else "creeps"
         raise ConfigError(
             "identify joints: without logged angles every joint must be passive and without creep, but "

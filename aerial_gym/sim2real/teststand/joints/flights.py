@@ -25,7 +25,7 @@ from aerial_gym.sim2real.teststand.joints.body_motion_fit import fit_hidden_join
 from aerial_gym.sim2real.teststand.joints.joint_motion import read_joint_motion
 from aerial_gym.sim2real.teststand.joints.joint_simulation import body_motion
 from aerial_gym.sim2real.teststand.report import ReportTable, Study
-from aerial_gym.sim2real.teststand.studies import change_text, interval_text
+from aerial_gym.sim2real.teststand.studies import interval_text, relative_change_text
 
 BANDWIDTH_HZ = 15.0
 """Default bandwidth of the identification [Hz]."""
@@ -45,7 +45,7 @@ class FlightJointStudy:
     left_out: tuple[Finding, ...]
 
     @property
-    def joint_changes(self) -> tuple[JointResult, ...]:
+    def joints_with_changes(self) -> tuple[JointResult, ...]:
         """Return the joints that differ from their declaration."""
         return tuple(joint for joint in self.joints if joint.changed)
 
@@ -67,9 +67,9 @@ class FlightJointStudy:
 
     def correct_robot(self, robot: RobotCfg, source: str) -> RobotCfg:
         """Return the robot with corrected joint springs."""
-        if robot.joints is None or not self.joint_changes:
+        if robot.joints is None or not self.joints_with_changes:
             return robot
-        springs = {joint.name: joint.spring for joint in self.joint_changes}
+        springs = {joint.name: joint.spring for joint in self.joints_with_changes}
         layout = tuple(replace(one, spring=springs.get(one.name, one.spring)) for one in robot.joints.layout)
         return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))
 
@@ -78,8 +78,8 @@ class FlightJointStudy:
         kind = judged.verdict.verdict
         verdict = replace(
             judged.verdict,
-            verdict="explained" if self.joint_changes and kind in NOTHING_NAMED else kind,
-            joint_findings=tuple(joint.finding for joint in self.joint_changes),
+            verdict="explained" if self.joints_with_changes and kind in NOTHING_NAMED else kind,
+            joint_findings=tuple(joint.finding for joint in self.joints_with_changes),
             joints=tuple(joint.as_mapping() for joint in self.joints),
             notes=(*self.notes, *judged.verdict.notes),
         )
@@ -88,7 +88,7 @@ class FlightJointStudy:
         )
 
 
-def find_joints(
+def fit_joints_to_flights(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float = BANDWIDTH_HZ, progress: Progress = silent
 ) -> FlightJointStudy:
     """Return the passive joints' parameters fitted to logs in the package's own layout."""
@@ -123,11 +123,11 @@ def _joint_result(robot: RobotCfg, joint: LogJointFit) -> JointResult:
 def study_flown_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float, progress: Progress = silent
 ) -> Study:
-    """Return a study of the passive joints' laws from flights; raises the errors of ``find_joints``."""
-    study = find_joints(robot, flights, bandwidth=bandwidth, progress=progress)
+    """Return a study of the passive joints' laws from flights; raises the errors of ``fit_joints_to_flights``."""
+    study = fit_joints_to_flights(robot, flights, bandwidth=bandwidth, progress=progress)
     names = ", ".join(path.name for path in flights)
     corrected = study.correct_robot(robot, f"aerial-gym identify joints: {names}")
-    changes = [f"{joint.name}: {name}" for joint in study.joint_changes for name in joint.changed]
+    changes = [f"{joint.name}: {name}" for joint in study.joints_with_changes for name in joint.changed]
     errors = "No log has joint angles: all joints are fitted to the motion of the body below the bandwidth"
     if study.logged:
         errors = "Errors are those of the joint effort below the bandwidth"
@@ -147,7 +147,7 @@ def _tables_with_angles(joints: Sequence[LogJointFit]) -> tuple[ReportTable, ...
     rows = []
     for joint in joints:
         before, after = joint.declared, joint.laws[joint.chosen].error
-        numbers = interval_text(before), interval_text(after), change_text(before.value, after.value)
+        numbers = interval_text(before), interval_text(after), relative_change_text(before.value, after.value)
         rows.append((joint.name, ", ".join(joint.changed) or "nothing", joint.chosen, *numbers))
     head = ("joint", "differs", "law", "declared, error [N m]", "fitted, held-out error [N m]", "change")
     return ReportTable("Joints", head, rows), *(_table_of_laws(joint) for joint in joints)
@@ -169,7 +169,7 @@ def _tables_without_angles(study: FlightJointStudy) -> tuple[ReportTable, ...]:
             declared, differs = f"{joint.declared[name]:.4g}", "yes" if name in joint.changed else "no"
             numbers.append((joint.name, name, declared, interval_text(value), differs))
     errors = [
-        (name, interval_text(before), interval_text(after), change_text(before.value, after.value))
+        (name, interval_text(before), interval_text(after), relative_change_text(before.value, after.value))
         for name, (before, after) in study.channels.items()
     ]
     head = ("channel [m/s², rad/s²]", "declared, error", "fitted, held-out error", "change")

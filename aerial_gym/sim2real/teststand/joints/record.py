@@ -150,7 +150,7 @@ def errors_by_span(time: Array, error: Array) -> dict[str, float]:
 
 def release_record(bench: Bench, *, release: float = 0.0) -> Release:
     """Return the record from the release time [s] on."""
-    time, angle = bench.values("time") - release, bench.values("angle")
+    time, angle = bench.values_of_quantity("time") - release, bench.values_of_quantity("angle")
     if np.any(np.diff(time) <= 0.0):
         raise DataError(f"{bench.path}: time does not increase; sort the rows, remove repeated ones")
     before = time < 0.0

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, flight_offsets
+from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, prior_of_flight_offsets
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
@@ -21,13 +21,13 @@ from aerial_gym.sim2real.judge.residual_excess import (
     ResidualExcess,
     find_residual_excess,
     is_material_excess,
-    model_with_best_deviations,
+    model_with_training_deviations,
 )
 from aerial_gym.sim2real.judge.whiteness import (
     WHITE,
     octave_ranges,
+    periodogram_of_flights,
     power_by_octave,
-    spectral_lines,
     whiteness_of_channels,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -104,7 +104,7 @@ def judge_flight(
     columns = [
         NuisanceColumns(kind=OF_FLIGHTS, channel=name, columns=[], size=size, most=most) for name, size in own.items()
     ]
-    offsets = flight_offsets(columns, channels, weights.weight)
+    offsets = prior_of_flight_offsets(columns, channels, weights.weight)
     chosen = replace(make_choice(make_fit()), weights=weights, tolerated=np.sqrt(squares))
     selection = make_selection(chosen, fit=fit, looked_for=looked_for, flight_offsets=offsets)
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
@@ -129,7 +129,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     fit = linearise_at_params(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
     weights = inverse_variance_weights(predictor.residuals(params))
     chosen = replace(make_choice(make_fit()), weights=weights)
-    selection = make_selection(chosen, flight_offsets=flight_offsets((), predictor.channels, weights.weight))
+    selection = make_selection(chosen, flight_offsets=prior_of_flight_offsets((), predictor.channels, weights.weight))
 
     def limit(std: float) -> np.ndarray:
         spread = make_spread(np.array([0]), np.zeros((1, 1)), np.array([[std**2]]))
@@ -208,7 +208,7 @@ def test_the_model_that_is_judged_has_the_parameters_of_the_robot_file() -> None
     jacobian = rng.standard_normal((500, 2, 7))
     residual = jacobian @ np.array([0.5, -0.3, 0.2, 1.0, 0.0, -1.0, 2.0]) + 0.1 * rng.standard_normal((500, 2))
     weight, written = np.array([2.0, 0.5]), ModelParams(effects={"rotor_drag": np.array([0.21, 0.2, 0.19])})
-    result = model_with_best_deviations(written, linear_fit(residual, jacobian, num_effect_params=3), weight)
+    result = model_with_training_deviations(written, linear_fit(residual, jacobian, num_effect_params=3), weight)
     assert result.effects is written.effects
     root = np.sqrt(weight)[None, :, None]
     columns, values = (jacobian[:, :, 3:] * root).reshape(-1, 4), (residual * root[:, :, 0]).reshape(-1)
@@ -294,11 +294,11 @@ def test_what_is_no_noise_is_told_and_where_it_lies(kind: str) -> None:
 def test_a_sine_lies_in_its_octave_with_its_power_and_gaps_split_flights() -> None:
     """``rows / 2`` of a sine of 4 Hz, undone for the gain of the low-pass there."""
     time = np.arange(300) / RATE
-    frequency, power = spectral_lines([time], [np.sin(2.0 * np.pi * 4.0 * time)[:, None]], BAND)
+    frequency, power = periodogram_of_flights([time], [np.sin(2.0 * np.pi * 4.0 * time)[:, None]], BAND)
     octaves = power_by_octave(frequency, power, BAND)[:, 0]
     gain = 1.0 / (1.0 + 0.4**8)
     np.testing.assert_allclose(octaves, [0.0, 0.0, 300 / 4 / gain**2, 0.0], atol=1e-9)
     assert octave_ranges(BAND)[2] == "2.5 to 5 Hz"
     jump = np.where(time < 5.0, time, time + 3.0)
-    split, _ = spectral_lines([jump], [np.ones((300, 1))], BAND)
+    split, _ = periodogram_of_flights([jump], [np.ones((300, 1))], BAND)
     assert split.min() == pytest.approx(RATE / 150)

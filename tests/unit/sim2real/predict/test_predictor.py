@@ -18,7 +18,7 @@ from aerial_gym.physics.rigid_body import ForceBreakdown, force_breakdown
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params, normal_equations
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params, normal_equations_without_prior
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -33,7 +33,7 @@ from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
     command_shift,
     joint_start,
-    sensor_deviation,
+    sensor_errors,
     vehicle_with_deviations,
 )
 from aerial_gym.sim2real.predict.windows import find_windows
@@ -341,7 +341,7 @@ def test_tolerances_change_what_they_say() -> None:
     assert off.battery[0].tolist() == pytest.approx([BATTERY.nominal_voltage * 0.997, *vehicle.battery[0, 1:].tolist()])
     for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0), ("joint_rest", -2.0)):
         deviation[names.index(name)] = size
-    logged = sensor_deviation(tolerances, deviation)
+    logged = sensor_errors(tolerances, deviation)
     force, rate = logged.acc_bias, logged.gyro_bias
     assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
     assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
@@ -448,7 +448,7 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
     fit = linearise_at_params(predictor, (), params, tolerance_jacobian(predictor, params))
     kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
     weight = inverse_variance_weights(predictor.residuals(params)).weight * kinematic
-    product, gradient = normal_equations(fit, weight)
+    product, gradient = normal_equations_without_prior(fit, weight)
     covariance = np.linalg.inv(product + np.eye(len(gradient)))
     place = [sizes.names(4).index(f"acc_scale_{axis}") for axis in "xyz"]
     results, std = (covariance @ gradient)[place], np.sqrt(np.diag(covariance)[place])

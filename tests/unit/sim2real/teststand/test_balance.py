@@ -22,7 +22,7 @@ from aerial_gym.sim2real.teststand.balance import (
     judge_balance,
     repeats_by_condition,
 )
-from aerial_gym.sim2real.teststand.causes import candidate_causes, cause_probabilities, experiments_for_causes
+from aerial_gym.sim2real.teststand.causes import candidate_causes, experiments_for_causes, prior_probabilities_of_causes
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
@@ -166,7 +166,7 @@ def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() 
 
 def test_what_many_candidates_share_is_one_half() -> None:
     causes = candidate_causes(ROBOT)
-    results = dict(zip([cause.name for cause in causes], cause_probabilities(causes), strict=True))
+    results = dict(zip([cause.name for cause in causes], prior_probabilities_of_causes(causes), strict=True))
     assert results["none"] == 0.5
     assert results["something else"] == pytest.approx(1.0 / 6.0)
     assert results["com_offset"] == pytest.approx(1.0 / 18.0)
@@ -199,14 +199,16 @@ def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
     noise = np.random.default_rng(10).standard_normal((13, 4))
     fit = fit_scatter(np.zeros(4), np.eye(4)[:, :2], pool_scatter([noise]), 1.0)
     t, q = 2.2281388519649385, 2.2281388519649385**2  # 12 - 2 = 10 degrees of freedom
-    plain = replace(fit, params=np.array([6.0, 2.0]), covariance=np.diag([4.0, 0.0])).ratio(0, 1)
+    plain = replace(fit, params=np.array([6.0, 2.0]), covariance=np.diag([4.0, 0.0])).ratio_of_parameters(0, 1)
     assert (plain.value, plain.low, plain.high) == pytest.approx((3.0, 3.0 - t, 3.0 + t))
-    even = replace(fit, params=np.array([10.0, 10.0]), covariance=np.eye(2)).ratio(0, 1)
+    even = replace(fit, params=np.array([10.0, 10.0]), covariance=np.eye(2)).ratio_of_parameters(0, 1)
     for end in (even.low, even.high):
         assert (10.0 - 10.0 * end) ** 2 == pytest.approx(q * (1.0 + end**2))
-    tied = replace(fit, params=np.array([30.0, 10.0]), covariance=np.array([[9.0, 3.0], [3.0, 1.0]])).ratio(0, 1)
+    tied = replace(
+        fit, params=np.array([30.0, 10.0]), covariance=np.array([[9.0, 3.0], [3.0, 1.0]])
+    ).ratio_of_parameters(0, 1)
     assert (tied.low, tied.high) == pytest.approx((3.0, 3.0), abs=1e-6)
-    assert replace(fit, params=np.array([6.0, 2.0]), covariance=np.eye(2)).ratio(0, 1) is None
+    assert replace(fit, params=np.array([6.0, 2.0]), covariance=np.eye(2)).ratio_of_parameters(0, 1) is None
 
 
 @pytest.mark.slow

@@ -38,8 +38,14 @@ from aerial_gym.sim2real.teststand.statistics import (
     hc3_covariance,
     smallest_good_candidate,
 )
-from aerial_gym.sim2real.teststand.step import StepRecord, fit_steps, speed_error_after_step, speed_of_law, step_record
-from aerial_gym.sim2real.teststand.studies import joint_text, rotor_changes
+from aerial_gym.sim2real.teststand.step import (
+    StepRecord,
+    difference_to_command_after_step,
+    fit_steps,
+    speed_of_law,
+    step_record,
+)
+from aerial_gym.sim2real.teststand.studies import joint_law_yaml, rotor_changes
 from aerial_gym.sim2real.teststand.tables import read_columns
 
 Array = NDArray[np.float64]
@@ -208,8 +214,8 @@ def test_lag_with_a_slew_limit_solves_its_equation(error: float, tau: float, sle
         return -np.sign(e) * np.minimum(np.abs(e) / tau, slew)
 
     result = solve_ivp(motion, (0.0, 0.3), [error], t_eval=since, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(speed_error_after_step(error, tau, slew, since), result.y[0], atol=1e-5)
-    assert speed_error_after_step(error, tau, slew, np.array([-0.01]))[0] == error
+    np.testing.assert_allclose(difference_to_command_after_step(error, tau, slew, since), result.y[0], atol=1e-5)
+    assert difference_to_command_after_step(error, tau, slew, np.array([-0.01]))[0] == error
 
 
 LEVELS = (300.0, 1500.0, 400.0, 2000.0, 900.0, 1700.0, 250.0, 1200.0)
@@ -301,12 +307,12 @@ def test_elements_of_a_power_law_relax_by_a_power() -> None:
 
 def test_a_joint_file_lists_the_elements_that_a_robot_file_has() -> None:
     power = {"stiffness": 1000.0, "damping": 60.0, "rest": 0.1, "creep": 400.0, "exponent": 0.43, "release": 0.002}
-    written = yaml.safe_load(joint_text("linear spring, power-law creep", power))["joint"]
+    written = yaml.safe_load(joint_law_yaml("linear spring, power-law creep", power))["joint"]
     assert "release" not in written
     assert written["creep"] == 400.0
     creep = SpringCfg(stiffness=1.0, creep=tuple(CreepCfg(**element) for element in written["elements"])).creep
     np.testing.assert_allclose([one.stiffness for one in creep], creep_elements(power)[0], rtol=1e-5)
-    assert "elements" not in joint_text("linear spring", {"stiffness": 1000.0, "damping": 60.0, "rest": 0.1})
+    assert "elements" not in joint_law_yaml("linear spring", {"stiffness": 1000.0, "damping": 60.0, "rest": 0.1})
 
 
 def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -> None:

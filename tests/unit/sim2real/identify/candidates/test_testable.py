@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     _flight_offset_columns,
-    flight_offsets,
-    largest_flight_offsets,
+    limits_of_flight_offsets,
+    prior_of_flight_offsets,
 )
 from aerial_gym.sim2real.identify.candidates.structure import find_structure
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect, parameters_at_bounds
-from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerance_rms
+from aerial_gym.sim2real.identify.least_squares.derivatives import rms_caused_by_tolerances, tolerance_jacobian
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
@@ -94,7 +94,7 @@ def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_
         assert not columns.dense_columns((1,)).any()
         assert columns.values.shape == (40, 1, 1)  # no zeros are kept
     weight = np.array([1.0, 2.0, 3.0])
-    own = flight_offsets(result, CHANNELS, weight)
+    own = prior_of_flight_offsets(result, CHANNELS, weight)
     np.testing.assert_allclose(own.size, [0.2, 0.5, 0.0])
     np.testing.assert_allclose(own.most, [1.0, 0.5, 0.0])
 
@@ -112,7 +112,7 @@ def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
         predictor = make_predictor([flown])
         channels = predictor.channels
         tolerance = tolerance_jacobian(predictor, params_from_robot(ROBOT))
-        result = largest_flight_offsets(predictor, tolerance_rms(tolerance, ROBOT.num_rotors))
+        result = limits_of_flight_offsets(predictor, rms_caused_by_tolerances(tolerance, ROBOT.num_rotors))
         sizes[name] = dict(zip((channel.name for channel in channels), result, strict=True))
     assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
     assert sizes["derived"]["specific_force.x"] == 0.0

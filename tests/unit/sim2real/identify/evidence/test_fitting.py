@@ -133,7 +133,7 @@ def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two
     columns = rng.normal(size=(50, size))
     sums = normal(columns, columns @ np.full(size, 0.02) + 1e-3 * rng.normal(size=50))
     sets = SetPosterior(candidates=candidates(size, names=(name,)), normal=sums)
-    assert len(FitStub().fit_starts(library, sets, (0,))) == count
+    assert len(FitStub().start_models_of_fit(library, sets, (0,))) == count
 
 
 Array = NDArray[np.float64]
@@ -167,8 +167,8 @@ def test_overdispersion_is_the_variance_between_flights_over_that_of_noise(sprea
 def test_a_distance_counts_over_the_larger_of_two_variances() -> None:
     """Log odds of 90 of which 100 are the distance's: over four times the variance it is 25; flights never add to it."""
     one = Support(log_odds=90.0, wald=200.0, overdispersion=4.0, size=1)
-    assert one.robust_log_odds == pytest.approx(15.0)
-    assert replace(one, overdispersion=0.2).robust_log_odds == 90.0
+    assert one.log_odds_with_overdispersion == pytest.approx(15.0)
+    assert replace(one, overdispersion=0.2).log_odds_with_overdispersion == 90.0
     assert one.is_supported
     assert not replace(one, overdispersion=20.0).is_supported
 

@@ -18,10 +18,10 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     correct_derivatives,
     effect_jacobian,
+    rms_caused_by_tolerances,
     tolerance_jacobian,
-    tolerance_rms,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import least_weighted_squares
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import least_cost_over_nuisances
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 from aerial_gym.sim2real.identify.least_squares.parameters import parameter_bounds, parameter_scales
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -58,7 +58,7 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
         return [np.full((5, 1), float(sizes @ d))]
 
     tolerance = tolerance_jacobian(PredictorStub(predict, robot=ROBOT), ModelParams(effects={}))
-    result = tolerance_rms(tolerance, 4)
+    result = rms_caused_by_tolerances(tolerance, 4)
     assert result == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(is_tolerance_of_logs(4)))))
 
 
@@ -187,8 +187,8 @@ def test_a_misfit_is_the_least_of_weighted_squares_and_prior() -> None:
     values = np.concatenate([(r * root).reshape(-1) for r in own.residuals])
     system, right = np.vstack((rows, np.eye(7))), np.append(values, np.zeros(7))
     step = np.linalg.lstsq(system, right, rcond=None)[0]
-    assert least_weighted_squares(beside, own.residuals) == pytest.approx(
+    assert least_cost_over_nuisances(beside, own.residuals) == pytest.approx(
         float(((right - system @ step) ** 2).sum()), rel=1e-10
     )
     own.residuals[1][7, 1] = np.nan
-    assert least_weighted_squares(beside, own.residuals) == np.inf
+    assert least_cost_over_nuisances(beside, own.residuals) == np.inf

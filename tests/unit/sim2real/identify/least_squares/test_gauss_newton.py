@@ -10,11 +10,11 @@ from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    FitGoal,
     ModelFit,
-    best_step,
+    StopRule,
     fit_effects,
-    least_weighted_squares,
+    least_cost_over_nuisances,
+    least_squares_step_in_bounds,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import (
     block_length,
@@ -79,11 +79,17 @@ def test_the_best_step_solves_least_squares_and_respects_bounds() -> None:
     full, sums = np.append(truth, np.zeros(NUM_TOLERANCES)), fit.moments
     noise_free = replace(sums, square=np.einsum("bckl,k,l->bc", sums.product, full, full), gradient=sums.product @ full)
     exact = replace(fit, moments=noise_free)
-    np.testing.assert_allclose(best_step(exact, np.ones(CHANNELS), exact.free_effect_params)[:3], truth, atol=1e-5)
+    np.testing.assert_allclose(
+        least_squares_step_in_bounds(exact, np.ones(CHANNELS), exact.indices_of_fitted_effect_params)[:3],
+        truth,
+        atol=1e-5,
+    )
     bounded = replace(exact, low=np.array([0.0, 0.0, 0.0, -3.0, -3.0]))
-    result = best_step(bounded, np.ones(CHANNELS), bounded.free_effect_params)
+    result = least_squares_step_in_bounds(bounded, np.ones(CHANNELS), bounded.indices_of_fitted_effect_params)
     fixed = replace(exact, frozen=frozenset({(EFFECT, 1)}))
-    np.testing.assert_allclose(result, best_step(fixed, np.ones(CHANNELS), fixed.free_effect_params), atol=1e-9)
+    np.testing.assert_allclose(
+        result, least_squares_step_in_bounds(fixed, np.ones(CHANNELS), fixed.indices_of_fitted_effect_params), atol=1e-9
+    )
 
 
 def test_squares_after_a_step_are_those_of_the_rows() -> None:
@@ -180,31 +186,31 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
 
 def worth(fit: ModelFit) -> float:
     """Return the log likelihood of the linear model about a fit where it is best."""
-    step = best_step(fit, np.ones(1), fit.free_params)
+    step = least_squares_step_in_bounds(fit, np.ones(1), fit.indices_of_fitted_params)
     gradient, product = fit.moments.gradient.sum(axis=(0, 1)), fit.moments.product.sum(axis=(0, 1))
     return float(gradient @ step - 0.5 * step @ product @ step) - 0.5 * float(fit.moments.square.sum())
 
 
-def fit_exponential(goal: FitGoal) -> tuple[ModelFit, float, float, int]:
+def fit_exponential(rule: StopRule) -> tuple[ModelFit, float, float, int]:
     """Return a fit from zero, its log likelihood, what it may have missed at most, and its predictions."""
     predictor, _ = exponential(4, 0.3)
     sums = nuisance_sums(predictor, 1e3)
-    fit, _, more = fit_effects(predictor, (WIND,), ModelParams(effects={WIND: np.zeros(3)}), sums, goal=goal)
+    fit, _, more = fit_effects(predictor, (WIND,), ModelParams(effects={WIND: np.zeros(3)}), sums, rule=rule)
     count = predictor.calls
-    return fit, -0.5 * least_weighted_squares(sums, predictor.residuals(fit.params)), more, count
+    return fit, -0.5 * least_cost_over_nuisances(sums, predictor.residuals(fit.params)), more, count
 
 
 def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -> None:
-    _, reached, _, whole = fit_exponential(FitGoal())
-    fit, nowhere, more, few = fit_exponential(FitGoal(worth=worth, least=reached + 1e5))
+    _, reached, _, whole = fit_exponential(StopRule())
+    fit, nowhere, more, few = fit_exponential(StopRule(worth=worth, least=reached + 1e5))
     assert worth(fit) + more > reached > nowhere
     assert few < whole / 2
-    assert fit_exponential(FitGoal(worth=worth, least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
+    assert fit_exponential(StopRule(worth=worth, least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
 
 
 def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -> None:
-    _, reached, _, whole = fit_exponential(FitGoal())
-    fit, _, _, few = fit_exponential(FitGoal(enough=5.0))
+    _, reached, _, whole = fit_exponential(StopRule())
+    fit, _, _, few = fit_exponential(StopRule(enough=5.0))
     assert few < whole
     assert worth(fit) == pytest.approx(reached, abs=0.5)
 
@@ -216,9 +222,9 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
     for enough in (10.0, 0.0):
         taken = []
         monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
-        goal = FitGoal(enough=enough)
+        rule = StopRule(enough=enough)
         fit, _, more = fit_effects(
-            predictor, (WIND,), start, nuisance_sums(predictor, 1e3), derivatives=near, goal=goal
+            predictor, (WIND,), start, nuisance_sums(predictor, 1e3), derivatives=near, rule=rule
         )
         anew.append(len(taken))
         worths.append(worth(fit))

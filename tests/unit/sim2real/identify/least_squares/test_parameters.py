@@ -11,7 +11,7 @@ from aerial_gym.sim2real.identify.least_squares import box_minimum
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_number,
+    is_continuous_parameter,
     parameter_bounds,
     parameter_row,
     parameter_scales,
@@ -31,7 +31,7 @@ def test_parameters_stand_in_the_order_of_the_effects_that_are_requested() -> No
     assert parameter_row(POINT, ()).size == 0
     low, high = parameter_bounds(ROBOT, EFFECTS)
     assert parameter_scales(EFFECTS).shape == low.shape == high.shape == (5,)
-    assert [is_number("weak_motor", place) for place in (0, 1)] == [False, True]
+    assert [is_continuous_parameter("weak_motor", place) for place in (0, 1)] == [False, True]
 
 
 def test_others_are_held_within_their_bounds_and_leave_the_rest_alone() -> None:

@@ -107,7 +107,7 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
     assert result.effects == ("constant_wind",)
     assert names_of_ties("constant_wind", result) == []
     (rival,) = result.effect_rivals("constant_wind")
-    assert (rival.effect, rival.wider, rival.is_distinct) == ("wind_shear", True, False)
+    assert (rival.effect, rival.wider, rival.is_clearly_less_probable) == ("wind_shear", True, False)
     assert result.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
 
 
@@ -123,9 +123,9 @@ def test_rivals_are_the_best_sets_with_another_effect_in_the_place_of_a_named_on
     ]
     result = make_selection(make_choice(best, *rest))
     (drag,), (offset,) = result.effect_rivals("rotor_drag"), result.effect_rivals("com_offset")
-    assert (drag.effect, drag.log_odds, drag.is_distinct) == ("quadratic_drag", -2.0, False)
+    assert (drag.effect, drag.log_odds, drag.is_clearly_less_probable) == ("quadratic_drag", -2.0, False)
     assert drag.fitted is rest[0]
-    assert (offset.effect, offset.log_odds, offset.is_distinct) == ("motor_tilt", -4.0, True)
+    assert (offset.effect, offset.log_odds, offset.is_clearly_less_probable) == ("motor_tilt", -4.0, True)
     assert [rival.effect for rival in result.effect_ties("rotor_drag")] == ["quadratic_drag"]
     assert result.effect_ties("com_offset") == []
 
@@ -134,7 +134,7 @@ def test_a_wider_case_is_a_rival_and_no_tie() -> None:
     best, wide = make_fit("constant_wind", log=-10.0), make_fit("wind_shear", log=-9.5)
     result = make_selection(make_choice(best, wide))
     (rival,) = result.effect_rivals("constant_wind")
-    assert (rival.effect, rival.wider, rival.is_distinct) == ("wind_shear", True, False)
+    assert (rival.effect, rival.wider, rival.is_clearly_less_probable) == ("wind_shear", True, False)
     assert result.effect_ties("constant_wind") == []
     (narrow,) = make_selection(make_choice(wide, best)).effect_ties("wind_shear")
     assert (narrow.effect, narrow.wider) == ("constant_wind", False)

@@ -155,7 +155,7 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turn
     fitters = [Refits() for _ in fits]
     climber = SearchStub()
     climber.fitter_at_model = lambda params, _: about.append(params) or fitters[len(about)]
-    result, fitter = climber.relinearise(fits[0], fitters[0])
+    result, fitter = climber.refit_about_own_model(fits[0], fitters[0])
     assert result is fits[turns]
     assert fitter is fitters[turns]
     for params, one in zip(about, fits[:number], strict=True):

@@ -17,12 +17,12 @@ from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     WindSeries,
     axis_covariances,
+    covariance_of_filtered_process,
     fit_process,
     log_likelihoods,
     p_value_of_autocorrelation,
     p_value_of_noise,
     p_values_of_rivals,
-    process_covariance,
     std_of_logarithms,
     whiten_rows,
 )
@@ -69,7 +69,7 @@ def test_the_covariance_is_that_of_the_spectrum_below_the_band(corr_time: float)
 
     lags = np.array([0.0, 0.1, 0.5])
     expected = [integrate.quad(density, 0.0, 30.0, args=(lag,), limit=400)[0] for lag in lags]
-    np.testing.assert_allclose(process_covariance(corr_time, BAND, lags), expected, atol=2e-3)
+    np.testing.assert_allclose(covariance_of_filtered_process(corr_time, BAND, lags), expected, atol=2e-3)
 
 
 def test_std_and_correlation_time_are_found_within_their_spread() -> None:
@@ -149,7 +149,7 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     for value, truth, spread in zip(result.params().values(), (1.2, 1.0), result.spread, strict=True):
         assert abs(np.log(value / truth)) < 3.0 * spread
     added = result.channel_rms(predictor, DRAGGED)[:3]
-    share = np.sqrt(process_covariance(result.corr_time, BAND, np.zeros(1))[0])
+    share = np.sqrt(covariance_of_filtered_process(result.corr_time, BAND, np.zeros(1))[0])
     expected = result.std * np.array([0.5, 0.4, 0.3]) * share
     np.testing.assert_allclose(added, expected, rtol=1e-6)
     named = result.as_effect(ROBOT)

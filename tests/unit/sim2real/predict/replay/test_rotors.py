@@ -12,7 +12,7 @@ from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.battery import add_battery_estimate
+from aerial_gym.sim2real.identify.battery import robot_with_estimated_battery
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
@@ -250,7 +250,7 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
         flight_from_commands(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
         for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
     ]
-    battery = add_battery_estimate(ROBOT, flights).battery
+    battery = robot_with_estimated_battery(ROBOT, flights).battery
     slope = (battery.full_voltage - battery.empty_voltage) / battery.capacity
     assert battery.internal_resistance == pytest.approx(0.05, rel=0.1)
     assert slope == pytest.approx(1e-3, rel=0.1)
@@ -261,16 +261,16 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
 
 def test_no_battery_is_made_up(tmp_path: Path) -> None:
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
-    assert add_battery_estimate(POWERED, [result]) == POWERED
+    assert robot_with_estimated_battery(POWERED, [result]) == POWERED
     for poor in (replace(result, battery=None), replace(result, battery=np.full(result.num_rows, 16.0))):
-        assert add_battery_estimate(ROBOT, [result, poor] if poor.battery is None else [poor]) == ROBOT
-    assert add_battery_estimate(ROBOT, [replace(result, rotor_command=None)]) == ROBOT
+        assert robot_with_estimated_battery(ROBOT, [result, poor] if poor.battery is None else [poor]) == ROBOT
+    assert robot_with_estimated_battery(ROBOT, [replace(result, rotor_command=None)]) == ROBOT
 
 
 def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
     for flown in (result, replace(result, rotor_speed=None)):
-        battery = add_battery_estimate(ROBOT, [flown]).battery
+        battery = robot_with_estimated_battery(ROBOT, [flown]).battery
         assert battery.nominal_voltage == pytest.approx(result.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
         assert "highest voltage seen" in battery.source
 
