@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 
-Progress = Callable[[str, float], None]
-"""Called with the current stage and the completed share of the work."""
+Progress = Callable[[str, float], None]  # Called with the current stage and the completed share of the work
 
 
 def silent(stage: str, share: float) -> None:

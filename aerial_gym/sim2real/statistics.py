@@ -15,8 +15,7 @@ from aerial_gym.sim2real.arrays import Array, Indices
 
 RESAMPLES = 2000
 
-FALSE_ALARM_HOURS = 100.0
-"""Mean flight time between two false alarms of a detector [h], under its noise model."""
+FALSE_ALARM_HOURS = 100.0  # Mean flight time between two false alarms of a detector [h], under its noise model
 
 
 def normal_tail(value: float) -> float:
@@ -185,11 +184,8 @@ def bin_means(values: Array, place: Indices, bins: int, group: Indices) -> BinMe
     return BinMeans(count=total, mean=mean, std_error=std_error, groups=groups)
 
 
-DOUBTFUL = 0.2
-"""Significance level at which flights count as scattering more than their blocks explain."""
-
-FEWEST_FLIGHTS = 3
-"""Least number of flights for an estimate of their scatter."""
+DOUBTFUL = 0.2  # Significance level at which flights count as scattering more than their blocks explain
+FEWEST_FLIGHTS = 3  # Least number of flights for an estimate of their scatter
 
 
 def half_width_of_scatter(blocks: Array, num_blocks: int, flights: Array | None, num_flights: int) -> Array:

@@ -24,11 +24,8 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import RolloutErrors, rollout_errors_of_models
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
-MOST_WEIGHED = 8
-"""Largest number of rivals that an ablation lists, the most probable first."""
-
-JUDGED_S = (0.5, 1.0)
-"""Rollout horizons [s] at which an effect can be material."""
+MOST_WEIGHED = 8  # Largest number of rivals that an ablation lists, the most probable first
+JUDGED_S = (0.5, 1.0)  # Rollout horizons [s] at which an effect can be material
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,8 @@ from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
-MOST_GAINS = 2
-"""Largest number of errors that the gain names."""
-
-GAIN_HORIZON_S = 1.0
-"""Horizon of the rollout that the gain may name [s]."""
+MOST_GAINS = 2  # Largest number of errors that the gain names
+GAIN_HORIZON_S = 1.0  # Horizon of the rollout that the gain may name [s]
 
 
 def answer_parts(verdict: Verdict) -> dict[str, tuple[Finding, ...]]:

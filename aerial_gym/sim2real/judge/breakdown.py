@@ -21,11 +21,8 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
-ACTS_FROM = 0.75
-"""An effect acts in the rows in which its contribution is above this quantile."""
-
-ROLLOUT_S = 1.0
-"""Rollout horizon that the table by flight shows [s]."""
+ACTS_FROM = 0.75  # An effect acts in the rows in which its contribution is above this quantile
+ROLLOUT_S = 1.0  # Rollout horizon that the table by flight shows [s]
 
 
 @dataclass(frozen=True)

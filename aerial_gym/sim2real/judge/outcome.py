@@ -15,8 +15,7 @@ from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 BETTER, SAME, WORSE, NOT_SHOWN = "better", "same", "worse", "not shown"
 
-NOTHING_NAMED = ("none", NOT_SHOWN)
-"""Verdicts that name no effect."""
+NOTHING_NAMED = ("none", NOT_SHOWN)  # Verdicts that name no effect
 
 
 @dataclass(frozen=True, kw_only=True)

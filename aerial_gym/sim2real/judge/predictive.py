@@ -30,11 +30,8 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import ratio_quantile
 
-MANY = 1e9
-"""Degrees of freedom that stand for a known variance."""
-
-PASSES = 3
-"""Iterations between the fit and the channel weights from its residual on the test flights."""
+MANY = 1e9  # Degrees of freedom that stand for a known variance
+PASSES = 3  # Iterations between the fit and the channel weights from its residual on the test flights
 
 
 def largest_open_squares(

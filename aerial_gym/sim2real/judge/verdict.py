@@ -32,8 +32,7 @@ from aerial_gym.sim2real.judge.whiteness import Whiteness
 from aerial_gym.sim2real.logs.rotor_model import place_of_rotor
 
 MOST_CONFIDENT = 0.9999
-LEAST_SHOWN = 0.05
-"""Smallest probability at which a report lists an effect under ``inclusion``."""
+LEAST_SHOWN = 0.05  # Smallest probability at which a report lists an effect under ``inclusion``
 
 
 @dataclass(frozen=True, kw_only=True)

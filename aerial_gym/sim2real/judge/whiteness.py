@@ -19,14 +19,12 @@ from aerial_gym.sim2real.predict.channels import Channel
 EDGES = (0.0, 0.125, 0.25, 0.5, 1.0)
 """Edges of the octaves as shares of the bandwidth; the lowest octave extends down to zero."""
 
-FEWEST_ROWS = 64
-"""Fewest rows of a span without a gap that enters the spectrum."""
+FEWEST_ROWS = 64  # Fewest rows of a span without a gap that enters the spectrum
 
 DIFFERENTIATED = ("angular_acceleration", "kinematic_force")
 """Kinds of channel that are derivatives of a reading: white noise of the sensor grows with the square of the frequency."""
 
-WHITE = 0.01
-"""Smallest p-value at which a residual counts as white."""
+WHITE = 0.01  # Smallest p-value at which a residual counts as white
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,21 +11,13 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
 
-INCH = 900
-"""Drawing units per inch: tenths of a pixel."""
-
-POINT = INCH / 72
-"""Drawing units per point, the unit of text and line widths."""
-
-LEFT, RIGHT, TOP, BOTTOM = 0.62, 0.12, 0.3, 0.4
-"""Figure margins [in]."""
-
-MARGIN = 0.05
-"""Extension of an axis beyond its data on either side, as a share."""
+INCH = 900  # Drawing units per inch: tenths of a pixel
+POINT = INCH / 72  # Drawing units per point, the unit of text and line widths
+LEFT, RIGHT, TOP, BOTTOM = 0.62, 0.12, 0.3, 0.4  # Figure margins [in]
+MARGIN = 0.05  # Extension of an axis beyond its data on either side, as a share
 
 MOST_TICKS = 6
-LETTER = 0.6
-"""Mean letter width relative to the font size."""
+LETTER = 0.6  # Mean letter width relative to the font size
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,14 +21,9 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report.canvas import Panel, panels
 
-MOST_CHANNELS = 4
-"""Number of plotted channels per parameter, the most informative ones."""
-
-LEAST_TOLD = 0.02
-"""Least share of a parameter's information in a channel of the table."""
-
-MOST_POINTS = 1200
-"""Most points per channel."""
+MOST_CHANNELS = 4  # Number of plotted channels per parameter, the most informative ones
+LEAST_TOLD = 0.02  # Least share of a parameter's information in a channel of the table
+MOST_POINTS = 1200  # Most points per channel
 
 COLOURS = ("#b0413e", "#d99036", "#4f8f5b", "#7a5ca8")
 LINE = "#1f4e79"

@@ -19,11 +19,8 @@ from aerial_gym.sim2real.report import plots
 from aerial_gym.sim2real.report.evidence import ParameterEvidence, evidence_figure, parameter_evidence
 from aerial_gym.sim2real.report.profiles import Profile, profile_quantities
 
-MOST_REJECTED = 2
-"""Number of rejected effects whose evidence is plotted if none is accepted."""
-
-MOST_REMAINING = 3
-"""Number of channels whose final residual is plotted."""
+MOST_REJECTED = 2  # Number of rejected effects whose evidence is plotted if none is accepted
+MOST_REMAINING = 3  # Number of channels whose final residual is plotted
 
 VARIANTS = {
     "free": "Everything simulated from the measured state at the start of a window",

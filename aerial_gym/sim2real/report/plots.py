@@ -24,11 +24,8 @@ SHOWN_KINDS = ("specific_force", "angular_acceleration", "rotor_speed")
 FLIGHTS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
 """Colours of flights, repeated in order."""
 
-SEGMENT_S = 8.0
-"""Segment length of a spectrum [s]."""
-
-TRACE_S = 5.0
-"""Duration of the detailed trace [s]."""
+SEGMENT_S = 8.0  # Segment length of a spectrum [s]
+TRACE_S = 5.0  # Duration of the detailed trace [s]
 
 
 @dataclass(frozen=True)
@@ -135,8 +132,7 @@ def residual_figure(parts: Sequence[FlightResidual], channel: Channel) -> str:
     return figure.svg()
 
 
-PLACES = ("x [m]", "y [m]", "height [m]")
-"""Quantities against which forces are plotted in world axes."""
+PLACES = ("x [m]", "y [m]", "height [m]")  # Quantities against which forces are plotted in world axes
 
 
 def _draw_means_by_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) -> None:

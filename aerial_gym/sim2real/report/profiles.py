@@ -23,14 +23,9 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import BinMeans, bin_means
 
-BINS = 12
-"""Number of bins of equal count."""
-
-LABELS = {"declared": "before", "corrected": "after"}
-"""Column names of the models."""
-
-FEWEST_ROWS = 5
-"""Least number of rows in a plotted bin."""
+BINS = 12  # Number of bins of equal count
+LABELS = {"declared": "before", "corrected": "after"}  # Column names of the models
+FEWEST_ROWS = 5  # Least number of rows in a plotted bin
 
 
 @dataclass(frozen=True, kw_only=True)

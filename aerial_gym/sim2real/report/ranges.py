@@ -9,8 +9,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 
-WIDEST = 4.0
-"""Truncation of the distributions in standard deviations; one draw in 16,000 lies beyond."""
+WIDEST = 4.0  # Truncation of the distributions in standard deviations; one draw in 16,000 lies beyond
 
 
 def uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, RandomizeCfg]:

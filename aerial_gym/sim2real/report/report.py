@@ -38,11 +38,8 @@ from aerial_gym.sim2real.report.tables import (
 )
 from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
-SHOWN_RIVALS = 3
-"""Number of rivals that are not folded."""
-
-MOST_SETS = 5
-"""Number of listed sets of effects, the most probable ones."""
+SHOWN_RIVALS = 3  # Number of rivals that are not folded
+MOST_SETS = 5  # Number of listed sets of effects, the most probable ones
 
 TEMPLATES = Path(__file__).parent / "templates"
 

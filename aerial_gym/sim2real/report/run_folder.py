@@ -12,8 +12,7 @@ from pathlib import Path
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import DataError
 
-RECORD = "run.json"
-"""File name of the record, which also marks a folder as the output of a run."""
+RECORD = "run.json"  # File name of the record, which also marks a folder as the output of a run
 
 
 def check_out_dir(out_dir: Path) -> None:

@@ -17,11 +17,8 @@ from aerial_gym.sim2real.statistics import Rise, Rms
 from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import error_name, number_text
 
-SHOWN_NOTES = 5
-"""Number of notes that are not folded, the most important ones."""
-
-MOST_PERCENT = 3.0
-"""Rise above which it is written as a factor."""
+SHOWN_NOTES = 5  # Number of notes that are not folded, the most important ones
+MOST_PERCENT = 3.0  # Rise above which it is written as a factor
 
 
 def parameter_rows(judged: LoopResult) -> list[dict[str, object]]:

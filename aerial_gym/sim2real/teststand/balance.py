@@ -34,8 +34,7 @@ from aerial_gym.sim2real.teststand.statistics import Estimate, rms
 SIGNIFICANCE = 0.01
 """Error probability of the set of remaining causes, and significance level for differences between logs."""
 
-SAME_HEIGHT = 0.15
-"""Largest height difference [m] from the median; windows beyond it are take-off, landing and moves."""
+SAME_HEIGHT = 0.15  # Largest height difference [m] from the median; windows beyond it are take-off, landing and moves
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 
-ROTORS = 4
-"""Required number of rotors; with more, the mixer determines the distribution of thrust."""
+ROTORS = 4  # Required number of rotors; with more, the mixer determines the distribution of thrust
 
 
 @dataclass(frozen=True)

@@ -26,17 +26,10 @@ from aerial_gym.sim2real.teststand.statistics import (
     rms,
 )
 
-WINDOW_S = 0.5
-"""Length of the averaging windows [s]."""
-
-SLOWEST = 0.4
-"""Largest speed [m/s] at hover; linear drag of 0.5 m/s² per m/s is then below 2 % of the weight."""
-
-LARGEST_TILT = 0.15
-"""Largest tilt [rad] at hover; thrust then exceeds the weight by at most 1.2 %, which is corrected."""
-
-FASTEST_TURN = 1.0
-"""Largest angular velocity [rad/s] at hover."""
+WINDOW_S = 0.5  # Length of the averaging windows [s]
+SLOWEST = 0.4  # Largest speed [m/s] at hover; linear drag of 0.5 m/s² per m/s is then below 2 % of the weight
+LARGEST_TILT = 0.15  # Largest tilt [rad] at hover; thrust then exceeds the weight by at most 1.2 %, which is corrected
+FASTEST_TURN = 1.0  # Largest angular velocity [rad/s] at hover
 
 FEWEST_WINDOWS = 4
 

@@ -91,8 +91,7 @@ def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -
     return ScatterFit(params, bread * (share + still) / freedom, freedom, misfit, spread)
 
 
-NODES = 32
-"""Nodes of each of the two evidence integrals; twice as many change no probability by 0.001."""
+NODES = 32  # Nodes of each of the two evidence integrals; twice as many change no probability by 0.001
 
 
 def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) -> float:

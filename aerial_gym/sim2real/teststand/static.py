@@ -36,8 +36,7 @@ MAPS: dict[str, tuple[int, ...]] = {
 BEYOND = {"w³, w² and w": (3, 2, 1)}
 """A map that no robot file supports; a much smaller error of it shows that second order is insufficient."""
 
-STALLED = 0.02
-"""Least thrust, relative to the highest, at which a speed of 0 indicates a failed speed sensor."""
+STALLED = 0.02  # Least thrust, relative to the highest, at which a speed of 0 indicates a failed speed sensor
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,11 +12,8 @@ from scipy import optimize, stats
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.statistics import Estimate, Rms, rms_with_interval
 
-PARSIMONY = 0.02
-"""Largest relative excess of the held-out error for which a law with fewer parameters is chosen."""
-
-FOLDS = 5
-"""Number of folds of a single flight."""
+PARSIMONY = 0.02  # Largest relative excess of the held-out error for which a law with fewer parameters is chosen
+FOLDS = 5  # Number of folds of a single flight
 
 
 def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
@@ -68,8 +65,7 @@ def leverage(regressors: Array) -> Array:
     return (q * q).sum(axis=1)
 
 
-LONGEST_MEMORY = 0.97
-"""Largest AR(1) coefficient for the prewhitening of scores (Andrews, Monahan 1992, section 3)."""
+LONGEST_MEMORY = 0.97  # Largest AR(1) coefficient for the prewhitening of scores (Andrews, Monahan 1992, section 3)
 
 
 def hc3_covariance(regressors: Array, residual: Array) -> Array:

@@ -24,11 +24,8 @@ from aerial_gym.sim2real.teststand.statistics import (
 )
 from aerial_gym.sim2real.teststand.tables import Bench
 
-SHORTEST_STEP = 5
-"""Least number of rows per step for a time constant."""
-
-NO_LIMIT = 1e9
-"""Slew limit that stands for none [rad/s²]."""
+SHORTEST_STEP = 5  # Least number of rows per step for a time constant
+NO_LIMIT = 1e9  # Slew limit that stands for none [rad/s²]
 
 BOUNDS: dict[str, tuple[float, float, float]] = {
     "tau": (0.03, 1e-3, 2.0),

@@ -121,8 +121,7 @@ class Bench:
         return numbers * UNITS[kind][unit]
 
 
-FASTEST = 12_000.0
-"""Largest plausible rotor speed [rad/s]: 115,000 rpm, above every hobby motor."""
+FASTEST = 12_000.0  # Largest plausible rotor speed [rad/s]: 115,000 rpm, above every hobby motor
 
 POWER_PER_THRUST = (0.5, 120.0)
 """Plausible range of torque times speed over thrust at the highest speed [m/s]: induced velocity, 2 to 40 m/s for all sizes,

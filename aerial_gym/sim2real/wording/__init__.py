@@ -11,8 +11,7 @@ from aerial_gym.sim2real.wording.notes import NOTES, REASONS
 from aerial_gym.sim2real.wording.teststand import TESTSTAND
 from aerial_gym.sim2real.wording.words import Template, template_sentence
 
-TEMPLATES: dict[str, Template] = {**ANSWER, **TRUST, **NOTES, **REASONS, **LOGS, **TESTSTAND}
-"""Template of each code."""
+TEMPLATES: dict[str, Template] = {**ANSWER, **TRUST, **NOTES, **REASONS, **LOGS, **TESTSTAND}  # Template of each code
 
 _WITH_SUBJECT = {*LOGS, "rows_without_speed", "thrust_from_gravity", "curvature_kept"}
 """Codes whose sentence starts with the subject and a colon."""

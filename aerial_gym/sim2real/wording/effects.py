@@ -18,8 +18,7 @@ from aerial_gym.sim2real.wording.words import (
     value_text,
 )
 
-LEAST_CERTAIN = 0.95
-"""Probability below which a sentence calls the effect probable."""
+LEAST_CERTAIN = 0.95  # Probability below which a sentence calls the effect probable
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,7 @@ class ParameterChange:
 
 ParameterChanges = dict[str, ParameterChange]
 EffectTemplate = Callable[[Finding, ParameterChanges], str]
-DirectedNumber = tuple[ParameterChange, str, str]
-"""A number with the words for a rise and for a fall of it."""
+DirectedNumber = tuple[ParameterChange, str, str]  # A number with the words for a rise and for a fall of it
 
 
 def parameter_changes(finding: Finding) -> ParameterChanges:

@@ -16,8 +16,7 @@ Values = Mapping[str, Any]
 Template = str | Callable[[Finding], str]
 """Text with fields such as ``{share:percent}`` (``FORMATS``) for values and subject, or a function of the finding."""
 
-MOST_LISTED = 5
-"""Largest number of names in a list; further ones are only counted."""
+MOST_LISTED = 5  # Largest number of names in a list; further ones are only counted
 
 _ERRORS = {
     "specific_force.x": "forward-force error",

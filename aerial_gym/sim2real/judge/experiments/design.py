@@ -37,8 +37,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.dataset import ROWS_PER_BAND
 
-SLOWEST_HZ = 100.0
-"""Least rate of a manoeuvre's rows [Hz]."""
+SLOWEST_HZ = 100.0  # Least rate of a manoeuvre's rows [Hz]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,20 +24,11 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.recording import AT_REST
 from aerial_gym.sim2real.logs.signals import continuous_quaternion, lowpass
 
-Path = Callable[[Array], tuple[Array, Array]]
-"""Position [m], world, (T, 3), and heading [rad], (T,), at times [s] (T,)."""
-
-SPAN_S = 10.0
-"""Length of a manoeuvre [s]."""
-
-LEAD_S = 1.0
-"""Time before and after a manoeuvre that is cut off, against end effects of the derivatives [s]."""
-
-BAND_HZ = 30.0
-"""Low-pass of the derivatives [Hz], far above the frequencies of the paths."""
-
-HEIGHT = 5.0
-"""Height above the ground where it does not matter [m]."""
+Path = Callable[[Array], tuple[Array, Array]]  # Position [m], world, (T, 3), and heading [rad], (T,), at times [s] (T,)
+SPAN_S = 10.0  # Length of a manoeuvre [s]
+LEAD_S = 1.0  # Time before and after a manoeuvre that is cut off, against end effects of the derivatives [s]
+BAND_HZ = 30.0  # Low-pass of the derivatives [Hz], far above the frequencies of the paths
+HEIGHT = 5.0  # Height above the ground where it does not matter [m]
 
 
 def _sine(time: Array, size: float | Array, period: float) -> Array:

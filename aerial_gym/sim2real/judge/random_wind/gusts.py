@@ -33,14 +33,12 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 NAME = "gusts"
 
-WIND_STEP = 0.01
-"""Difference step of the wind [m/s]."""
+WIND_STEP = 0.01  # Difference step of the wind [m/s]
 
 LEAST_RESPONSE = 0.02
 """Least acceleration per wind along every axis [1/s]: with less, noise of 0.02 m/s² looks like a wind of 1 m/s."""
 
-LEAST_P_VALUE = 0.001
-"""Gusts are refused if the p-value of any property that they cannot have is smaller."""
+LEAST_P_VALUE = 0.001  # Gusts are refused if the p-value of any property that they cannot have is smaller
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,10 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass_gain
 from aerial_gym.sim2real.statistics import chi_square_tail, normal_tail
 
-LAGS = 20
-"""Number of lags in the autocorrelation test of the innovations."""
-
-LINES = 300
-"""Number of frequencies in the integral over the power that the low-pass removes."""
-
-NUDGE = 1e-6
-"""Difference step of the logarithms of parameters."""
-
-CORR_TIMES = (0.05, 100.0)
-"""Bounds of the fitted correlation time [s]."""
+LAGS = 20  # Number of lags in the autocorrelation test of the innovations
+LINES = 300  # Number of frequencies in the integral over the power that the low-pass removes
+NUDGE = 1e-6  # Difference step of the logarithms of parameters
+CORR_TIMES = (0.05, 100.0)  # Bounds of the fitted correlation time [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +58,7 @@ class ProcessFit:
     likelihood: float  # Restricted log likelihood, with the means of the series integrated out
 
 
-Process = tuple[float, float, Array]
-"""Standard deviation, correlation time [s] and noise of each axis, (3,)."""
+Process = tuple[float, float, Array]  # Standard deviation, correlation time [s] and noise of each axis, (3,)
 
 
 def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: Sequence[int] = (0, 1, 2)) -> Array:

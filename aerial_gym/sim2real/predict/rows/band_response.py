@@ -150,7 +150,6 @@ def columns_of_rows(rows: Tensor) -> list[Array]:
 
 
 Columns = list[Array]  # Channel columns, each (rows kept,); different predictions may share some
-
 READINGS = 3  # Number of stored kinematic readings
 
 

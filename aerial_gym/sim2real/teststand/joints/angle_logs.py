@@ -35,11 +35,8 @@ from aerial_gym.sim2real.teststand.statistics import (
     hac_covariance,
 )
 
-CLEAR = 0.8
-"""Least |s| of rows with continuous motion to one side."""
-
-MATERIAL = 0.02
-"""Least share of the effort's standard deviation in which a material change of a parameter results."""
+CLEAR = 0.8  # Least |s| of rows with continuous motion to one side
+MATERIAL = 0.02  # Least share of the effort's standard deviation in which a material change of a parameter results
 
 LAWS: dict[str, tuple[str, ...]] = {
     "linear spring": ("stiffness", "damping", "rest"),

@@ -40,12 +40,10 @@ from aerial_gym.sim2real.teststand.joints.joint_simulation import (
 )
 from aerial_gym.sim2real.teststand.statistics import cross_validation_error, estimates, fold_labels, hac_covariance
 
-LEAST_ROWS = 50
-"""Least number of compared rows per flight."""
+LEAST_ROWS = 50  # Least number of compared rows per flight
 
 MOST_STEPS = 8
-NEAR = 0.1
-"""Convergence limit of a step as a share of a material change."""
+NEAR = 0.1  # Convergence limit of a step as a share of a material change
 
 NO_ENDS = {"low": -np.inf, "high": np.inf, "stiffness": 0.0, "damping": 0.0}
 

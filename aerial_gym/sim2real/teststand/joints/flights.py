@@ -27,11 +27,8 @@ from aerial_gym.sim2real.teststand.joints.joint_simulation import body_motion
 from aerial_gym.sim2real.teststand.report import ReportTable, Study
 from aerial_gym.sim2real.teststand.studies import interval_text, relative_change_text
 
-BANDWIDTH_HZ = 15.0
-"""Default bandwidth of the identification [Hz]."""
-
-OF_RATE = 0.199
-"""Largest bandwidth as a share of the log rate: a fifth, with a margin for time errors."""
+BANDWIDTH_HZ = 15.0  # Default bandwidth of the identification [Hz]
+OF_RATE = 0.199  # Largest bandwidth as a share of the log rate: a fifth, with a margin for time errors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,8 +30,7 @@ from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
-SLOW = 0.05
-"""Velocity scale v of dry friction, as a share of the joint rate's standard deviation."""
+SLOW = 0.05  # Velocity scale v of dry friction, as a share of the joint rate's standard deviation
 
 
 @dataclass(frozen=True, kw_only=True)

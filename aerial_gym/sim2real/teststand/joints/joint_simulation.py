@@ -31,20 +31,17 @@ from aerial_gym.sim2real.teststand.joints.joint_motion import apply_link_wrenche
 CHANNELS = ("force x", "force y", "force z", "rotation x", "rotation y", "rotation z")
 """Specific force [m/s²] and angular acceleration [rad/s²]."""
 
-SETTLE_S = 2.0
-"""Simulated time before the first compared row [s], as joints start at rest."""
+SETTLE_S = 2.0  # Simulated time before the first compared row [s], as joints start at rest
 
 DAMPED_S, DAMPED_BY = 0.5, 0.05
 """Duration of extra initial damping [s], and its time constant [s] relative to stiffness, to reach equilibrium."""
 
-BENT = 0.2
-"""Deflection at which a quadratic spring's stiffness is evaluated for the step size [rad]."""
+BENT = 0.2  # Deflection at which a quadratic spring's stiffness is evaluated for the step size [rad]
 
 QUICKEST = 1.5
 """Largest product of a joint's natural frequency and the step; Runge-Kutta is unstable at about twice that."""
 
-USED_S = 2.0
-"""Length of the compared part of each segment [s]."""
+USED_S = 2.0  # Length of the compared part of each segment [s]
 
 
 @dataclass(frozen=True, kw_only=True)
