@@ -33,7 +33,6 @@ ROOMS = (
     ("wording",),
     ("report",),
     ("replay", "teststand"),
-    ("memory_loop",),
     ("close_loop",),
 )
 """The only statement of the import order within ``sim2real``. Each folder may import the folders above it."""

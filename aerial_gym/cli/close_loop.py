@@ -69,7 +69,7 @@ class CloseLoopCmd:
         with pause_garbage_collection():
             from aerial_gym.config import load
             from aerial_gym.sim2real import close_loop
-            from aerial_gym.sim2real.identify.selection.scoring import Criteria
+            from aerial_gym.sim2real.identify.selection.criteria import Criteria
             from aerial_gym.sim2real.predict.tolerances import Tolerances
 
         with progress_bar() as progress:

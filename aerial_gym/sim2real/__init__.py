@@ -1,11 +1,10 @@
 """Comparison of flight logs with the simulator: residuals, their causes, and a corrected robot."""
 
-from aerial_gym.sim2real.close_loop import close_loop
+from aerial_gym.sim2real.close_loop import close_loop, judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.replay import replay
 
 __all__ = [

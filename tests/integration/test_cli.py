@@ -14,7 +14,7 @@ from aerial_gym.config import CONFIG_DIR
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, effects
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from tests.integration.commands import run
 
 

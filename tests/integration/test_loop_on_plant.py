@@ -10,7 +10,7 @@ import pytest
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from benchmarks.undeclared import make_case
 from tests.repetitions import rare_values
 

@@ -8,8 +8,8 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import robot_with_estimated_battery
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, replace_params
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.least_squares.derivatives import parameter_row, replace_params
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel, comparison_band, find_channels

@@ -9,18 +9,16 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding, unit_suffix
-from aerial_gym.sim2real.identify.learned import add_test_shares, train_residual
+from aerial_gym.sim2real.identify.learned import add_test_shares, leave_out_flights, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
-from aerial_gym.sim2real.identify.selection.scoring import leave_out_flights
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup, final_model_of_robot_file
 from aerial_gym.sim2real.judge.ablation import ablations_of_effects
 from aerial_gym.sim2real.judge.breakdown import errors_by_flight, errors_where_effect_acts
-from aerial_gym.sim2real.judge.decision import Decision, verdict_decision
-from aerial_gym.sim2real.judge.doubt import notes_on_doubt, selection_with_test_odds
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models
 from aerial_gym.sim2real.judge.experiments.design import can_have_effect, recommend_manoeuvres
-from aerial_gym.sim2real.judge.outcome import error_outcomes
+from aerial_gym.sim2real.judge.outcome import Decision, error_outcomes, verdict_decision
+from aerial_gym.sim2real.judge.predictive import notes_on_doubt, selection_with_test_odds
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, model_with_wind, random_wind_in_file
 from aerial_gym.sim2real.judge.residual_excess import (
     ResidualExcess,

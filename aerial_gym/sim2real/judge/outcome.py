@@ -1,12 +1,14 @@
-"""Outcomes of a correction: the errors of the test flights that it makes better or worse, with intervals.
+"""Outcomes of a correction, and the decision of a verdict: its kind, its candidates, and what stays open.
 
 Letters: T rows, C channels, W windows, H horizons.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -70,3 +72,52 @@ def error_outcomes(
         for quantity, horizon, rise in rollout_rises(errors, old[variant]):
             results.append(Outcome(quantity=f"{variant}.{quantity}", horizon=horizon, rise=rise, least=least))
     return tuple(results)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """Kind of a verdict with its candidates and open points."""
+
+    kind: str  # explained, none, not shown, unexplained or ambiguous
+    candidates: tuple[str, ...]  # Named effects and those that fit the flights equally well
+    findings: tuple[Finding, ...]  # Residuals that remain and questions that stay open
+
+
+def verdict_decision(
+    ties: Mapping[str, Sequence[str]],
+    unexplained: Sequence[str],
+    floor_known: bool,
+    *,
+    open_to: Sequence[str] = (),
+    left_open: Sequence[str] = (),
+    of_flights: Sequence[str] = (),
+) -> Decision:
+    """Return the kind, candidates and open points of a verdict.
+
+    Args:
+        ties: Accepted effects, each with the effects that fit the flights equally well.
+        unexplained: Channels whose test residual exceeds noise and the training flights' uncertainty.
+        floor_known: Whether the logs show a noise floor.
+        open_to: Effects that would explain those residuals, and that training flights do not show.
+        left_open: Channels whose residual exceeds noise, but not the training flights' uncertainty.
+        of_flights: Channels in which each flight has its own offset.
+    """
+    remains = [Finding("remains_unexplained", "", {"channels": list(unexplained)})] if unexplained else []
+    own = [Finding("offsets_of_flights", "", {"channels": list(of_flights)})] if of_flights else []
+    open_yet = [Finding("left_open", "", {"channels": list(left_open)})] if left_open else []
+    candidates = tuple(dict.fromkeys((*ties, *(rival for rivals in ties.values() for rival in rivals))))
+    if any(ties.values()):
+        doubts = [Finding("effect_tied", name, {"others": list(rivals)}) for name, rivals in ties.items() if rivals]
+        return Decision(kind="ambiguous", candidates=candidates, findings=(*doubts, *remains))
+    if unexplained and open_to:
+        points = (*remains, Finding("effects_open", "", {"effects": list(open_to)}))
+        return Decision(kind="ambiguous", candidates=tuple(dict.fromkeys((*candidates, *open_to))), findings=points)
+    if unexplained:
+        return Decision(kind="unexplained", candidates=candidates, findings=tuple(remains))
+    if not floor_known:
+        points = (*(own if ties else ()), Finding("floor_unknown"))
+        return Decision(kind="explained" if ties else "none", candidates=candidates, findings=points)
+    if not ties:
+        return Decision(kind=NOT_SHOWN if left_open else "none", candidates=candidates, findings=(*own, *open_yet))
+    rest = open_yet or [Finding("remains_near_floor", "", {"offsets": bool(of_flights)})]
+    return Decision(kind="explained", candidates=candidates, findings=(*own, *rest))

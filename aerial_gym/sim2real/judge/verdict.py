@@ -15,7 +15,7 @@ from aerial_gym.sim2real.failures.flight_event import Failure
 from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import ResidualFit
-from aerial_gym.sim2real.identify.least_squares.parameters import (
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
     is_continuous_parameter,
     parameter_row,
     parameter_scales,

@@ -13,9 +13,8 @@ import pandas as pd
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, parameter_scales
 from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_scales
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

@@ -14,15 +14,17 @@ from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task.terms.observations import OBSERVATIONS
 from benchmarks.story.setpoint_flight import (
     CONTROL_RATE,
+    HIDDEN,
     SETPOINTS,
     STAY_S,
     PolicyPilot,
     draw_setpoints,
     fly_setpoints,
+    nominal_vehicle,
     tracking_errors,
+    true_vehicle,
 )
 from benchmarks.story.story import ROBOT, TASK
-from benchmarks.story.vehicle import HIDDEN, nominal_vehicle, true_vehicle
 from benchmarks.undeclared.nuisance import NO_BIAS
 from benchmarks.undeclared.sensors import Sample
 from benchmarks.undeclared.trajectories import Reference

@@ -10,11 +10,12 @@ from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.evidence.guard import Support
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior
+from aerial_gym.sim2real.identify.learned import CrossValidation
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, Weighting
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub

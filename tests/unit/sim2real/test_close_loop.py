@@ -25,7 +25,7 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop, judge_flights, replay
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import all_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT

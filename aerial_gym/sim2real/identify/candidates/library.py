@@ -24,16 +24,14 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     correct_derivatives,
     effect_jacobian,
+    is_continuous_parameter,
     linear_change,
+    parameter_bounds,
+    parameter_scales,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
-from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_continuous_parameter,
-    parameter_bounds,
-    parameter_scales,
-)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

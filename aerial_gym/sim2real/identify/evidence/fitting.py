@@ -11,14 +11,21 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library, has_several_starts, is_of_one_rotor, neutral_params
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns, prior_of_flight_offsets
 from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
-from aerial_gym.sim2real.identify.evidence.guard import Support, num_parts_per_flight, supports_of_fit
+from aerial_gym.sim2real.identify.evidence.guard import (
+    Support,
+    linearise_about_fit,
+    num_parts_per_flight,
+    supports_of_fit,
+)
 from aerial_gym.sim2real.identify.evidence.laplace import EMPTY_POSTERIOR, Model, Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import linearise_about_fit
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums, Part
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     effect_jacobian,
+    is_continuous_parameter,
+    parameter_bounds,
+    parameter_scales,
     to_single_precision,
     tolerance_jacobian,
 )
@@ -30,11 +37,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     fit_effects,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_continuous_parameter,
-    parameter_bounds,
-    parameter_scales,
-)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

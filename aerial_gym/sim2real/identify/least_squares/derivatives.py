@@ -1,4 +1,4 @@
-"""Derivatives of predictions by parameters: finite differences, storage and secant updates.
+"""Parameter vectors of effects, and derivatives of predictions by them: finite differences, storage and secant updates.
 
 Letters: C channels, P parameters of effects, N tolerances.
 """
@@ -10,19 +10,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_continuous_parameter,
-    parameter_bounds,
-    parameter_row,
-    parameter_scales,
-    replace_params,
-)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import is_tolerance_of_logs
+
+
+def is_continuous_parameter(effect: str, place: int) -> bool:
+    """Return whether a parameter is continuous and can be fitted, unlike a rotor number or a convention."""
+    return EFFECTS.get(effect).parameters[place].kind == "number"
+
+
+def parameter_scales(effects: Sequence[str]) -> Array:
+    """Return the scales of the effects' parameters as a vector."""
+    return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
+
+
+def parameter_row(params: ModelParams, effects: Sequence[str]) -> Array:
+    """Return the parameters of some effects as a vector."""
+    return np.concatenate([params.effects[name] for name in effects]) if effects else np.zeros(0)
+
+
+def parameter_bounds(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
+    """Return the lower and upper bounds of the effects' parameters as vectors."""
+    pairs = [pair for name in effects for pair in EFFECTS.get(name).bounds(robot)]
+    return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+
+def replace_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
+    """Return the model with new parameters, clipped to their bounds."""
+    clipped, start = np.clip(values, *parameter_bounds(robot, effects)), 0
+    for name in effects:
+        width = len(EFFECTS.get(name).parameters)
+        params = params.with_effect(name, clipped[start : start + width])
+        start += width
+    return params
+
 
 Derivatives = Sequence[NDArray[np.floating]]  # Derivatives by some parameters, per scale, of each flight, (rows, C, P)
 STEP = 1e-3  # Finite-difference step in units of a scale or tolerance

@@ -18,20 +18,22 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     NuisanceSums,
     sum_of_products,
 )
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    Derivatives,
+    correct_derivatives,
+    effect_jacobian,
+    is_continuous_parameter,
+    parameter_bounds,
+    parameter_row,
+    parameter_scales,
+    replace_params,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import (
     FlightOffsets,
     Moments,
     block_length,
     block_moments,
     concatenate_moments,
-)
-from aerial_gym.sim2real.identify.least_squares.parameters import (
-    is_continuous_parameter,
-    parameter_bounds,
-    parameter_row,
-    parameter_scales,
-    replace_params,
 )
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

@@ -16,7 +16,7 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE, StopRule
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.memory import give_back_memory
 
 FAR_BEHIND = 3.0  # Multiple of ``occam_window`` by which a negligible set is less probable: odds of 1e-4

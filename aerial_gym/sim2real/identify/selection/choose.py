@@ -15,14 +15,14 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_params, observable_candidates
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, structure_functions
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, set_label
+from aerial_gym.sim2real.identify.evidence.guard import linearise_about_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import linearise_about_fit
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView, occam_window
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

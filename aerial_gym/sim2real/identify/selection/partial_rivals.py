@@ -15,9 +15,12 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import has_several_starts
 from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, EffectSetFit, Fitter
-from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    effect_jacobian,
+    is_continuous_parameter,
+    parameter_scales,
+)
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, StopRule
-from aerial_gym.sim2real.identify.least_squares.parameters import is_continuous_parameter, parameter_scales
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 

@@ -18,7 +18,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jac
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams

@@ -24,22 +24,28 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
     residuals_beyond_structures,
 )
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, Label, label_of_candidate_set
-from aerial_gym.sim2real.identify.evidence.guard import Guard, num_parts_per_flight
+from aerial_gym.sim2real.identify.evidence.guard import (
+    Guard,
+    make_candidates,
+    make_normal_equations,
+    num_parts_per_flight,
+)
 from aerial_gym.sim2real.identify.evidence.laplace import Model
-from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal_equations
 from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives, weighted_moments
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     correct_derivatives,
     linear_change,
+    parameter_row,
+    parameter_scales,
+    replace_params,
     rms_caused_by_tolerances,
     to_single_precision,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, fit_of_moments, least_squares_step_in_bounds
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, inverse_variance_weights
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, parameter_scales, replace_params
 from aerial_gym.sim2real.identify.selection.candidate_view import (
     CandidateView,
     Way,

@@ -19,7 +19,11 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import starts_of_effect
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
-from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    effect_jacobian,
+    is_continuous_parameter,
+    tolerance_jacobian,
+)
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
     least_squares_step_in_bounds,
@@ -27,8 +31,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     normal_equations_without_prior,
     prior_precision,
 )
-from aerial_gym.sim2real.identify.least_squares.parameters import is_continuous_parameter
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, manoeuvre_flight

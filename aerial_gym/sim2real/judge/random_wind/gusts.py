@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding, finding_on_refusal
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.decision import Decision
-from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, NOTHING_NAMED
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
+from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, NOTHING_NAMED, Decision
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     WindSeries,

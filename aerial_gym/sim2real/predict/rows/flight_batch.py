@@ -45,7 +45,7 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.band_response import BandResponse, Columns, ImuReading, imu_readings_of_model
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
+from aerial_gym.sim2real.predict.rows.spectra import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import (
     SensorErrors,
     Tolerances,
@@ -91,7 +91,7 @@ class FlightBatch:
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
         self._replayed: list[tuple[list[Array | None], float, Columns]] = []
-        self._mean_flight_conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
+        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _LoadQuery | None = None
         self._params, self._in_step = params_from_robot(robot), None
 
@@ -242,17 +242,17 @@ class FlightBatch:
         pose_late = motion.new_tensor(self._imu.delays_on_prediction_clock(asked.logged)[3:])
         numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
         key = (at_origin, *_condition_key(model, at_origin=at_origin), numbers)
-        known = self._mean_flight_conditions.get(key)
+        known = self._conditions.get(key)
         if known is not None and known[0] is speeds:
-            self._mean_flight_conditions.move_to_end(key)
+            self._conditions.move_to_end(key)
             vehicle = replace(model.vehicle, com=known[1].vehicle.com) if at_origin else model.vehicle
             return adapt_condition(vehicle, known[1])
         speed, spin_up = self._rotor_speeds_and_accelerations(model, speeds, motion)
         make = condition_at_origin if at_origin else condition_in
         results = make(model, BodyState(rotor_speed=speed, **self._motion_state(asked)), spin_up)
-        self._mean_flight_conditions[key] = speeds, results
-        while len(self._mean_flight_conditions) > CONDITIONS:
-            self._mean_flight_conditions.popitem(last=False)
+        self._conditions[key] = speeds, results
+        while len(self._conditions) > CONDITIONS:
+            self._conditions.popitem(last=False)
         return results
 
     def _rotor_speeds_and_accelerations(

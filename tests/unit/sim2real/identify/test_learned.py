@@ -13,9 +13,17 @@ from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.learned import OUTPUTS, ResidualFit, _Trainer, add_test_shares, train_residual
+from aerial_gym.sim2real.identify.learned import (
+    OUTPUTS,
+    CrossValidation,
+    ResidualFit,
+    _Trainer,
+    add_test_shares,
+    leave_out_flights,
+    train_residual,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation, leave_out_flights
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.logs.flights import Flight, load_train_and_test
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor

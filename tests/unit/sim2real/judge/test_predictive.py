@@ -15,8 +15,7 @@ from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisanc
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
-from aerial_gym.sim2real.judge.doubt import ResidualSums
-from aerial_gym.sim2real.judge.predictive import largest_open_squares, quantile_of_squares
+from aerial_gym.sim2real.judge.predictive import ResidualSums, largest_open_squares, quantile_of_squares
 from aerial_gym.sim2real.judge.residual_excess import (
     ResidualExcess,
     find_residual_excess,

@@ -11,8 +11,8 @@ from aerial_gym.sim2real.failures.flight_event import Failure
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
 from aerial_gym.sim2real.identify.candidates.structure import Structure
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge import failure_verdict, verdict
 from aerial_gym.sim2real.judge.analysis import (
     LoopResult,
@@ -23,10 +23,9 @@ from aerial_gym.sim2real.judge.analysis import (
     untestable_effects,
 )
 from aerial_gym.sim2real.judge.answer import answer_parts, trust_findings
-from aerial_gym.sim2real.judge.decision import Decision, verdict_decision
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
 from aerial_gym.sim2real.judge.experiments.design import Advice
-from aerial_gym.sim2real.judge.outcome import Outcome
+from aerial_gym.sim2real.judge.outcome import Decision, Outcome, verdict_decision
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot

@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import Fitter
-from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, num_parts_per_flight, supports_of_candidates
+from aerial_gym.sim2real.identify.evidence.guard import (
+    Guard,
+    Support,
+    make_candidates,
+    make_normal_equations,
+    num_parts_per_flight,
+    supports_of_candidates,
+)
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations, posterior
-from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal_equations
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior, search_sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.identify.selection.choose import inclusion_probabilities, set_probabilities

@@ -18,12 +18,13 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     correct_derivatives,
     effect_jacobian,
+    parameter_bounds,
+    parameter_scales,
     rms_caused_by_tolerances,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import least_cost_over_nuisances
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_bounds, parameter_scales
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import is_tolerance_of_logs
 from tests.unit.sim2real.flat_flights import PredictorStub

@@ -9,14 +9,14 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
 from aerial_gym.sim2real.identify.least_squares import box_minimum
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
-from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
-from aerial_gym.sim2real.identify.least_squares.parameters import (
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
     is_continuous_parameter,
     parameter_bounds,
     parameter_row,
     parameter_scales,
     replace_params,
 )
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 ROBOT = ROBOTS.get("base_quadrotor")

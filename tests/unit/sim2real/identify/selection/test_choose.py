@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_scales
+from aerial_gym.sim2real.identify.least_squares.derivatives import parameter_scales
 from aerial_gym.sim2real.identify.selection import choose
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, _Chooser, best_special_case, choose_effects
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import params_from_robot

@@ -15,8 +15,8 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.identify.selection.partial_rivals import rivals_of_parameters
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.identify.selection.select import FinalFit, SelectionResult, select_effects
 from aerial_gym.sim2real.judge.verdict import names_of_ties
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot

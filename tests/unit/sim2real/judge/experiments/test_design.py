@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.experiments.design import (
     ManoeuvreCatalogue,

@@ -11,8 +11,8 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.stats import multivariate_normal
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.decision import Decision
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
+from aerial_gym.sim2real.judge.outcome import Decision
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, random_wind_in_file, wind_response
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     WindSeries,

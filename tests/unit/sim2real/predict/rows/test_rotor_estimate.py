@@ -10,13 +10,13 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.rows.rotor_estimate import (
     _rotor_modes,
     _share_of_motion,
     estimate_as_measured,
     estimate_rotors,
 )
+from aerial_gym.sim2real.predict.rows.spectra import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import G, hover
