@@ -24,9 +24,19 @@ class RotorCfg:
     """Mode, thrust curve, drag torque, lag and limits of one rotor type."""
 
     mode: str = "speed"  # State: `speed` [rad/s], with a thrust map, or `force`, the thrust [N], without
-    thrust_map: Vec3 = (0.0, 0.0, 0.0)  # Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s], c2 > 0; speed mode only
+
+    rotor_map: str = field(default=POLYNOMIAL_MAP, repr=False)  # a state of release 0.1 has the digest of its repr
+    """Name in ``aerial_gym.physics.ROTOR_MAPS``: the terms of the speed that the coefficients below multiply."""
+
+    thrust_map: Vec3 = (0.0, 0.0, 0.0)
+    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s], c2 > 0, or coefficients of another ``rotor_map``. Needed in speed
+    mode, and only there."""
+
     torque_ratio: float | None = None  # Drag torque per thrust [m], >= 0. Exactly one of this and `torque_map` is given
-    torque_map: Vec3 | None = None  # Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s]; in speed mode
+
+    torque_map: Vec3 | None = None
+    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s], or coefficients of another ``rotor_map``; in speed mode."""
+
     reverse_thrust_map: Vec3 | None = None  # Thrust of a reversible rotor in reverse, of |w|; `thrust_map` if not given
     reverse_torque_map: Vec3 | None = None  # Likewise; default: `torque_map`, or `torque_ratio` times the reverse map
     time_constant_up: float  # First-order lag of a state that grows in size [s], > 0
@@ -65,14 +75,21 @@ class RotorCfg:
         checks.require(
             self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust; leave it out"
         )
+        is_polynomial = self.rotor_map == POLYNOMIAL_MAP
+        checks.require(self, "rotor_map", is_polynomial, "in force mode the state is the thrust; leave it out")
 
     def _check_maps(self) -> None:
-        checks.require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
+        if self.rotor_map == POLYNOMIAL_MAP:
+            checks.require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
+        checks.require(self, "thrust_map", any(self.thrust_map), "in speed mode a coefficient other than 0 is needed")
         if not self.reversible:
             for name in ("reverse_thrust_map", "reverse_torque_map"):
                 rule = "only for a reversible rotor, with a thrust_range that begins below 0"
                 checks.require(self, name, getattr(self, name) is None, rule)
-            return
+        elif self.rotor_map == POLYNOMIAL_MAP:
+            self._check_reversible_polynomials()
+
+    def _check_reversible_polynomials(self) -> None:
         for name in ("thrust_map", "reverse_thrust_map"):
             c0, c1, c2 = getattr(self, name) or self.thrust_map
             rule = "the thrust of a reversible rotor is 0 without speed and grows with it: needs c0 = 0, c1 >= 0 and c2 > 0"
