@@ -32,7 +32,8 @@ _BY_SEVERITY = {
         "structure_found fly_structure train_with_failure failure_suspected "
         "joints_held tolerance_strained tolerances_cut_off strained_changes strained_changes_little "
         # logs
-        "flight_left_out topic_left_out battery_left_out file_damaged position_jumps_left sensor_bias sensor_turned "
+        "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
+        "battery_left_out file_damaged position_jumps_left sensor_bias sensor_turned "
         "sensor_late velocity_factor sensor_dropout row_without_state row_with_bad_stamp "
         # test stand
         "test_left_out few_steps rows_far_apart mass_exact scatter_unknown no_unseen_log flights_differ curvature_kept "
@@ -59,11 +60,12 @@ _BY_SEVERITY = {
         # verdict
         "effect_immaterial gusts_are_random band_limited few_flights "
         # logs
-        "rows_with_bad_stamps rows_not_of_header rows_without_numbers rows_without_quaternion rows_without_topic "
+        "rows_with_bad_stamps rows_not_of_header rows_without_numbers rows_without_quaternion "
         "samples_with_bad_stamps clock_set_back clock_wrapped rows_copied blocks_ordered fields_filled battery_without_voltage "
         "battery_filled mapping_note attitude_level attitude_integrated other_vehicle wind_not_declared wind_declared "
         "rows_cut steps_resampled velocity_derived velocity_unknown force_derived rates_derived one_command "
-        "torques_not_logged on_ground commands_copied commands_scaled rotor_log_moved position_jump samples_slow "
+        "torques_not_logged on_ground commands_copied commands_scaled relative_commands_scaled "
+        "commands_mixed rotor_order_of_firmware reset_undone stream_moved rotor_log_moved position_jump samples_slow "
         "samples_repeated "
         # test stand
         "rows_without_speed joint_driven joint_creeps links_as_declared thrust_scale_fitted intervals_of_flights "

@@ -33,10 +33,11 @@ from aerial_gym.sim2real.logs.clock_offset import (
 )
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
+from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
-from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, rotor_thrusts
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
 
@@ -110,14 +111,17 @@ def load_flights(
     """
     read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
     seen = LogRegister()
-    for real, path in distinct_files(paths).items():
+    learned = 0
+    for index, (real, path) in enumerate(distinct_files(paths).items()):
         with _collect_refusals(refused):
-            raw = read_flight_log(path, mapping=mapping)
-            seen.add(raw)
-            log = mend_position_jumps(resample_log(raw))
-            read[real] = (derive_velocity(log), check_log(log, robot))
-    first = {Path(os.path.realpath(path)) for path in paths[:learning]}
-    logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
+            for one in flight_paths(path):
+                with _collect_refusals(refused):
+                    raw = read_flight_log(one, mapping=mapping)
+                    seen.add(raw)
+                    log = scale_relative_commands(mend_position_jumps(resample_log(raw)), robot)
+                    read[real.with_name(Path(one).name)] = (derive_velocity(log), check_log(log, robot))
+                    learned += learning is None or index < learning
+    logs = [log for log, _ in read.values()]
     offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)
     together = commands_share_clock(logs[:learned], offsets[:learned], mean_time_constant(robot))
     flights: list[Flight] = []
@@ -151,7 +155,9 @@ def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
     """Return the paths by their real files; refuse a file that is given twice."""
     seen: dict[Path, str | Path] = {}
     for path in paths:
-        real = Path(os.path.realpath(path))  # unlike Path.resolve, accepts a loop of links until it is opened
+        file, number = split_flight_number(path)
+        real = Path(os.path.realpath(file))  # unlike Path.resolve, accepts a loop of links until it is opened
+        real = real if number is None else real.with_name(f"{real.name}#{number}")
         if real in seen:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
         seen[real] = path
@@ -183,20 +189,48 @@ def scale_commands_to_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog
     if log.position is None or log.specific_force is None:
         raise DataError(f"{log.path}: to scale commands above {log.hover_above:g} m it needs position and acc")
     high = log.position[:, 2] > log.hover_above
-    speed = log.rotor_command[high]
-    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) if len(speed) else 0.0
-
-    def excess(scale: float) -> float:
-        return float(rotor_thrusts(robot, scale * speed).sum(axis=1).mean()) - weight
-
-    if len(speed) * FEWEST_HIGH < log.time.size or not np.any(speed) or excess(0.0) >= 0.0:
+    if high.sum() * FEWEST_HIGH < log.time.size or not np.any(log.rotor_command[high]):
         raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
-    largest = 1.0
-    while excess(largest) < 0.0:
-        largest *= 2.0
-    scale = float(brentq(excess, 0.0, largest))  # type: ignore[arg-type]
+    scale = _scale_to_thrust(log.rotor_command[high], log.specific_force[high, 2], robot)
     note = Finding("commands_scaled", "", {"factor": scale, "height_m": log.hover_above})
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
+
+
+def _scale_to_thrust(speed: Array, force: Array, robot: RobotCfg) -> float:
+    """Return the factor s with ``mean sum_r T(s w_r) = m mean f`` for speeds (T, R) and forces along z [m/s²], (T,)."""
+    c0, c1, c2 = np.array([rotor.thrust_coefficients for rotor in robot.rotor_types]).T  # each (R,)
+    weight = robot.body.mass * float(force.mean()) - c0.sum()
+    linear, square = (speed @ c1).mean(), (speed**2 @ c2).mean()
+    root = np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0))
+    return float(2.0 * weight / (linear + root))  # also for c2 = 0: force mode
+
+
+def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
+    """Return the log with shares of the largest speed as speeds: by measured speeds, else by the mean measured thrust.
+
+    With speeds, the line ``w = a + b u`` is fitted. In force mode a thrust is the square of the share.
+    """
+    share, force = log.rotor_command, log.specific_force
+    if not log.relative_commands or share is None or share.shape[1] != robot.num_rotors:
+        return log
+    if log.rotor_speed is not None:
+        line = np.polynomial.Polynomial.fit(share.ravel(), log.rotor_speed.ravel(), 1, domain=[])
+        command, full = line(share), float(line(1.0))
+    elif force is None:
+        raise DataError(
+            f"{log.path}: its commands are shares of the largest speed, and without accelerometer no thrust scales them; "
+            "map rotor_command with a gain in rad/s"
+        )
+    else:
+        relative = share**2 if "force" in robot.rotor_traits else share
+        if not np.any(relative):
+            raise DataError(f"{log.path}: its rotor commands are 0 throughout; give a log of a flight")
+        full = _scale_to_thrust(relative, force[:, 2], robot)
+        command = full * relative
+    unit = "N" if "force" in robot.rotor_traits else "rad/s"
+    values = {"full": full, "unit": unit, "by_speeds": log.rotor_speed is not None}
+    note = Finding("relative_commands_scaled", "", values)
+    return replace(log, rotor_command=command, relative_commands=False, notes=(*log.notes, note))
 
 
 def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground: Flags | None = None) -> Flight:
@@ -215,7 +249,7 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         said.append(Finding("rates_derived"))
     if log.collective:
         said.append(Finding("one_command"))
-    if not log.torques:
+    if not log.torques and not any(note.code == "rotors_too_slow" for note in said):
         said.append(Finding("torques_not_logged"))
     if on_ground is not None:
         said.append(Finding("on_ground", "", {"share": float(on_ground.mean())}))
@@ -259,7 +293,11 @@ def read_flight_inputs(
     digests = file_digests(paths)
     flights = load_flights(paths, robot, mapping=mapping, bandwidth=bandwidth, learning=len(train), refused=refused)
     to_train = {str(path) for path in train}
-    groups = [[f for f in flights if (f.path in to_train) is wanted] for wanted in (True, False)]
+    files = [{f.path, split_flight_number(f.path)[0]} for f in flights]
+    groups = [
+        [f for f, names in zip(flights, files, strict=True) if bool(names & to_train) is wanted]
+        for wanted in (True, False)
+    ]
     for role, given, left in zip(("train", "test"), (train, test), groups, strict=True):
         if not left:
             refusals = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
@@ -290,11 +328,13 @@ def load_train_and_test(
 
 
 def file_digests(paths: Sequence[str | Path]) -> dict[str, str]:
-    """Return the SHA-256 of files by their paths."""
+    """Return the SHA-256 of files by their paths, for a folder of its files together."""
     groups: dict[str, str] = {}
     for path in paths:
         try:
-            groups[str(path)] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            file = Path(split_flight_number(path)[0])
+            parts = sorted(part for part in file.rglob("*") if part.is_file()) if file.is_dir() else [file]
+            groups[str(path)] = hashlib.sha256(b"".join(part.read_bytes() for part in parts)).hexdigest()
         except FileNotFoundError:
             raise DataError(f"{path}: no such file") from None
         except OSError as error:

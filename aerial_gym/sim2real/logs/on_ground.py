@@ -7,7 +7,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, sample_rate
+from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, comparable_rate, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
 from aerial_gym.sim2real.logs.signals import num_edge_rows
 
@@ -59,7 +59,8 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
 
 def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:
     """Raise ``DataError`` unless one airborne span exceeds the end rows that a low-pass at ``bandwidth`` [Hz] spoils."""
-    edge = num_edge_rows(sample_rate(log), min(bandwidth, HIGHEST_BAND * sample_rate(log)))
+    rate = sample_rate(log)
+    edge = num_edge_rows(rate, min(bandwidth, HIGHEST_BAND * comparable_rate(log, rate)))
     flies = np.ones(log.time.size, dtype=bool) if on_ground is None else ~on_ground
     if not np.asarray(ndimage.minimum_filter1d(flies, 2 * edge + 1, mode="constant", cval=0)).any():
         raise DataError(

@@ -69,9 +69,11 @@ class LogChannel:
     """
 
     quantity: str  # A key of ``QUANTITIES``
-    time: Array  # [s], as recorded, (T,)
+    time: Array  # Sampling time [s] on the clock of the file, not yet checked, (T,)
     values: Array  # (T, components); NaN where not measured
     source: str  # Topic and instance, such as ``vehicle_attitude[0]``
     resets: Array | None = None  # Times [s] of the first sample after an estimator reset, (number of resets,)
-    latency: float | None = None  # Delay from sampling to the stamp [s], if the format states it
+    latency: float | None = (
+        None  # Delay from sampling to recording [s], if the format states both; ``time`` is the former
+    )
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude

@@ -4,7 +4,9 @@ World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body
 Letters: T rows, R rotors.
 """
 
-from dataclasses import dataclass, fields, replace
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +19,17 @@ from aerial_gym.sim2real.findings import Finding
 AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))  # Reading of an accelerometer at rest in world axes [m/s²], (3,)
 LONGEST_GAP_ROWS = 5  # A gap of more rows than this and of more than LONGEST_GAP_S ends a flight
 LONGEST_GAP_S = 0.1  # [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamTiming:
+    """Rate and delay of one quantity in its log, before it was brought onto the rows."""
+
+    source: str  # Topic and instance
+    rate: float  # Samples per second [Hz]
+    latency: float | None = None  # Delay from sampling to recording [s], if the format states both
+    delay: float | None = None  # Measured delay behind the inertial sensors [s]; None if the motion does not show it
+    half_width: float | None = None  # Half width of its 95 % interval [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +50,7 @@ class Recording:
     ground_height: float = 0.0  # World z of the ground [m]
     ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
     wind: tuple[float, float, float] | None = None  # Known steady wind [m/s], world; None: still air is assumed
+    streams: Mapping[str, StreamTiming] = field(default_factory=dict)  # By field name; empty if all have the rows' rate
     notes: tuple[Finding, ...] = ()  # Repairs and defects of the log, without subject
 
 
@@ -59,13 +73,17 @@ class FlightLog(Recording):
     torques: bool = True
     """Whether the log resolves torques."""
 
+    relative_commands: bool = False
+    """Whether commands are shares of the largest speed, 0 to 1, as firmwares log them."""
+
     lines: Indices | None = None
     """Line of each row in its file, (T,); None for binary logs and resampled rows."""
 
     @property
     def name(self) -> str:
-        """File name without folder and suffix."""
-        return Path(self.path).stem
+        """File name without folder and suffix, with the number of the flight."""
+        file, number = split_flight_number(self.path)
+        return Path(file).stem + ("" if number is None else f"#{number}")
 
     @property
     def num_rotors(self) -> int:
@@ -79,10 +97,22 @@ class FlightLog(Recording):
         return f"{self.path}{line} (t = {self.time[row]:.6g} s)"
 
 
-HIGHEST_BAND = 0.2  # Largest comparison bandwidth as a share of the slowest log's rate
+HIGHEST_BAND = 0.2  # Largest comparison bandwidth as a share of the slowest compared stream's rate
 NORM_OFF = 0.05  # Largest deviation of a quaternion's norm from 1
 
 Some = TypeVar("Some", bound=Recording)
+
+
+def split_flight_number(path: str | Path) -> tuple[str, int | None]:
+    """Return file and flight number of ``FILE#2``; the number is None without one, or if a file has this very name."""
+    file, mark, number = str(path).rpartition("#")
+    return (file, int(number)) if mark and number.isdecimal() and not os.path.lexists(path) else (str(path), None)
+
+
+def comparable_rate(log: Recording, rate: float) -> float:
+    """Return the lowest rate [Hz] of the compared streams: force and rotors; ``rate`` is that of the rows."""
+    rotors = "rotor_speed" if log.rotor_speed is not None else "rotor_command"
+    return min([rate, *(log.streams[name].rate for name in ("specific_force", rotors) if name in log.streams)])
 
 
 def take_rows(log: Some, rows: slice | Flags) -> Some:

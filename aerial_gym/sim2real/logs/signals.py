@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.math.decay import exponential_sum
@@ -126,6 +127,15 @@ def quaternion_signs(attitude: Array) -> Array:
     """Return the signs (T,), +1 or -1, that make quaternions (T, 4) continuous."""
     flips = np.where((attitude[1:] * attitude[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return np.concatenate(([1.0], np.cumprod(flips)))
+
+
+def integrate_rates(time: Array, ang_vel: Array) -> Array:
+    """Return the attitude (T, 4), level at first, from body rates [rad/s], (T, 3), by the mean rate of each step."""
+    turns = Rotation.from_rotvec(0.5 * (ang_vel[1:] + ang_vel[:-1]) * np.diff(time)[:, None])
+    attitude = [Rotation.identity()]
+    for turn in turns:
+        attitude.append(attitude[-1] * turn)
+    return np.array([turn.as_quat() for turn in attitude])
 
 
 def interpolate_columns(at: Array, time: Array, values: Array) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.recording import HIGHEST_BAND
+from aerial_gym.sim2real.logs.recording import HIGHEST_BAND, comparable_rate
 
 UNITS = {
     "specific_force": "m/s²",
@@ -38,8 +38,8 @@ class Channel:
 
 
 def comparison_band(flights: Sequence[Flight], bandwidth: float) -> float:
-    """Return the comparison bandwidth [Hz]: the requested one, limited by the slowest log's rate."""
-    return min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
+    """Return the comparison bandwidth [Hz]: the requested one, limited by the slowest compared stream."""
+    return min(bandwidth, HIGHEST_BAND * min(comparable_rate(flight, flight.rate) for flight in flights))
 
 
 def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:

@@ -89,9 +89,34 @@ def _position_jump_sentence(finding: Finding) -> str:
     return f"The position jumps by ({size}) m {when}, against the velocity.{back}"
 
 
+def _stream_delay_text(finding: Finding) -> str:
+    values, late = finding.values, float(finding.values["late_ms"])
+    delay = f"{value_text(abs(late), values['half_width_ms'])} ± {value_text(values['half_width_ms'], values['half_width_ms'])}"
+    return f"Topic {values['topic']} is {delay} ms {'late' if late > 0.0 else 'early'} against the inertial sensors"
+
+
+def _reset_sentence(finding: Finding) -> str:
+    values = finding.values
+    size = f"{values['angle_deg']:.3g} deg" if "angle_deg" in values else f"{values['distance_m']:.3g} m"
+    effect = "earlier samples are turned" if "angle_deg" in values else "later samples are moved"
+    return f"The estimator reset the {values['quantity']} by {size} at {values['time_s']:.3f} s; {effect} accordingly."
+
+
 LOGS: dict[str, Template] = {
     "flight_left_out": "Left out: {error}.",
     "topic_left_out": "Topic left out: {error}.",
+    "topic_covers_part": "Topic {topic} is left out: it covers {covered_s:number} s of {log_s:number} s.",
+    "stream_too_late": lambda f: f"{_stream_delay_text(f)}, more than is corrected, and is left out.",
+    "stream_moved": lambda f: f"{_stream_delay_text(f)}; it is moved.",
+    "reset_undone": _reset_sentence,
+    "rotors_too_slow": "{quantity} comes at {rate_hz:number} Hz: lag, torques and order of the rotors cannot be judged.",
+    "flight_state_unknown": "Arming and landing show no flight: the whole log counts as one.",
+    "rotor_order_of_firmware": "Rotors are in the order of {firmware}; the robot file must list them in the same order.",
+    "commands_mixed": "Rotor commands are computed from torque and thrust commands by the mixer of an X frame.",
+    "relative_commands_scaled": lambda f: (
+        f"Commands are shares of the largest speed. A full command counts as {f.values['full']:.4g} {f.values['unit']}, by "
+        f"{'measured rotor speeds' if f.values['by_speeds'] else 'the mean measured thrust'}."
+    ),
     "battery_left_out": "The battery voltage is left out: {error}.",
     "file_damaged": "The file is damaged; pyulog left out the parts that it could not read.",
     "position_jumps_left": (
@@ -114,7 +139,6 @@ LOGS: dict[str, Template] = {
     "rows_without_quaternion": lambda f: _rows_left_out_sentence(
         f, "their quaternion does not have norm 1", "t [s] =", [f"{time:.6g}" for time in f.values["times_s"]]
     ),
-    "rows_without_topic": "{rows} of {total} rows are left out: topic {topic} has no samples near them.",
     "samples_with_bad_stamps": _samples_left_out_sentence,
     "blocks_ordered": _late_blocks_sentence,
     "clock_set_back": lambda f: _clock_sentence("The clock was set back", f),
@@ -141,7 +165,7 @@ LOGS: dict[str, Template] = {
     "force_derived": "Specific force is derived from velocity.",
     "rates_derived": "Angular velocity is derived from attitude; angular acceleration is not compared.",
     "one_command": "All rotors have one command; angular acceleration is not compared.",
-    "torques_not_logged": "By the mapping, these logs show no torques; angular acceleration is not compared.",
+    "torques_not_logged": "These logs show no torques; angular acceleration is not compared.",
     "on_ground": "In {share:percent} of the rows it stands on the ground; they are not compared.",
     "commands_copied": "The commands are left out: they equal the measured rotor speeds, so that they show no lag.",
     "commands_scaled": "Commands are scaled by {factor:.4f} to the thrust measured above {height_m:g} m.",

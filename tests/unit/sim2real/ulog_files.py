@@ -7,6 +7,11 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.sim2real import FlightLog, LogMapping
+from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
+from aerial_gym.sim2real.logs.readers.binary_log import flight_of_log, open_raw_log
+from aerial_gym.sim2real.logs.readers.stamps import stamp_seconds
+
 
 def topics(table: pd.DataFrame) -> dict[str, dict[str, np.ndarray]]:
     """A flight as PX4 would log it: NED, FRD, w first, microseconds, every topic at its own rate."""
@@ -39,30 +44,56 @@ def topics(table: pd.DataFrame) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
-def write_ulog(path: Path, result: dict[str, dict[str, np.ndarray]]) -> Path:
-    """Write a ULog file by its specification (docs.px4.io, ULog file format): header, flags, formats, subscriptions, data."""
+def read_topics(
+    results: dict[str, dict[str, np.ndarray]], mapping: LogMapping | None = None, **parameters
+) -> FlightLog:
+    """Return the flight of ULog topics, in this order of samples, without a ULog file."""
+    parts = []
+    for title, fields in results.items():
+        name, _, instance = title.rstrip("]").partition("[")
+        columns = {key: values for key, values in fields.items() if key != "timestamp"}
+        time = stamp_seconds(fields["timestamp"], 1e-6)
+        parts.append(Topic(name=name, instance=int(instance or 0), time=time, columns=columns))
+    raw = RawLog(path="a.ulg", format="ulog", topics=tuple(parts), parameters=parameters)
+    return flight_of_log(open_raw_log(raw, mapping), 1, relative=mapping is None)
+
+
+def write_ulog(
+    path: Path, result: dict[str, dict[str, np.ndarray]], parameters: dict[str, float] | None = None
+) -> Path:
+    """Write a ULog file by its specification (docs.px4.io, ULog file format): header, flags, formats, subscriptions, data.
+
+    A topic ``name[1]`` is instance 1 of ``name``.
+    """
 
     def message(kind: str, payload: bytes) -> bytes:
         return struct.pack("<HB", len(payload), ord(kind)) + payload
 
     text = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
+    for key, value in (parameters or {}).items():
+        text += message("P", bytes([len(f"float {key}")]) + f"float {key}".encode() + struct.pack("<f", value))
     data: list[tuple[int, bytes]] = []
-    for number, (name, fields) in enumerate(result.items()):
-        keys = [key for key in fields if key != "timestamp"]
+    subscriptions = b""
+    for number, (title, fields) in enumerate(result.items()):
+        name, _, instance = title.rstrip("]").partition("[")
+        stamps = [key for key in fields if key.startswith("timestamp")]
+        keys = [key for key in fields if key not in stamps]
         plain = {key: key.replace("[", "_").replace("]", "").replace(".", "_") for key in keys}
         arrays = dict.fromkeys(key.split("[")[0] for key in keys if "[" in key and "." not in key)
-        if arrays:
-            entries = "".join(f"float[{sum(k.startswith(a + '[') for k in keys)}] {a};" for a in arrays)
-        elif name == "esc_status":
-            text += message("F", b"esc_report:float esc_rpm;")
-            entries = f"esc_report[{len(keys)}] esc;"
+        if name == "esc_status":
+            inner = list(dict.fromkeys(key.split(".")[1] for key in keys))
+            text += message("F", f"esc_report:{''.join(f'float {one};' for one in inner)}".encode())
+            entries = f"esc_report[{len(keys) // len(inner)}] esc;"
         else:
-            entries = "".join(f"float {plain[key]};" for key in keys)
-        text += message("F", f"{name}:uint64_t timestamp;{entries}".encode())
-        data += [
-            (int(stamp), message("D", struct.pack("<HQ", number, int(stamp)) + struct.pack(f"<{len(keys)}f", *row)))
-            for stamp, row in zip(fields["timestamp"], np.stack([fields[k] for k in keys], axis=1), strict=True)
-        ]
-    text += b"".join(message("A", struct.pack("<BH", 0, number) + name.encode()) for number, name in enumerate(result))
-    path.write_bytes(text + b"".join(part for _, part in sorted(data, key=lambda entry: entry[0])))
+            entries = "".join(f"float[{sum(k.startswith(a + '[') for k in keys)}] {a};" for a in arrays)
+            entries += "".join(f"float {plain[key]};" for key in keys if "[" not in key)
+            keys = [key for key in keys if "[" in key] + [key for key in keys if "[" not in key]
+        entries = "".join(f"uint64_t {key};" for key in stamps) + entries
+        text += message("F", f"{name}:{entries}".encode())
+        rows = zip(*(fields[key] for key in stamps), np.stack([fields[k] for k in keys], axis=1), strict=True)
+        for *at, row in rows:
+            payload = struct.pack(f"<H{len(at)}Q", number, *map(int, at)) + struct.pack(f"<{len(keys)}f", *row)
+            data.append((int(at[0]), message("D", payload)))
+        subscriptions += message("A", struct.pack("<BH", int(instance or 0), number) + name.encode())
+    path.write_bytes(text + subscriptions + b"".join(part for _, part in sorted(data, key=lambda entry: entry[0])))
     return path

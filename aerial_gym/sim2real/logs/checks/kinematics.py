@@ -21,7 +21,11 @@ BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
 FEWEST_BLOCKS = 8
 
-QUIET = {"gyro": 0.1, "accelerometer": 0.3}  # Least RMS motion [rad/s], [m/s²] for angles and delay, not for the bias
+QUIET = {
+    "gyro": 0.1,
+    "accelerometer": 0.3,
+    "velocity": 0.3,
+}  # Least RMS motion [rad/s], [m/s²], [m/s] for angles and delay, not for the bias
 
 MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002}
 """Smallest bias [rad/s], [m/s²], angle [rad] and delay [s] that are reported."""
@@ -31,7 +35,7 @@ MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0),
 class ImuErrors:
     """Errors of one sensor: ``measured(t) = (I - [angle]x) motion(t - delay) + bias``."""
 
-    sensor: str  # gyro or accelerometer
+    sensor: str  # gyro, accelerometer or velocity
     bias: Array  # [rad/s] or [m/s²], body axes, (3,)
     angle: Array  # Rotation of the sensor's axes against the body's [rad], (3,)
     delay: float  # Delay of the sensor's clock behind that of attitude or velocity [s]
@@ -69,15 +73,15 @@ def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
         turn = Rotation.from_quat(log.attitude)
         inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)  # central differences
         turning = np.concatenate((inner[:1], inner, inner[-1:]))
-        notes.append(_fit_imu_errors("gyro", log.ang_vel, turning, np.zeros(3), rate))
+        notes.append(fit_sensor_errors("gyro", log.ang_vel, turning, np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)
-        notes.append(_fit_imu_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
+        notes.append(fit_sensor_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
     return [errors for errors in notes if errors is not None]
 
 
-def _fit_imu_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
+def fit_sensor_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
     """Return the fitted errors of a sensor; None if the log is too short. ``level``: the motion at hover."""
     band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)

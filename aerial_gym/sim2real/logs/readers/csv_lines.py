@@ -10,7 +10,6 @@ from aerial_gym.errors import DataError
 
 SEPARATORS = (";", "\t", ",")  # Field separators; a header with none of them is separated by spaces
 SPACES = " "  # Separator mark for any run of white space
-ULOG_MAGIC = b"ULog\x01\x12\x35"  # First bytes of a PX4 ULog. Source: PX4 User Guide, ULog File Format, Header
 ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # Encodings by byte-order mark; other files are UTF-8
 REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)  # Start of a comment, a separator hint or an empty line
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # A number with a decimal comma
@@ -92,9 +91,5 @@ def read_lines(path: Path) -> list[str]:
 
 def check_is_text(data: bytes, path: str) -> None:
     """Raise ``DataError`` if the first bytes of a file are not text."""
-    if data.startswith(ULOG_MAGIC):
-        raise DataError(
-            f"{path}: is a PX4 ULog, not a CSV file; replay and close-loop read it if its name ends in .ulg"
-        )
     if data[:2] not in ENCODINGS and b"\0" in data.split(b"\n", 1)[0]:
         raise DataError(f"{path}: cannot be read as text: it holds binary data; give a CSV file with one header line")

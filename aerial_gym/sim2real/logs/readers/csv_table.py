@@ -214,6 +214,23 @@ def _fill_short_gaps(
     return np.interp(time, time[known], numbers[known])
 
 
+def apply_column_conversion(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
+    """Return ``offset + gain (raw * times / over)^power``, and 0 where raw is 0, repeated per rotor, (T, columns)."""
+    values = raw
+    for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
+        if column is None:
+            continue
+        other = require_column(table, column, path)
+        if np.any(other <= 0.0):
+            row = int(np.argmax(other <= 0.0))
+            raise DataError(f"{path}, line {table.index[row]}: {column} = {other[row]:g}, must be > 0")
+        values = values * other[:, None] ** power
+    if quantity.power != 1.0 and np.any(values < 0.0):
+        raise DataError(f"{path}: {quantity.columns[0]} is negative and cannot be raised to {quantity.power:g}")
+    values = np.where(raw == 0.0, 0.0, quantity.offset + quantity.gain * values**quantity.power)
+    return np.repeat(values, quantity.repeat, axis=1)
+
+
 def message_on_missing_column(column: str, known: list[str], path: str) -> str:
     """Return the message on a missing column, with the nearest existing name and the remedy."""
     near = get_close_matches(column, [name for name in known if name != column], n=1)

@@ -9,49 +9,47 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.conventions import without_bad_quaternions
 from aerial_gym.sim2real.logs.checks.time_courses import check_motion_at_clock_steps
+from aerial_gym.sim2real.logs.readers.binary_log import read_binary_flight
 from aerial_gym.sim2real.logs.readers.csv_table import (
     LARGEST,
+    apply_column_conversion,
     mapping_hint,
     message_on_missing_column,
     quantity_columns,
     read_csv_rows,
     read_numbers,
-    require_column,
 )
-from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping
-from aerial_gym.sim2real.logs.readers.ulog import read_ulog_table
+from aerial_gym.sim2real.logs.readers.frames import to_package_frames
+from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.signals import integrate_rates
 
 COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
 EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))  # Column names of Euler angles, for a missing quaternion
-FLIP = np.array([1.0, -1.0, -1.0])  # Signs from body FRD to body FLU
 
 
 def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hover: bool = False) -> FlightLog:
-    """Return the flight in a CSV file with one header line, or in a PX4 ULog (.ulg).
+    """Return the flight in a log of any format: a CSV file with one header line, or a binary log, known by its content.
 
     Args:
-        mapping: Layout; None takes that of this package, or ``px4_ulog`` for a .ulg file.
+        path: The file; ``FILE#2`` selects the second flight of a binary log with several.
+        mapping: Layout; None takes that of this package for CSV, and of the format itself for binary logs.
         hover: Whether only hover rotor states are needed: a missing attitude counts as level, and neither gyro nor
             accelerometer is required.
 
-    Raise ``DataError`` if file, columns or fields are unusable.
+    Raise ``DataError`` if file, columns or fields are unusable, or if the file holds several flights.
     """
-    ulog = Path(path).suffix.lower() == ".ulg"
-    layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[Finding]()
-    if ulog:
-        table, clock_steps = read_ulog_table(Path(path), notes)
-        time = require_column(table, layout.time.columns[0], str(path)) * UNITS[layout.time.unit]
-    else:
-        table, time, clock_steps = read_csv_rows(Path(path), layout, notes)
+    binary = read_binary_flight(path, mapping, hover=hover)
+    if binary is not None:
+        return binary if mapping is None else _with_mapping(binary, mapping)
+    layout, notes = mapping or find_mapping("aerial_gym"), list[Finding]()
+    table, time, clock_steps = read_csv_rows(Path(path), layout, notes)
     values: dict[str, Array] = {}
     for name, quantity in layout.quantities().items():
         if name == "time":
@@ -66,7 +64,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
                     raise
                 notes.append(Finding("battery_left_out", "", {"error": str(error)}))
                 continue
-            values[name] = _apply_column_conversion(raw, table, quantity, str(path)) * UNITS[quantity.unit]
+            values[name] = apply_column_conversion(raw, table, quantity, str(path)) * UNITS[quantity.unit]
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
                 raise DataError(
                     f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
@@ -88,7 +86,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
     log = FlightLog(
         path=str(path),
         time=time,
-        lines=None if ulog else table.index.to_numpy(),
+        lines=table.index.to_numpy(),
         battery=battery,
         collective=command is not None and command.repeat > 1,
         lift_off=layout.lift_off_m,
@@ -97,11 +95,26 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         attitude_integrated=integrated,
         wind=wind,
         notes=tuple(notes),
-        **{"other_position": companion, **heights, **_to_package_frames(values, layout)},
+        **{"other_position": companion, **heights, **to_package_frames(values, layout)},
     )
     if clock_steps:
         check_motion_at_clock_steps(without_bad_quaternions(log), clock_steps)
     return log
+
+
+def _with_mapping(log: FlightLog, layout: LogMapping) -> FlightLog:
+    """Return a binary log with the facts on its flight that a mapping declares."""
+    notes = list(log.notes)
+    if layout.lacks:
+        notes.append(Finding("mapping_note", "", {"text": layout.lacks}))
+    return replace(
+        log,
+        lift_off=layout.lift_off_m,
+        hover_above=layout.hover_above_m,
+        torques=log.torques and layout.torques,
+        wind=_wind_of_mapping(Path(log.path), layout, notes),
+        notes=tuple(notes),
+    )
 
 
 def _battery_voltage(values: Array | None, time: Array, notes: list[Finding]) -> Array | None:
@@ -125,34 +138,13 @@ def _surface_height(values: Array, layout: LogMapping, name: str, path: str) -> 
     return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)
 
 
-def _apply_column_conversion(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
-    """Return ``offset + gain (raw * times / over)^power``, and 0 where raw is 0, repeated per rotor, (T, columns)."""
-    values = raw
-    for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
-        if column is None:
-            continue
-        other = require_column(table, column, path)
-        if np.any(other <= 0.0):
-            row = int(np.argmax(other <= 0.0))
-            raise DataError(f"{path}, line {table.index[row]}: {column} = {other[row]:g}, must be > 0")
-        values = values * other[:, None] ** power
-    if quantity.power != 1.0 and np.any(values < 0.0):
-        raise DataError(f"{path}: {quantity.columns[0]} is negative and cannot be raised to {quantity.power:g}")
-    values = np.where(raw == 0.0, 0.0, quantity.offset + quantity.gain * values**quantity.power)
-    return np.repeat(values, quantity.repeat, axis=1)
-
-
 def _integrate_attitude(
     values: dict[str, Array], time: Array, layout: LogMapping, path: str, notes: list[Finding]
 ) -> None:
     """Integrate the gyro from a level attitude; refuse logs with position or velocity, which need a true attitude."""
     if "ang_vel" not in values or "position" in values or "lin_vel" in values:
         raise DataError(f"{path}: has no attitude. {layout.lacks or 'Log it, or map it.'}")
-    turns = Rotation.from_rotvec(0.5 * (values["ang_vel"][1:] + values["ang_vel"][:-1]) * np.diff(time)[:, None])
-    attitude = [Rotation.identity()]
-    for turn in turns:
-        attitude.append(attitude[-1] * turn)
-    values["attitude"] = np.array([turn.as_quat() for turn in attitude])
+    values["attitude"] = integrate_rates(time, values["ang_vel"])
     notes.append(Finding("attitude_integrated"))
 
 
@@ -212,23 +204,3 @@ def _require_quantities(
             raise DataError(
                 f"{path}: has {speeds} rotor speeds and {commands} commands; both need one column per rotor"
             )
-
-
-def _to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str, Array]:
-    """Return the quantities in world ENU and body FLU, with quaternions from body to world."""
-    result = dict(values)
-    if layout.attitude_direction == "world_to_body":
-        result["attitude"] = result["attitude"] * (-1.0, -1.0, -1.0, 1.0)
-    if layout.world_frame == "ned":
-        for name in ("position", "lin_vel", "other_position"):
-            if name in result:
-                result[name] = result[name][:, [1, 0, 2]] * (1.0, 1.0, -1.0)
-        x, y, z, w = result["attitude"].T  # q_ned_to_enu q with q_ned_to_enu = (1, 1, 0, 0) / sqrt(2), xyzw
-        result["attitude"] = np.stack((w + z, w - z, y - x, -x - y), axis=1) / np.sqrt(2.0)
-    if layout.body_frame == "frd":
-        for name in ("ang_vel", "specific_force"):
-            if name in result:
-                result[name] = result[name] * FLIP
-        x, y, z, w = result["attitude"].T  # q q_flu_to_frd with q_flu_to_frd = (1, 0, 0, 0), xyzw
-        result["attitude"] = np.stack((w, z, -y, -x), axis=1)
-    return result

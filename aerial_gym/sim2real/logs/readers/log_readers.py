@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from aerial_gym.errors import DataError
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry.registry import Registry
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
@@ -47,24 +46,15 @@ for _name, _home in READERS.items():
 
 
 def find_reader(path: Path) -> LogReader | None:
-    """Return the reader that recognises a file by its content; None for a CSV or other text file.
-
-    Raise ``DataError`` if the file cannot be read, or is binary and of no known format.
-    """
+    """Return the reader that recognises a file by its content; None for any other file, which may be CSV, or for no file."""
     file = path / "metadata.yaml" if path.is_dir() else path
     try:
         with file.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    for name in LOG_READERS:
-        if LOG_READERS.get(name).recognises(head):
-            return LOG_READERS.get(name)
-    if b"\0" in head and head[:2] not in (b"\xff\xfe", b"\xfe\xff"):  # of text only UTF-16 holds zeros
-        raise DataError(f"{path}: is no log of a known format ({', '.join(LOG_READERS.names())}) and no CSV file")
-    return None
+    except OSError:  # the reader of CSV files reports it
+        return None
+    readers = (LOG_READERS.get(name) for name in LOG_READERS)
+    return next((reader for reader in readers if reader.recognises(head)), None)
 
 
 def read_raw_log(path: Path) -> RawLog | None:

@@ -1,237 +1,289 @@
-"""Read PX4 ULog files as one table on the clock of the slowest required topic, with gaps preserved.
-
-Columns keep PX4's frames (world north-east-down, body forward-right-down, quaternion w first, body to world); the mapping
-``px4_ulog`` turns them. Letters: T rows.
+"""Read PX4 ULog files with pyulog. Letters: T samples, R rotors.
 
 Source: PX4 message definitions (github PX4/PX4-Autopilot, msg/): VehicleAttitude, VehicleLocalPosition, SensorCombined,
-VehicleAngularVelocity, ActuatorMotors, ActuatorOutputs, EscStatus, BatteryStatus.
+VehicleAngularVelocity, ActuatorMotors, ActuatorOutputs, EscReport, BatteryStatus, VehicleLandDetected; output functions:
+src/lib/mixer_module/output_functions.yaml; thrust curve: THR_MDL_FAC in the PX4 parameter reference.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from aerial_gym.errors import DataError, MissingDependencyError
-from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCorrection, correct_stamps, stamp_seconds
-from aerial_gym.sim2real.logs.signals import quaternion_signs
+from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
+from aerial_gym.sim2real.logs.readers.frames import attitude_from_ned_frd, enu_from_ned, flu_from_frd
+from aerial_gym.sim2real.logs.readers.log_readers import LogReader
+from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
 
-Topics = Mapping[str, Mapping[str, Array]]
-
-TOPICS: dict[str, dict[str, str]] = {
-    "vehicle_attitude": {f"q[{i}]": f"q_{axis}" for i, axis in enumerate("wxyz")},
-    "vehicle_local_position": {"x": "p_x", "y": "p_y", "z": "p_z", "vx": "v_x", "vy": "v_y", "vz": "v_z"},
-    "vehicle_angular_velocity": {f"xyz[{i}]": f"omega_{axis}" for i, axis in enumerate("xyz")},
-    "sensor_combined": {f"accelerometer_m_s2[{i}]": f"acc_{axis}" for i, axis in enumerate("xyz")},
-    "esc_status": {f"esc[{i}].esc_rpm": f"rpm_{i + 1}" for i in range(8)},
-    "actuator_motors": {f"control[{i}]": f"control_{i + 1}" for i in range(12)},
-    "actuator_outputs": {f"output[{i}]": f"output_{i + 1}" for i in range(16)},
-    "battery_status": {"voltage_v": "voltage"},
-}
-"""Column names by topic and field."""
-
-GYRO = {f"gyro_rad[{i}]": f"omega_{axis}" for i, axis in enumerate("xyz")}
-"""Fields of sensor_combined that replace a missing vehicle_angular_velocity."""
-
-CLOCKS = ("vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "esc_status", "actuator_motors")
-"""Topics that every row needs; the slowest of them is the clock."""
-
-REACH = 2.5  # Largest distance of the two samples around a row, in usual steps of the topic
+ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, Header
 LONGEST_LATENCY_US = 1_000_000  # Largest delay from sampling to publication [us] on one clock
-WRAP_S = 2**32 * 1e-6  # Wrap period of a 32-bit counter of microseconds [s]
-MOST_UNCOVERED = 0.01  # A larger share of rows without samples of a topic is reported
-SLOWEST_CLOCK_HZ = 20.0  # Lowest rate of a clock topic; slower ones except the attitude are dropped
+FASTER = 1.5  # Ratio of rates from which the faster of two topics with one quantity is taken
+MOTOR_1 = 101  # Output function of motor 1; further motors follow
+MOST_MOTORS = 12
+LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is connected
+ROTORS_BY_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # Number of rotors by MAV_TYPE. Source: MAVLink common.xml, MAV_TYPE
+ARMED = 2  # ``arming_state`` of an armed vehicle
+LEVELS = {"DEBUG": "debug", "INFO": "info", "NOTICE": "info", "WARNING": "warning"}  # Any other level is an error
+
+QUAD_X = np.array([(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)]) * (0.7071, 0.7071, 1.0)
+"""Roll, pitch and yaw factors of the rotors front right, rear left, front left, rear right. Source: PX4 1.12, quad_x mixer."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TopicSamples:
-    """Usable samples of a topic."""
+class UlogReader(LogReader):
+    """Reader of PX4 ULog files."""
 
-    time: Array  # Increasing [s], (T,)
-    columns: dict[str, Array]  # Values by column, each (T,)
-    steps: tuple[ClockStep, ...]  # Backward clock steps, corrected in ``time``
+    name = "ulog"
+    summary = "PX4 ULog, by pyulog"
 
-    @property
-    def backward_steps(self) -> tuple[ClockStep, ...]:
-        """Return the steps without a wrapped counter, which all topics share."""
-        return tuple(step for step in self.steps if not step.counter)
+    def recognises(self, head: bytes) -> bool:
+        """Return whether the file begins as a ULog."""
+        return head.startswith(ULOG_MAGIC)
 
-    @property
-    def sample_step(self) -> float:
-        """Return the median time between samples [s]."""
-        return float(np.median(np.diff(self.time)))
-
-
-def read_ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
-    """Return the table of a ULog file and the corrected times of its clock steps [s].
-
-    Raise ``DataError`` if the file is not a ULog or has no attitude. Raise ``MissingDependencyError`` if pyulog is not
-    installed.
-    """
-    try:
-        from pyulog import ULog  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise MissingDependencyError("reading .ulg files needs pyulog: pip install 'aerial-gym[sim2real]'") from None
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
-    try:
-        with redirect_stdout(StringIO()):  # pyulog prints what it skips
-            log = ULog(str(path), list(TOPICS))
-    except Exception as error:  # pyulog raises many types
-        raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
-    if log.file_corruption:
-        notes.append(Finding("file_damaged"))
-    return merge_topics({part.name: part.data for part in log.data_list if part.multi_id == 0}, str(path), notes)
-
-
-def merge_topics(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
-    """Return topics (arrays by field) as one table on one clock, and the corrected times of clock steps [s].
-
-    Faster topics are averaged, slower ones interpolated, commands held; rows without nearby samples are dropped. A topic
-    without usable stamps becomes a finding; without an attitude a ``DataError`` is raised.
-    """
-    if "vehicle_attitude" not in topics:
-        raise DataError(f"{path}: has no topic vehicle_attitude; log it (SDLOG_PROFILE) and fly again")
-    try:
-        reference = _topic_samples(topics, "vehicle_attitude", notes)
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from None
-    tables = {"vehicle_attitude": reference}
-    for name in TOPICS.keys() & topics.keys() - {"vehicle_attitude"}:
+    def read(self, path: Path) -> RawLog:
+        """Return all topics, parameters and messages of the file."""
         try:
-            tables[name] = _align_clock(reference, _topic_samples(topics, name, notes), name)
-        except DataError as error:
-            notes.append(Finding("topic_left_out", "", {"topic": name, "error": str(error)}))
-    series = _equalise_clock_steps({name: tables[name] for name in TOPICS if name in tables and tables[name].columns})
-    clocks = [
-        n for n in CLOCKS if n in series and (series[n].sample_step < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")
-    ]
-    clock = max(clocks, key=lambda name: series[name].sample_step)
-    rows, columns = series[clock].time, {}
-    near = np.ones(rows.size, dtype=bool)
-    for name, one in series.items():
-        if name in CLOCKS and name not in clocks:
-            continue  # too slow for a comparison
-        held = name.startswith("actuator")
-        for label, column in one.columns.items():
-            if name != clock:
-                column = _resample_to_clock(rows, one.time, column, series[clock].sample_step, held=held)
-            columns[label] = column
-        if name != "battery_status":
-            covered = _is_covered(rows, one.time, one.sample_step)
-            if np.mean(~covered) > MOST_UNCOVERED:
-                left_out = {"rows": int(np.sum(~covered)), "total": rows.size, "topic": name}
-                notes.append(Finding("rows_without_topic", "", left_out))
-            near &= covered
-    attitude = series["vehicle_attitude"]
-    table = pd.DataFrame({name: column[near] for name, column in {"t": rows, **columns}.items()})
-    return table, tuple(float(attitude.time[step.row]) for step in attitude.steps)
-
-
-def _topic_samples(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
-    """Return the usable samples of a topic, no columns if it holds none; raise ``DataError`` for unusable stamps."""
-    topic, wanted = topics[name], dict(TOPICS[name])
-    if name == "sensor_combined" and "vehicle_angular_velocity" not in topics:
-        wanted |= GYRO
-    values = {label: np.asarray(topic[key], dtype=np.float64) for key, label in wanted.items() if key in topic}
-    values = {label: column for label, column in values.items() if np.isfinite(column).any()}
-    if name in ("esc_status", "actuator_outputs"):  # unused entries are 0 in every row
-        values = {label: column for label, column in values.items() if np.any(column != 0.0)}
-    if not values:
-        return TopicSamples(time=np.zeros(0), columns={}, steps=())
-    whole = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    checked = _topic_stamps(topic, f"topic {name}")
-    notes.extend(checked.late_block_findings(checked.late.tolist(), topic=name))
-    whole, values = whole[checked.order], {label: column[checked.order] for label, column in values.items()}
-    good = whole[checked.kept]
-    if good.sum() < 2:
-        raise DataError(f"topic {name} has {good.sum()} usable rows, needs 2")
-    if bad := np.flatnonzero(~checked.kept).tolist():
-        left_out = {"topic": name, "samples": len(bad), "total": whole.size, "places": bad[:SHOWN]}
-        notes.append(Finding("samples_with_bad_stamps", "", left_out))
-    if name == "vehicle_attitude":
-        notes.extend(step.finding("sample", step.row, topic=name) for step in checked.steps)
-        signs = quaternion_signs(np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1))
-        values = {label: column * signs for label, column in values.items()}
-    steps = tuple(replace(step, row=int(good[: step.row].sum())) for step in checked.steps)
-    columns = {label: column[checked.kept][good] for label, column in values.items()}
-    return TopicSamples(time=checked.time[good], columns=columns, steps=steps)
-
-
-def _topic_stamps(topic: Mapping[str, Array], name: str) -> StampCorrection:
-    """Return the sampling time of a topic, or its publication time if the former is on another clock or unusable."""
-    published, sampled = (topic.get(name) for name in ("timestamp", "timestamp_sample"))
-    stamps = [stamp for stamp in (sampled, published) if stamp is not None]
-    if sampled is not None and published is not None:
-        latency = np.asarray(published).astype(np.int64) - np.asarray(sampled).astype(np.int64)
-        if np.median((latency >= 0) & (latency < LONGEST_LATENCY_US)) == 0.0:
-            stamps.reverse()
-    try:
-        return correct_stamps(stamp_seconds(stamps[0], 1e-6), name)
-    except DataError:
-        if len(stamps) == 1:
-            raise
-        return correct_stamps(stamp_seconds(stamps[1], 1e-6), name)
-
-
-def _align_clock(reference: TopicSamples, one: TopicSamples, name: str) -> TopicSamples:
-    """Return a topic moved by multiples of ``WRAP_S`` onto the reference clock; raise ``DataError`` if the clocks differ."""
-    if not one.columns:
-        return one
-    turns = round(float(np.median(reference.time) - np.median(one.time)) / WRAP_S)
-    shifted = replace(one, time=one.time + turns * WRAP_S)
-    if not (shifted.time[0] < reference.time[-1] and reference.time[0] < shifted.time[-1]):
-        raise DataError(
-            f"topic {name} runs from {one.time[0]:.6g} to {one.time[-1]:.6g} s, vehicle_attitude from "
-            f"{reference.time[0]:.6g} to {reference.time[-1]:.6g} s"
+            from pyulog import ULog  # pyright: ignore[reportMissingImports]
+        except ImportError:
+            raise MissingDependencyError("reading a PX4 ULog needs pyulog: pip install 'aerial-gym[logs]'") from None
+        try:
+            with redirect_stdout(StringIO()):  # pyulog prints what it skips
+                log = ULog(str(path))
+        except Exception as error:  # pyulog raises many types
+            raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
+        return RawLog(
+            path=str(path),
+            format=self.name,
+            topics=tuple(_topic(part.name, part.multi_id, part.data) for part in log.data_list if part.data),
+            parameters=dict(log.initial_parameters),
+            messages=tuple(
+                LogMessage(
+                    time=1e-6 * m.timestamp, level=LEVELS.get(m.log_level_str(), "error"), text=m.message.strip()
+                )
+                for m in log.logged_messages
+            ),
+            metadata={name: str(value) for name, value in log.msg_info_dict.items()},
+            notes=(Finding("file_damaged"),) if log.file_corruption else (),
         )
-    if len(one.backward_steps) != len(reference.backward_steps):
-        raise DataError(
-            f"topic {name} shows {len(one.backward_steps)} steps back of the clock, vehicle_attitude "
-            f"{len(reference.backward_steps)}"
+
+    def channels(self, log: RawLog) -> Sequence[LogChannel]:
+        """Return the quantities of the vehicle; of gyros and accelerometers a much faster one comes first."""
+        vectors = (
+            ("attitude", ("vehicle_attitude", "vehicle_odometry"), [f"q[{i}]" for i in range(4)]),
+            ("position", ("vehicle_local_position",), list("xyz")),
+            ("lin_vel", ("vehicle_local_position",), ["vx", "vy", "vz"]),
+            ("ang_vel", ("vehicle_angular_velocity",), [f"xyz[{i}]" for i in range(3)]),
+            ("ang_vel", ("sensor_combined",), [f"gyro_rad[{i}]" for i in range(3)]),
+            ("ang_vel", ("vehicle_attitude",), ["rollspeed", "pitchspeed", "yawspeed"]),
+            ("specific_force", ("sensor_combined",), [f"accelerometer_m_s2[{i}]" for i in range(3)]),
+            ("specific_force", ("vehicle_acceleration",), [f"xyz[{i}]" for i in range(3)]),
         )
-    return shifted
+        usable = [
+            _vector_channel(topic, quantity, fields)
+            for quantity, names, fields in vectors
+            for name in names
+            for topic in _topics(log, name)
+            if set(fields) <= topic.columns.keys()
+        ]
+        return [
+            *_faster_first([one for one in usable if np.isfinite(one.values).any()]),
+            *_rotor_speeds(log),
+            *_faster_first([*_motor_commands(log), *_output_commands(log)]),
+            *_control_commands(log),
+            *_batteries(log),
+            *_flight_states(log),
+        ]
 
 
-def _equalise_clock_steps(series: dict[str, TopicSamples]) -> dict[str, TopicSamples]:
-    """Return the topics with equal clock corrections: the least of each step, which the fastest topic resolves best."""
-    shifts = np.array([[step.shift for step in one.backward_steps] for one in series.values()])
-    least = shifts.min(axis=0)
-    tables = dict[str, TopicSamples]()
-    for (name, one), own in zip(series.items(), shifts, strict=True):
-        time = one.time.copy()
-        for step, excess in zip(one.backward_steps, own - least, strict=True):
-            time[step.row :] -= excess
-        tables[name] = replace(one, time=time)
-    return tables
+def _topic(name: str, instance: int, data: dict[str, Array]) -> Topic:
+    columns = {key: values for key, values in data.items() if key != "timestamp"}
+    return Topic(name=name, instance=instance, time=stamp_seconds(data["timestamp"], 1e-6), columns=columns)
 
 
-def _resample_to_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:
-    """Return values (T,) at the rows: held, averaged over a step with several samples, else interpolated."""
-    if held:
-        return values[np.clip(np.searchsorted(time, rows, side="right") - 1, 0, None)]
-    first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
-    total = np.concatenate(([0.0], np.cumsum(values)))
-    centre = np.concatenate(([0.0], np.cumsum(time)))
-    count = np.maximum(last - first, 1)
-    line = np.interp(rows, time, values)
-    mean = (total[last] - total[first]) / count
-    # The mean belongs to the mean time of its samples; the local slope moves it to the row.
-    shift = rows - (centre[last] - centre[first]) / count
-    slope = (np.interp(rows + 0.5 * step, time, values) - np.interp(rows - 0.5 * step, time, values)) / step
-    return np.where(last - first >= 2, mean + shift * slope, line)
+def _topics(log: RawLog, name: str) -> list[Topic]:
+    return sorted((topic for topic in log.topics if topic.name == name), key=lambda topic: topic.instance)
 
 
-def _is_covered(rows: Array, time: Array, step: float) -> Flags:
-    """Return the rows between two samples at most ``REACH`` usual steps apart, (T,)."""
-    after = np.searchsorted(time, rows, side="left")
-    inside = (after < time.size) & ((after > 0) | (time[0] == rows))
-    high, low = np.clip(after, 0, time.size - 1), np.clip(after - 1, 0, None)
-    hit = time[high] == rows
-    return inside & (hit | (time[high] - time[low] <= REACH * step))
+def _column(topic: Topic, name: str) -> Array:
+    return np.asarray(topic.columns[name], dtype=np.float64)
+
+
+def _channel(topic: Topic, quantity: str, values: Array, notes: tuple[Finding, ...] = ()) -> LogChannel:
+    """Return a channel of a topic on its sampling times, or on those of publication if the former are unusable."""
+    time, latency = topic.time, None
+    if "timestamp_sample" in topic.columns:
+        sampled = stamp_seconds(topic.columns["timestamp_sample"], 1e-6)
+        delays = time - sampled
+        try:
+            if np.median((delays >= 0.0) & (delays < 1e-6 * LONGEST_LATENCY_US)) > 0.0:
+                correct_stamps(sampled, "")
+                time, latency = sampled, float(np.median(delays))
+        except DataError:
+            pass
+    return LogChannel(quantity=quantity, time=time, values=values, source=topic.source, latency=latency, notes=notes)
+
+
+def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogChannel:
+    """Return a channel in this package's frames, with the resets by the topic's counters."""
+    values = np.stack([_column(topic, name) for name in fields], axis=1)
+    convert = {"attitude": attitude_from_ned_frd, "position": enu_from_ned, "lin_vel": enu_from_ned}
+    for flag in {"position": ("xy_valid", "z_valid"), "lin_vel": ("v_xy_valid", "v_z_valid")}.get(quantity, ()):
+        if flag in topic.columns:
+            values[_column(topic, flag) == 0.0] = np.nan
+    channel = _channel(topic, quantity, convert.get(quantity, flu_from_frd)(values))
+    counters = {
+        "attitude": ("quat_reset_counter",),
+        "position": ("xy_reset_counter", "z_reset_counter"),
+        "lin_vel": ("vxy_reset_counter", "vz_reset_counter"),
+    }
+    known = [_column(topic, name) for name in counters.get(quantity, ()) if name in topic.columns]
+    if not known:
+        return channel
+    changes = np.any(np.diff(np.stack(known, axis=1), axis=0) != 0.0, axis=1)
+    return replace(channel, resets=channel.time[1:][changes])
+
+
+def _faster_first(channels: Sequence[LogChannel]) -> list[LogChannel]:
+    """Return the channels, sorted so that one comes before another of its quantity if it is ``FASTER`` times as fast."""
+
+    def key(channel: LogChannel) -> float:
+        same = (one.time.size for one in channels if one.quantity == channel.quantity)
+        return -float(np.floor(np.log(channel.time.size / next(same)) / np.log(FASTER)))
+
+    return sorted(channels, key=key)
+
+
+def _order_note() -> tuple[Finding, ...]:
+    return (Finding("rotor_order_of_firmware", "", {"firmware": "PX4"}),)
+
+
+def _rotor_speeds(log: RawLog) -> Iterator[LogChannel]:
+    """Yield measured rotor speeds in the order of motors, by ``actuator_function`` if that is logged."""
+    for topic in _topics(log, "esc_status"):
+        usable: dict[int, Array] = {}
+        for index in range(MOST_MOTORS):
+            if f"esc[{index}].esc_rpm" not in topic.columns:
+                break
+            rpm, key = _column(topic, f"esc[{index}].esc_rpm"), f"esc[{index}].actuator_function"
+            function = float(np.median(_column(topic, key))) if key in topic.columns else 0.0
+            if np.any(rpm != 0.0):
+                usable[int(function) if function >= MOTOR_1 else MOTOR_1 + index] = np.abs(rpm)
+        if usable:
+            speeds = UNITS["rpm"] * np.stack([usable[number] for number in sorted(usable)], axis=1)
+            yield _channel(topic, "rotor_speed", speeds, _order_note())
+
+
+def _motor_commands(log: RawLog) -> Iterator[LogChannel]:
+    """Yield commands of ``actuator_motors``: thrusts from 0 to 1, which become speeds by ``_invert_thrust_curve``."""
+    for topic in _topics(log, "actuator_motors"):
+        columns = [
+            _column(topic, name) for name in (f"control[{i}]" for i in range(MOST_MOTORS)) if name in topic.columns
+        ]
+        used = [column for column in columns if np.isfinite(column).any()]
+        if used:
+            thrust = np.stack(used, axis=1)
+            command = np.sign(thrust) * _invert_thrust_curve(np.abs(thrust), _thrust_factor(log))
+            yield _channel(topic, "rotor_command", command, _order_note())
+
+
+def _thrust_factor(log: RawLog) -> float:
+    return float(log.parameters.get("THR_MDL_FAC", 0.0))
+
+
+def _invert_thrust_curve(thrust: Array, factor: float) -> Array:
+    """Return the motor signal u of a relative thrust ``f u^2 + (1 - f) u``, PX4's thrust curve."""
+    if factor <= 0.0:
+        return thrust
+    linear = 1.0 - factor
+    return (np.sqrt(linear**2 + 4.0 * factor * np.maximum(thrust, 0.0)) - linear) / (2.0 * factor)
+
+
+def _output_commands(log: RawLog) -> Iterator[LogChannel]:
+    """Yield motor signals of ``actuator_outputs``; each instance has the driver whose range fits its outputs."""
+    drivers = _motor_outputs(log)
+    for topic in _topics(log, "actuator_outputs"):
+        options = [_relative_outputs(topic, ranges) for ranges in drivers]
+        fitting = [values for values in options if values is not None]
+        if fitting:
+            yield _channel(topic, "rotor_command", fitting[0], _order_note())
+
+
+def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
+    """Return for each output driver the index, lowest and highest value of its motor outputs, in the order of motors."""
+    parameters = {name: float(value) for name, value in log.parameters.items() if not isinstance(value, str)}
+    drivers: dict[str, list[tuple[float, int, float, float]]] = {}
+    for name, function in parameters.items():
+        prefix, _, number = name.rpartition("_FUNC")
+        if prefix and number.isdigit() and MOTOR_1 <= function < MOTOR_1 + MOST_MOTORS:
+            low, high = (
+                parameters.get(f"{prefix}_{end}{number}", end_value)
+                for end, end_value in (("MIN", 1000.0), ("MAX", 2000.0))
+            )
+            drivers.setdefault(prefix, []).append((function, int(number) - 1, low, high))
+    results = [[row[1:] for row in sorted(rows)] for rows in drivers.values()]
+    if not results:  # before PX4 1.13 the first outputs were the motors
+        low, high = (
+            parameters.get(f"PWM_MAIN_{end}", parameters.get(f"PWM_{end}", value))
+            for end, value in (("MIN", 1000.0), ("MAX", 2000.0))
+        )
+        results = [[(index, low, high) for index in range(_num_rotors(log))]]
+    return results
+
+
+def _num_rotors(log: RawLog) -> int:
+    return ROTORS_BY_TYPE.get(int(float(log.parameters.get("MAV_TYPE", 2))), 4)
+
+
+def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) -> Array | None:
+    """Return motor signals from 0 to 1, (T, R); None if the outputs do not vary, or mostly lie outside of the range."""
+    names = [f"output[{index}]" for index, _, _ in ranges]
+    if not set(names) <= topic.columns.keys():
+        return None
+    outputs = np.stack([_column(topic, name) for name in names], axis=1)
+    low, high = (np.array([row[place] for row in ranges]) for place in (1, 2))
+    if np.any(np.ptp(outputs, axis=0) == 0.0):
+        return None
+    if outputs.max() <= 1.0:  # hardware in the loop: shares
+        return np.maximum(outputs, 0.0)
+    signal = (outputs - low) / (high - low)
+    return (
+        np.clip(signal, 0.0, 1.0) if np.all((np.median(signal, axis=0) >= 0.0) & (signal.max(axis=0) <= 1.0)) else None
+    )
+
+
+def _control_commands(log: RawLog) -> Iterator[LogChannel]:
+    """Yield motor signals of a quadrotor from ``actuator_controls_0`` (before PX4 1.13) by the mixer of an X frame."""
+    names = [f"control[{index}]" for index in range(4)]
+    for topic in _topics(log, "actuator_controls_0"):
+        if set(names) <= topic.columns.keys() and _num_rotors(log) == 4:
+            torque_and_thrust = np.stack([_column(topic, name) for name in names], axis=1)
+            thrust = torque_and_thrust[:, :3] @ QUAD_X.T + torque_and_thrust[:, 3:]
+            signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), _thrust_factor(log))
+            yield _channel(topic, "rotor_command", signal, (*_order_note(), Finding("commands_mixed")))
+
+
+def _batteries(log: RawLog) -> Iterator[LogChannel]:
+    """Yield the voltages of connected batteries."""
+    for topic in _topics(log, "battery_status"):
+        if "voltage_v" in topic.columns:
+            voltage = _column(topic, "voltage_v")
+            if np.median(voltage) > LOWEST_BATTERY_V:
+                yield _channel(topic, "battery", voltage[:, None])
+
+
+def _flight_states(log: RawLog) -> Iterator[LogChannel]:
+    """Yield arming and contact with the ground."""
+    for topic in _topics(log, "actuator_armed"):
+        yield _channel(topic, "armed", _column(topic, "armed")[:, None])
+    for topic in _topics(log, "vehicle_status"):
+        if "arming_state" in topic.columns:
+            yield _channel(topic, "armed", (_column(topic, "arming_state") == ARMED).astype(float)[:, None])
+    for topic in _topics(log, "vehicle_land_detected"):
+        flags = [_column(topic, n) != 0.0 for n in ("landed", "maybe_landed", "ground_contact") if n in topic.columns]
+        yield _channel(topic, "landed", np.any(flags, axis=0).astype(float)[:, None])

@@ -8,12 +8,9 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real import FlightLog, find_mapping, read_flight_log
-from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.flights import load_flights, resample_log
-from aerial_gym.sim2real.logs.readers.ulog import merge_topics
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, write
-from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 
 @pytest.fixture(scope="module")
@@ -168,80 +165,6 @@ def test_one_flight_is_one_time_course(hold: int, columns: list[str], table: pd.
 # --- ULog ---------------------------------------------------------------------------------------------------------------
 
 
-def px4(result: dict[str, dict[str, np.ndarray]]) -> tuple[pd.DataFrame, list[str]]:
-    notes: list[Finding] = []
-    return merge_topics(result, "a.ulg", notes)[0], notes
-
-
-def change_stamps(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):
-    results = topics(table)
-    results[name] |= {key: np.asarray(change(results[name]["timestamp"].copy()))}
-    return results
-
-
-@pytest.mark.parametrize("name", list(topics(flight(2, seconds=1.0))))
-def test_one_absurd_stamp_costs_one_sample(name: str, table: pd.DataFrame) -> None:
-    good, _ = px4(topics(table))
-    bad = 200 if len(topics(table)[name]["timestamp"]) > 200 else 5
-    late = np.uint64(40_000_000)
-    results, notes = px4(change_stamps(name, lambda t: t + late * (np.arange(t.size) == bad).astype(np.uint64), table))
-    assert len(good) - len(results) <= 1
-    assert results["t"].iloc[-1] == good["t"].iloc[-1]
-    assert any(note.values["topic"] == name and note.values.get("places") == [bad] for note in notes)
-
-
-@pytest.mark.parametrize("stamps", [lambda t: 0 * t, lambda t: t + np.uint64(10**12), lambda t: t[::-1]])
-@pytest.mark.parametrize("name", ["battery_status", "vehicle_local_position"])
-def test_an_optional_topic_with_bad_stamps_is_left_out(name: str, stamps: Callable, table: pd.DataFrame) -> None:
-    good, _ = px4(topics(table))
-    results, notes = px4(change_stamps(name, stamps, table))
-    assert set(good) - set(results) <= {"voltage", *(f"{q}_{axis}" for q in "pv" for axis in "xyz")}
-    assert abs(len(results) - len(good)) <= 4
-    assert ("topic_left_out", name) in [(note.code, note.values["topic"]) for note in notes]
-
-
-def test_a_sample_stamp_that_is_on_no_clock_gives_way_to_that_of_the_message(table: pd.DataFrame) -> None:
-    good, _ = px4(topics(table))
-    for stamps in (lambda t: 0 * t, lambda t: t - np.uint64(4_000_000), lambda t: t + np.uint64(10**12)):
-        results, _ = px4(change_stamps("vehicle_local_position", stamps, table, "timestamp_sample"))
-        pd.testing.assert_frame_equal(results, good)
-
-
-def test_a_counter_of_32_bits_in_one_topic_is_unwrapped(table: pd.DataFrame) -> None:
-    results = topics(table)
-    for part in results.values():
-        part["timestamp"] = part["timestamp"] + np.uint64(2**32 - 7_000_000)
-    good, _ = px4(results)
-    results["esc_status"]["timestamp"] = results["esc_status"]["timestamp"] % np.uint64(2**32)
-    pd.testing.assert_frame_equal(px4(results)[0], good, atol=1e-9)
-    for part in results.values():
-        part["timestamp"] = part["timestamp"] % np.uint64(2**32)
-    pd.testing.assert_frame_equal(px4(results)[0], good, atol=1e-9)
-
-
-def test_a_clock_set_back_in_all_topics_is_corrected_by_one_amount(table: pd.DataFrame, tmp_path: Path) -> None:
-    good, _ = px4(topics(table))
-    results = topics(table)
-    del results["battery_status"]
-    for part in results.values():
-        part["timestamp"] = part["timestamp"] - np.where(part["timestamp"] > 7_003_000, 1_500_000, 0).astype(np.uint64)
-    table_of, notes = px4(results)
-    columns = ["t", "q_x", "q_y", "q_z", "q_w", "p_x", "rpm_1"]  # means of other samples differ by their noise
-    pd.testing.assert_frame_equal(table_of[columns], good[columns], rtol=1e-5, atol=1e-6)
-    assert "clock_set_back" in [note.code for note in notes]
-
-
-def test_topics_that_are_needed_are_named_where_their_stamps_are_bad(table: pd.DataFrame, tmp_path: Path) -> None:
-    pytest.importorskip("pyulog", reason="pyulog is not installed: pip install 'aerial-gym[sim2real]'")
-    with pytest.raises(DataError, match="esc_status"):
-        read_flight_log(write_ulog(tmp_path / "a.ulg", change_stamps("esc_status", lambda t: 0 * t, table)))
-    with pytest.raises(DataError, match="vehicle_attitude"):
-        read_flight_log(write_ulog(tmp_path / "b.ulg", change_stamps("vehicle_attitude", lambda t: 0 * t, table)))
-    log = read_flight_log(write_ulog(tmp_path / "c.ulg", change_stamps("battery_status", lambda t: 0 * t, table)))
-    assert log.battery is None
-    assert find_mapping("px4_ulog").battery is not None
-
-
 @pytest.mark.parametrize("lost", [1, 2, 5])
 def test_rows_lost_beside_a_step_of_the_clock_do_not_make_the_motion_another(lost, table, tmp_path) -> None:
     for row in range(110, 700, 60):
@@ -266,15 +189,3 @@ def test_two_exchanged_blocks_of_a_file_cost_nothing(size, start, table, tmp_pat
     check_rows(log, table)
     np.testing.assert_array_equal(log.lines[rows], np.arange(2, len(table) + 2))
     assert len(log.notes) == len(read_flight_log(write(table, tmp_path / "b.csv")).notes) + 1
-
-
-def test_two_exchanged_blocks_of_a_topic_cost_nothing(table: pd.DataFrame) -> None:
-    good, few = px4(topics(table))
-    results = topics(table)
-    rows = np.arange(len(table))
-    rows[100:300] = np.roll(rows[100:300], 80)
-    gyro = results["vehicle_angular_velocity"]
-    results["vehicle_angular_velocity"] = {name: values[rows] for name, values in gyro.items()}
-    mended, notes = px4(results)
-    pd.testing.assert_frame_equal(mended, good)
-    assert len(notes) == len(few) + 1

@@ -156,7 +156,7 @@ def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame,
 
 
 def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
-    assert {"aerial_gym", "idsia_nanodrone", "px4_ulog"} < set(mapping_names())
+    assert {"aerial_gym", "idsia_nanodrone"} < set(mapping_names())
     with pytest.raises(UnknownNameError, match=r"no log mapping 'px4'\. Known: aerial_gym, .*idsia_nanodrone"):
         find_mapping("px4")
     with pytest.raises(ConfigError, match=r"must be one of si, ms"):

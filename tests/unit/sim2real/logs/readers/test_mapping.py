@@ -1,4 +1,4 @@
-"""Mappings of foreign layouts: conversions, missing attitude, companions; and PX4 ULog files written by the test itself."""
+"""Mappings of foreign layouts: conversions, missing attitude, companions."""
 
 from pathlib import Path
 
@@ -8,15 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config import build
-from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.ulog import merge_topics
 from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.predict.channels import find_channels
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
-from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 BASE = {
     "summary": "test", "source": "test", "time": {"columns": ["t"]},
@@ -181,104 +179,3 @@ def test_a_piece_beyond_a_gap_at_the_end_is_cut_off_and_said(table: pd.DataFrame
     assert log.time[-1] == pytest.approx(3.69)
     (note,) = log.notes
     assert (note.code, note.values) == ("rows_cut", {"rows": 15, "gap_s": pytest.approx(0.16, abs=0.005)})
-
-
-def check_px4(log: FlightLog, table: pd.DataFrame) -> None:
-    """The log says in ENU and FLU what was flown, at the rows of the slowest clock."""
-    rows = table.iloc[::2].reset_index(drop=True)
-    rows = rows[: len(log.time)]
-    np.testing.assert_allclose(log.time - 5.0, rows["t"], atol=1e-6)
-    inner = slice(5, -5)
-    flown = Rotation.from_quat(rows[["q_x", "q_y", "q_z", "q_w"]])
-    assert (flown.inv() * Rotation.from_quat(log.attitude)).magnitude().max() < 1e-3
-    sizes = {
-        "position": ("p", 2e-3), "lin_vel": ("v", 2e-2), "ang_vel": ("omega", 2e-2), "specific_force": ("acc", 0.1),
-    }  # fmt: skip
-    for name, (prefix, size) in sizes.items():
-        expected = rows[[f"{prefix}_x", f"{prefix}_y", f"{prefix}_z"]].to_numpy()
-        np.testing.assert_allclose(getattr(log, name)[inner], expected[inner], atol=size)
-    np.testing.assert_allclose(log.rotor_speed, rows.filter(like="rotor_"), rtol=1e-3)
-
-
-def read_topics(
-    results: dict[str, dict[str, np.ndarray]], folder: Path, mapping: LogMapping | None = None
-) -> FlightLog:
-    """Return the log of ULog topics, read with a mapping, by default with the package's own, without a ULog file."""
-    merge_topics(results, "a.ulg", [])[0].to_csv(folder / "ulog.csv", index=False)
-    return read_flight_log(folder / "ulog.csv", mapping=mapping or find_mapping("px4_ulog"))
-
-
-def test_px4_topics_are_turned_into_the_frames_of_the_contract(tmp_path: Path) -> None:
-    table = flight(5, seconds=6.0, rate=200.0)
-    log = read_topics(topics(table), tmp_path)
-    check_px4(log, table)
-    np.testing.assert_allclose(log.battery, 15.0)
-
-
-def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
-    """Hover facing north, moving north at 1 m/s and climbing at 0.5 m/s: signed cases, each by hand."""
-    rows = 400
-    one, stamp = np.ones(rows), (np.arange(rows) * 5000 + 10_000_000).astype(np.uint64)
-    sizes = {
-        "vehicle_attitude": dict(zip((f"q[{i}]" for i in range(4)), (1, 0, 0, 0), strict=True)),
-        "vehicle_local_position": dict(zip(("x", "y", "z", "vx", "vy", "vz"), (2, 3, -4, 1, 0, -0.5), strict=True)),
-        "sensor_combined": {f"accelerometer_m_s2[{i}]": v for i, v in enumerate((0.1, 0.2, -9.81))}
-        | {f"gyro_rad[{i}]": v for i, v in enumerate((0.3, 0.4, 0.5))},
-        "esc_status": {f"esc[{i}].esc_rpm": 6000.0 * (i < 4) for i in range(8)},
-    }
-    result = {
-        topic: {"timestamp": stamp} | {name: one * value for name, value in values.items()}
-        for topic, values in sizes.items()
-    }
-    log = read_topics(result, tmp_path)
-    np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))
-    np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))
-    np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))
-    np.testing.assert_allclose(log.ang_vel[0], (0.3, -0.4, -0.5))
-    np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), atol=1e-12)
-    np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0), atol=1e-12)
-    np.testing.assert_allclose(log.rotor_speed, np.full((rows, 4), 200.0 * np.pi))
-
-
-@pytest.mark.parametrize("name", ["vehicle_angular_velocity", "esc_status", "vehicle_local_position"])
-def test_a_gap_in_any_topic_stays_a_gap(name: str) -> None:
-    table = flight(5, seconds=6.0, rate=200.0)
-    result = topics(table)
-    stamp = result[name]["timestamp"]
-    kept = (stamp < 7_000_000) | (stamp > 7_500_000)
-    result[name] = {key: value[kept] for key, value in result[name].items()}
-    time = merge_topics(result, "a.ulg", [])[0]["t"].to_numpy()
-    assert not np.any((time > 7.03) & (time < 7.48))
-    assert np.diff(time).max() > 0.45
-
-
-def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path) -> None:
-    table = flight(5, seconds=6.0, rate=200.0)
-    result = topics(table)
-    stamp = result.pop("esc_status")["timestamp"]
-    control = {f"control[{i}]": np.full(stamp.size, 0.5 if i < 4 else np.nan) for i in range(12)}
-    result["actuator_motors"] = {"timestamp": stamp} | control
-    with pytest.raises(DataError, match=r"needs the columns rpm_"):
-        read_topics(result, tmp_path)
-    mapping = layout(rotor_command={"columns": ["control_{n}"], "gain": 1100.0}, body_frame="frd", world_frame="ned")
-    np.testing.assert_allclose(read_topics(result, tmp_path, mapping).rotor_command, 550.0)
-
-
-def test_topics_without_an_attitude_are_refused() -> None:
-    with pytest.raises(DataError, match=r"a.ulg: has no topic vehicle_attitude; log it"):
-        merge_topics({}, "a.ulg", [])
-
-
-def test_a_ulog_file_is_a_flight_log(tmp_path: Path) -> None:
-    pytest.importorskip("pyulog", reason="pyulog is not installed: pip install 'aerial-gym[sim2real]'")
-    table = flight(5, seconds=6.0, rate=200.0)
-    check_px4(read_flight_log(write_ulog(tmp_path / "flight.ulg", topics(table))), table)
-    (tmp_path / "broken.ulg").write_bytes(b"no ulog")
-    with pytest.raises(DataError, match=r"cannot be read as a PX4 ULog"):
-        read_flight_log(tmp_path / "broken.ulg")
-
-
-def test_without_pyulog_the_message_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pyulog", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'aerial-gym\[sim2real\]'"):
-        read_flight_log(tmp_path / "a.ulg")

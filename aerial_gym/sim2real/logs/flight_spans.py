@@ -1,0 +1,134 @@
+"""Split a log into flights: at arming, take-off, landing, gaps, resets of the velocity, and a crash at the end.
+
+Letters: T samples.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
+from aerial_gym.sim2real.logs.streams import Stream
+
+SHORTEST_S = 2.0  # Shortest flight [s]
+LEAST_COVERED = 0.5  # A stream that covers a smaller share of the airborne time is left out
+CRASH_S = 3.0  # An impact counts as a crash if the flight ends within this time [s] after it
+IMPACT = 3.0  # Specific force of an impact in multiples of the 99th percentile before it
+IMPACT_G = 4.0  # Least specific force of an impact [g], beyond hard landings
+BEFORE_IMPACT_S = 0.1  # Time cut off before an impact [s], for the contact that leads to it
+
+STATES = ("armed", "landed")  # Quantities that are no measurements of motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightSpan:
+    """The time of one flight in a log, and the reason for its end."""
+
+    start: float  # [s]
+    end: float  # [s]
+    ended_by: str  # landing, gap, velocity_reset, crash or log_end
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.end - self.start
+
+
+def flight_spans(streams: Mapping[str, Stream], notes: list[Finding]) -> list[FlightSpan]:
+    """Return the flights of at least ``SHORTEST_S`` in order; the whole log if arming and landing show none."""
+    measured = {name: stream for name, stream in streams.items() if name not in STATES}
+    first, last = (bound(stream.time[end] for stream in _motion(measured)) for bound, end in ((max, 0), (min, -1)))
+    for states in (STATES, STATES[:1], ()):
+        known = [streams[name] for name in states if name in streams]
+        spans = [
+            part
+            for span in _airborne_spans(known, float(first), float(last))
+            for part in _split_span(span, list(_motion(measured)))
+            if part.duration >= SHORTEST_S
+        ]
+        if spans or not states:
+            break
+    if not known and any(name in streams for name in STATES):
+        notes.append(Finding("flight_state_unknown"))
+    return [_end_at_crash(span, measured.get("specific_force")) for span in spans]
+
+
+def _motion(streams: Mapping[str, Stream]) -> list[Stream]:
+    """Return the streams that a comparison needs: all but the voltage."""
+    return [stream for name, stream in streams.items() if name != "battery"]
+
+
+def leave_out_partial_streams(streams: dict[str, Stream], notes: list[Finding]) -> dict[str, Stream]:
+    """Return the streams that cover at least ``LEAST_COVERED`` of the time of the longest one; others become findings."""
+    spans = {name: float(np.ptp(stream.time)) for name, stream in streams.items()}
+    longest = max(spans.values(), default=0.0)
+    short = [name for name in streams if name not in STATES and spans[name] < LEAST_COVERED * longest]
+    for name in short:
+        values = {"topic": streams[name].channel.source, "covered_s": spans[name], "log_s": longest}
+        notes.append(Finding("topic_covers_part", "", values))
+    return {name: stream for name, stream in streams.items() if name not in short}
+
+
+def _airborne_spans(states: Sequence[Stream], first: float, last: float) -> list[FlightSpan]:
+    """Return the spans within ``first`` to ``last`` [s] in which the vehicle is armed and not landed."""
+    events = np.unique(np.concatenate([[first, last], *(state.time for state in states)]))
+    events = events[(events >= first) & (events <= last)]
+    flies = np.ones(events.size, dtype=bool)
+    for state in states:
+        row = np.clip(np.searchsorted(state.time, events, side="right") - 1, 0, None)
+        flies &= (state.values[row, 0] > 0.0) == (state.quantity == "armed")
+    flies[-1] = False
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flies)).astype(int)))
+    return [
+        FlightSpan(
+            start=float(events[start]),
+            end=float(events[stop]),
+            ended_by="log_end" if events[stop] == last else "landing",
+        )
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+    ]
+
+
+def _split_span(span: FlightSpan, streams: Sequence[Stream]) -> list[FlightSpan]:
+    """Return the parts of a span between gaps of any stream and resets of the velocity."""
+    cuts = [(span.end, span.end, span.ended_by)]
+    for stream in streams:
+        for row in np.flatnonzero(np.diff(stream.time) > longest_bridgeable_gap(stream.sample_step)).tolist():
+            cuts.append((float(stream.time[row]), float(stream.time[row + 1]), "gap"))
+        resets = stream.channel.resets if stream.quantity == "lin_vel" else None
+        cuts += [
+            (time - stream.sample_step, time, "velocity_reset") for time in ([] if resets is None else resets.tolist())
+        ]
+    parts, start = list[FlightSpan](), span.start
+    for stop, following, reason in sorted(cuts):
+        if span.start < following and stop <= span.end:
+            if stop > start:
+                parts.append(FlightSpan(start=start, end=stop, ended_by=reason))
+            start = max(start, following)
+    return parts
+
+
+def _end_at_crash(span: FlightSpan, force: Stream | None) -> FlightSpan:
+    """Return the span up to its crash: the first impact of its last seconds; unchanged without one."""
+    if force is None:
+        return span
+    inside = (force.time >= span.start) & (force.time <= span.end)
+    impacts = _impacts(force.time[inside], force.values[inside])
+    if not impacts.size:
+        return span
+    crash = FlightSpan(start=span.start, end=float(impacts[0]) - BEFORE_IMPACT_S, ended_by="crash")
+    return crash if crash.duration >= SHORTEST_S else span
+
+
+def _impacts(time: Array, force: Array) -> Array:
+    """Return the times [s] of impacts within the last ``CRASH_S``."""
+    size = np.linalg.norm(force, axis=1)
+    late: Flags = time > time[-1] - CRASH_S if time.size else np.zeros(0, dtype=bool)
+    if late.all():
+        return time[:0]
+    usual = max(IMPACT * float(np.percentile(size[~late], 99.0)), IMPACT_G * STANDARD_GRAVITY)
+    return time[late & (size > usual)]

@@ -1,0 +1,221 @@
+"""Read the flights of a binary log: channels of its reader, on one clock, split, and resampled to the rows of the gyro.
+
+Letters: T rows, R rotors.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.flight_spans import (
+    SHORTEST_S,
+    STATES,
+    FlightSpan,
+    flight_spans,
+    leave_out_partial_streams,
+)
+from aerial_gym.sim2real.logs.raw_log import QUANTITIES, LogChannel, RawLog, Topic
+from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
+from aerial_gym.sim2real.logs.readers.frames import to_package_frames
+from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
+from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
+from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, resample_streams, row_times
+from aerial_gym.sim2real.logs.signals import integrate_rates
+from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, StreamDelay, stream_delays
+from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogFlights:
+    """A binary log with its streams on one clock and its flights."""
+
+    raw: RawLog
+    streams: dict[str, Stream]
+    spans: tuple[FlightSpan, ...]
+    notes: tuple[Finding, ...]
+
+    def flight_path(self, number: int) -> str:
+        """Return the path of a flight, from 1, with its number if there are several."""
+        return self.raw.path if len(self.spans) == 1 else f"{self.raw.path}#{number}"
+
+
+def open_log(path: str | Path, mapping: LogMapping | None = None) -> LogFlights | None:
+    """Return a binary log with its flights; None for a text file. Raise ``DataError`` if it holds no flight."""
+    raw = read_raw_log(Path(path))
+    return None if raw is None else open_raw_log(raw, mapping)
+
+
+def open_raw_log(raw: RawLog, mapping: LogMapping | None = None) -> LogFlights:
+    """Return the streams and flights of a decoded log; raise ``DataError`` if it holds no flight."""
+    notes = list(raw.notes)
+    channels = LOG_READERS.get(raw.format).channels(raw)
+    streams = usable_streams([*_channels_of_mapping(raw, channels, mapping), *channels], notes)
+    if not {"attitude", "ang_vel"} & streams.keys():
+        lost = "".join(f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out")
+        raise DataError(f"{raw.path}: holds neither attitude nor angular velocity; log one of them.{lost}")
+    streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
+    spans = flight_spans(streams, notes)
+    if not spans:
+        raise DataError(f"{raw.path}: holds no flight of {SHORTEST_S:g} s without a gap in its topics")
+    return LogFlights(raw=raw, streams=streams, spans=tuple(spans), notes=tuple(notes))
+
+
+def flight_paths(path: str | Path) -> list[str | Path]:
+    """Return ``FILE#1``, ``FILE#2`` ... for a binary log with several flights, else the path itself."""
+    file, number = split_flight_number(path)
+    if number is not None:
+        return [path]
+    opened = open_log(file)
+    return [path] if opened is None or len(opened.spans) == 1 else [f"{path}#{n + 1}" for n in range(len(opened.spans))]
+
+
+def read_binary_flight(path: str | Path, mapping: LogMapping | None, *, hover: bool = False) -> FlightLog | None:
+    """Return one flight of a binary log; None for a text file. Raise ``DataError`` if the path selects no single flight."""
+    file, number = split_flight_number(path)
+    opened = open_log(file, mapping)
+    if opened is None:
+        return None
+    count = len(opened.spans)
+    if number is None and count > 1:
+        raise DataError(f"{path}: holds {count} flights; give one of {file}#1 to {file}#{count}")
+    if number is not None and not 1 <= number <= count:
+        raise DataError(f"{path}: the file holds {count} flights, numbered from 1")
+    relative = mapping is None or mapping.rotor_command is None
+    return flight_of_log(opened, number or 1, relative=relative, hover=hover)
+
+
+def _channels_of_mapping(raw: RawLog, channels: Sequence[LogChannel], mapping: LogMapping | None) -> list[LogChannel]:
+    """Return the channels that a mapping declares.
+
+    Its columns are ``topic.field`` or ``topic[instance].field``. A column with the name of the quantity stands for the
+    reader's own channel, so that a gain can convert it.
+    """
+    quantities = {} if mapping is None else mapping.quantities()
+    assert mapping is not None or not quantities
+    return [
+        _channel_of_mapping(raw, channels, name, quantity, mapping)
+        for name, quantity in quantities.items()
+        if name in QUANTITIES and mapping is not None
+    ]
+
+
+def _channel_of_mapping(
+    raw: RawLog, channels: Sequence[LogChannel], name: str, quantity: ColumnsCfg, mapping: LogMapping
+) -> LogChannel:
+    own = next((channel for channel in channels if channel.quantity == name), None)
+    if quantity.columns == (name,) and own is not None:
+        values = apply_column_conversion(own.values, pd.DataFrame(), quantity, raw.path) * UNITS[quantity.unit]
+        return replace(own, values=values)
+    places = [_find_column(raw, column) for column in quantity.columns]
+    topic = places[0][0]
+    if any(other is not topic for other, _ in places):
+        raise DataError(f"{raw.path}: the columns of {name} are of several topics; a quantity needs one topic")
+    table = pd.DataFrame({key: np.asarray(column, dtype=np.float64) for key, column in topic.columns.items()})
+    values = table[[field for _, field in places]].to_numpy()
+    values = apply_column_conversion(values, table, quantity, raw.path) * UNITS[quantity.unit]
+    values = to_package_frames({name: values}, mapping)[name]
+    return LogChannel(quantity=name, time=topic.time, values=values, source=topic.source)
+
+
+def _find_column(raw: RawLog, column: str) -> tuple[Topic, str]:
+    """Return topic and field of ``topic.field`` or ``topic[instance].field``; raise ``DataError`` if there is none."""
+    for topic in raw.topics:
+        for start in (f"{topic.source}.", f"{topic.name}."):
+            if column.startswith(start) and column.removeprefix(start) in topic.columns:
+                return topic, column.removeprefix(start)
+    raise DataError(
+        f"{raw.path}: has no column {column!r}; give topic.field or topic[instance].field (aerial-gym log inspect lists "
+        "the topics), or the name of the quantity for the channel of the format itself"
+    )
+
+
+def flight_of_log(opened: LogFlights, number: int, *, relative: bool = True, hover: bool = False) -> FlightLog:
+    """Return a flight, from 1, with delays of its streams corrected where its motion shows them.
+
+    ``relative``: whether commands are shares of the largest speed. Raise ``DataError`` if a needed quantity is missing.
+    """
+    span, path = opened.spans[number - 1], opened.flight_path(number)
+    notes = [note for note in opened.notes if span.start <= note.values.get("time_s", span.start) <= span.end]
+    streams = {name: stream for name, stream in opened.streams.items() if name not in STATES}
+    timings = {
+        name: StreamTiming(source=stream.channel.source, rate=stream.rate, latency=stream.channel.latency)
+        for name, stream in streams.items()
+    }
+    delays = stream_delays(replace(_assemble_flight(streams, span, path, notes, hover=hover), streams=timings))
+    moved = _without_delays(streams, delays, path, notes)
+    timings = {name: replace(timings[name], **_delay_fields(delays.get(name))) for name in moved}
+    log = _assemble_flight(moved, span, path, notes, hover=hover)
+    slow = [
+        name
+        for name in ("rotor_speed", "rotor_command")
+        if name in timings and timings[name].rate < SLOWEST_COMMANDS_HZ
+    ]
+    notes += [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": timings[name].rate}) for name in slow]
+    lag = log.rotor_speed is None or not slow  # a lag needs both, fast
+    return replace(
+        log,
+        rotor_command=log.rotor_command if lag else None,
+        torques=("rotor_speed" if log.rotor_speed is not None else "rotor_command") not in slow,
+        relative_commands=relative and log.rotor_command is not None,
+        streams=timings,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _delay_fields(delay: StreamDelay | None) -> dict[str, float]:
+    return {} if delay is None else {"delay": delay.delay, "half_width": delay.half_width}
+
+
+def _without_delays(
+    streams: dict[str, Stream], delays: Mapping[str, StreamDelay], path: str, notes: list[Finding]
+) -> dict[str, Stream]:
+    """Return the streams without their material delays; those beyond ``CORRECTED_S`` are left out, or refuse the flight."""
+    results = dict(streams)
+    for name, one in delays.items():
+        if not one.is_material:
+            continue
+        stream = results.pop(name)
+        if abs(one.delay) > CORRECTED_S and name == "attitude":
+            raise DataError(
+                f"{path}: the attitude is {one.delay:.2f} ± {one.half_width:.2f} s late against the gyro, more than is "
+                f"corrected ({CORRECTED_S:g} s); correct its clock"
+            )
+        values = {"topic": stream.channel.source, "late_ms": 1e3 * one.delay, "half_width_ms": 1e3 * one.half_width}
+        if abs(one.delay) > CORRECTED_S:
+            notes.append(Finding("stream_too_late", "", values))
+        else:
+            results[name] = replace(stream, time=stream.time - one.delay)
+            notes.append(Finding("stream_moved", "", values))
+    return results
+
+
+def _assemble_flight(
+    streams: dict[str, Stream], span: FlightSpan, path: str, notes: list[Finding], *, hover: bool
+) -> FlightLog:
+    """Return the flight with all streams at the rows; a missing attitude is integrated from the gyro."""
+    rows = row_times(streams, span)
+    values: dict[str, Any] = dict(resample_streams(streams, rows))
+    for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
+        if one not in values and other not in values and not (hover and one == "ang_vel"):
+            raise DataError(f"{path}: holds neither {one} nor {other}; log one of them, or map its columns (--mapping)")
+    integrated = "attitude" not in values
+    if integrated:
+        values = {name: column for name, column in values.items() if name not in ("position", "lin_vel")}
+        values["attitude"] = integrate_rates(rows, values["ang_vel"])
+    if integrated and not any(note.code == "attitude_integrated" for note in notes):
+        notes.append(Finding("attitude_integrated"))
+    battery = values.pop("battery", None)
+    return FlightLog(
+        path=path,
+        time=rows,
+        battery=None if battery is None else battery[:, 0],
+        attitude_integrated=integrated,
+        **values,
+    )

@@ -1,0 +1,60 @@
+"""Bring the streams of one flight onto the samples of the gyro. Letters: T rows."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.flight_spans import FlightSpan
+from aerial_gym.sim2real.logs.streams import Stream
+
+GYRO_RATES_HZ = (50.0, 2000.0)  # Range of rates in which the gyro gives the rows
+SLOWEST_COMMANDS_HZ = 40.0  # Lowest rate of rotor data that show torques and lags: two samples in a lag of 0.05 s
+
+
+def row_times(streams: Mapping[str, Stream], span: FlightSpan) -> Array:
+    """Return the times of the rows of a flight [s], (T,): those of the gyro, or else of the fastest stream of motion."""
+    gyro = streams.get("ang_vel")
+    low, high = GYRO_RATES_HZ
+    clocks = [one for name, one in streams.items() if name in ("ang_vel", "attitude", "rotor_speed", "rotor_command")]
+    base = gyro if gyro is not None and gyro.rate >= low else max(clocks, key=lambda stream: stream.rate)
+    thinned = base.time[:: max(1, round(base.rate / high))]
+    return thinned[(thinned >= span.start) & (thinned <= span.end)]
+
+
+def resample_streams(streams: Mapping[str, Stream], rows: Array) -> dict[str, Array]:
+    """Return the values of each stream at the rows [s], (T, components).
+
+    Attitudes are interpolated on the sphere, commands held, other streams averaged over a row or interpolated. Slow commands
+    are interpolated too: they are rare samples of fast commands, and holding them would delay these by half a sample.
+    """
+    return {name: _resample(stream, rows) for name, stream in streams.items()}
+
+
+def _resample(stream: Stream, rows: Array) -> Array:
+    time, values = stream.time, stream.values
+    own = np.clip(np.searchsorted(time, rows), None, time.size - 1)
+    if np.array_equal(time[own], rows) and np.array_equal(np.diff(own), np.ones(rows.size - 1)):
+        return values[own]
+    if stream.quantity == "attitude":
+        inside = np.clip(rows, time[0], time[-1])
+        return Slerp(time, Rotation.from_quat(values))(inside).as_quat()
+    if stream.quantity == "rotor_command" and stream.rate >= SLOWEST_COMMANDS_HZ:
+        return values[np.clip(np.searchsorted(time, rows, side="right") - 1, 0, None)]
+    step = float(np.median(np.diff(rows)))
+    return np.stack([_average_over_rows(rows, time, column, step) for column in values.T], axis=1)
+
+
+def _average_over_rows(rows: Array, time: Array, values: Array, step: float) -> Array:
+    """Return values (T,) averaged over a row's step [s] that holds several samples, else interpolated."""
+    first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    centre = np.concatenate(([0.0], np.cumsum(time - time[0])))
+    count = np.maximum(last - first, 1)
+    line = np.interp(rows, time, values)
+    mean = (total[last] - total[first]) / count
+    # The mean belongs to the mean time of its samples; the local slope moves it to the row.
+    shift = rows - time[0] - (centre[last] - centre[first]) / count
+    slope = (np.interp(rows + 0.5 * step, time, values) - np.interp(rows - 0.5 * step, time, values)) / step
+    return np.where(last - first >= 2, mean + shift * slope, line)

@@ -1,0 +1,118 @@
+"""Delays of the attitude, velocity and position streams behind the inertial sensors, by kinematics alone.
+
+The gyro gives the clock of a flight. Attitude is compared with it, velocity with the accelerometer, position with velocity.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, MATERIAL, fit_sensor_errors
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
+from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
+
+LARGEST_S = 0.5  # Largest delay that is searched [s]
+CORRECTED_S = 0.25  # Largest delay that is corrected [s]; a stream with a larger one is left out
+TRIALS = 41  # Delays of the coarse search; their distance is a tenth of a period of the comparison
+REFINEMENTS = 3  # Linear fits about the best delay; each one reduces the error by its square
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamDelay:
+    """Measured delay of a stream behind the inertial sensors."""
+
+    quantity: str
+    delay: float  # [s], positive: the stream is late
+    half_width: float  # Half width of its 95 % interval [s]
+
+    @property
+    def is_material(self) -> bool:
+        """Return whether the delay is significant and large enough to matter."""
+        return abs(self.delay) > max(self.half_width, MATERIAL["clock"])
+
+
+def stream_delays(log: FlightLog) -> dict[str, StreamDelay]:
+    """Return the delays that the motion of a flight shows, by quantity."""
+    if np.ptp(log.time) < 4.0 * LARGEST_S:
+        return {}
+    even, results = log_at_equal_steps(log), dict[str, StreamDelay]()
+    turning = _rotation_pair(even)
+    if turning is not None and (one := _fit_delay("attitude", "gyro", *turning, sample_rate(even))) is not None:
+        results["attitude"] = one
+        even = replace(even, attitude=_attitude_later(even, one.delay if one.is_material else 0.0))
+    for name, sensor, measured, motion in _velocity_pairs(even):
+        if (one := _fit_delay(name, sensor, measured, motion, sample_rate(even))) is not None:
+            results[name] = one
+    return _delays_behind_sensors(log, results)
+
+
+def _attitude_later(log: FlightLog, seconds: float) -> Array:
+    """Return the attitude (T, 4) that the log shows ``seconds`` later."""
+    at = np.clip(log.time + seconds, log.time[0], log.time[-1])
+    return Slerp(log.time, Rotation.from_quat(log.attitude))(at).as_quat()
+
+
+def _delays_behind_sensors(log: FlightLog, delays: dict[str, StreamDelay]) -> dict[str, StreamDelay]:
+    """Return the delays with that of the position, measured against the velocity, behind the inertial sensors as well.
+
+    Position and velocity of one topic have the same stamps, and so the same delay.
+    """
+    velocity, position = delays.get("lin_vel"), delays.pop("position", None)
+    if velocity is None or log.position is None:
+        return delays
+    same = {name: log.streams[name].source for name in ("position", "lin_vel") if name in log.streams}
+    if len(set(same.values())) == 1 < len(same):
+        return delays | {"position": replace(velocity, quantity="position")}
+    if position is None:
+        return delays
+    half_width = float(np.hypot(position.half_width, velocity.half_width))
+    return delays | {"position": replace(position, delay=position.delay + velocity.delay, half_width=half_width)}
+
+
+def _rotation_pair(log: FlightLog) -> tuple[Array, Array] | None:
+    """Return the gyro and the angular velocity by the attitude, (T, 3) each; None without both."""
+    if log.ang_vel is None or log.attitude_integrated:
+        return None
+    attitude = Rotation.from_quat(log.attitude)
+    inner = (attitude[:-2].inv() * attitude[2:]).as_rotvec() * (0.5 * sample_rate(log))
+    return log.ang_vel, np.concatenate((inner[:1], inner, inner[-1:]))
+
+
+def _velocity_pairs(log: FlightLog) -> Iterator[tuple[str, str, Array, Array]]:
+    """Yield stream, sensor of its comparison, the sensor's values and the stream's motion, in world axes, (T, 3) each."""
+    rate, attitude = sample_rate(log), Rotation.from_quat(log.attitude)
+    band = min(2.0 * CHECK_BANDWIDTH_HZ, 0.2 * rate)
+    if log.lin_vel is not None and log.specific_force is not None:
+        change = lowpass(log.lin_vel, rate, band, derivative=True)
+        yield "lin_vel", "accelerometer", attitude.apply(log.specific_force), change + AT_REST
+    if log.position is not None and log.lin_vel is not None:
+        yield "position", "velocity", log.lin_vel, lowpass(log.position, rate, band, derivative=True)
+
+
+def _fit_delay(name: str, sensor: str, measured: Array, motion: Array, rate: float) -> StreamDelay | None:
+    """Return the delay of ``motion`` behind ``measured``, (T, 3) each; None if the motion does not show it."""
+    level = AT_REST if sensor == "accelerometer" else np.zeros(3)
+    delay = _best_trial(measured - level, motion - level, rate)
+    time = np.arange(len(motion)) / rate
+    for _ in range(REFINEMENTS):
+        moved = interpolate_columns(time + delay, time, motion)
+        errors = fit_sensor_errors(sensor, measured, moved, level, rate)
+        if errors is None or not np.isfinite(errors.half_width[6]):
+            return None
+        delay -= errors.delay
+    return StreamDelay(quantity=name, delay=float(delay), half_width=float(errors.half_width[6]))
+
+
+def _best_trial(measured: Array, motion: Array, rate: float) -> float:
+    """Return the delay of the coarse search with the least squared difference [s]."""
+    band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
+    slow, other = lowpass(measured, rate, band), lowpass(motion, rate, band)
+    edge = num_edge_rows(rate, band) + round(LARGEST_S * rate)
+    if len(slow) <= 2 * edge:
+        return 0.0
+    shifts = np.unique(np.rint(np.linspace(-LARGEST_S, LARGEST_S, TRIALS) * rate).astype(int))
+    errors = [np.sum((slow[edge:-edge] - other[edge + n : len(other) - edge + n]) ** 2) for n in shifts]
+    return float(shifts[int(np.argmin(errors))]) / rate

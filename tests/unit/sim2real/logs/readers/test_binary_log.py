@@ -1,0 +1,166 @@
+"""Flights of binary logs: numbers of flights, native rates and what they forbid, mappings, and use with a robot."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.config import build
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real import FlightLog, read_flight_log
+from aerial_gym.sim2real.logs.flights import file_digests, load_flights, read_flight_inputs
+from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.recording import split_flight_number
+from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.ulog_files import read_topics, topics, write_ulog
+
+Topics = dict[str, dict[str, np.ndarray]]
+FULL_SPEED = 2000.0  # Rotor speed at full command [rad/s]
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(4, seconds=12.0, rate=200.0)
+
+
+def with_commands(table: pd.DataFrame, every: int) -> Topics:
+    """Return a flight with relative commands in every so many rows in place of measured speeds, and attitude at 20 Hz."""
+    results = topics(table)
+    del results["esc_status"]
+    share = table.filter(like="rotor_").to_numpy()[::every] / FULL_SPEED
+    stamp = results["vehicle_angular_velocity"]["timestamp"]
+    results["actuator_motors"] = {"timestamp": stamp[::every]} | {f"control[{i}]": share[:, i] for i in range(4)}
+    results["vehicle_attitude"] = {key: values[::5] for key, values in results["vehicle_attitude"].items()}
+    return results
+
+
+def layout(**fields: object) -> LogMapping:
+    base = {"summary": "test", "source": "test", "time": {"columns": ["t"]}}
+    return build(LogMapping, base | fields, where="test")
+
+
+def shift_stamps(results: Topics, seconds: float) -> Topics:
+    shift = np.uint64(round(1e6 * seconds))
+    return {name: part | {"timestamp": part["timestamp"] + shift} for name, part in results.items()}
+
+
+def two_flights(table: pd.DataFrame, path: Path) -> Path:
+    first, second = topics(table), shift_stamps(topics(flight(6, seconds=8.0, rate=200.0)), 40.0)
+    joined = {
+        name: {key: np.concatenate((first[name][key], second[name][key])) for key in first[name]} for name in first
+    }
+    return write_ulog(path, joined)
+
+
+def test_a_file_with_two_flights_gives_each_by_its_number(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = two_flights(table, tmp_path / "day.ulg")
+    assert flight_paths(path) == [f"{path}#1", f"{path}#2"]
+    with pytest.raises(DataError, match=r"holds 2 flights; give one of .*day\.ulg#1 to .*#2"):
+        read_flight_log(path)
+    with pytest.raises(DataError, match="holds 2 flights, numbered from 1"):
+        read_flight_log(f"{path}#3")
+    logs = [read_flight_log(one) for one in flight_paths(path)]
+    assert [log.name for log in logs] == ["day#1", "day#2"]
+    assert [np.ptp(log.time) for log in logs] == pytest.approx([12.0, 8.0], abs=0.1)
+    assert logs[1].time[0] == pytest.approx(45.0, abs=0.1)
+    flights = load_flights([path], ROBOT, mapping=None, bandwidth=10.0)
+    assert [one.name for one in flights] == ["day#1", "day#2"]
+    inputs = read_flight_inputs(ROBOT, [f"{path}#1"], [f"{path}#2"], mapping=None, bandwidth=10.0)
+    assert ([one.name for one in inputs.train], [one.name for one in inputs.test]) == (["day#1"], ["day#2"])
+    assert len(set(file_digests([path, f"{path}#2"]).values())) == 1
+
+
+def test_a_file_whose_name_ends_like_a_number_is_a_file(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write(table, tmp_path / "a.csv#2")
+    assert split_flight_number(path) == (str(path), None)
+    assert split_flight_number(tmp_path / "a.csv#3") == (str(tmp_path / "a.csv"), 3)
+    assert read_flight_log(path).time.size == len(table)
+
+
+def test_rates_of_all_streams_are_data(table: pd.DataFrame) -> None:
+    log = read_topics(topics(table))
+    rates = {name: round(timing.rate) for name, timing in log.streams.items()}
+    assert rates == {
+        **{"attitude": 100, "position": 50, "lin_vel": 50, "ang_vel": 200, "specific_force": 200},
+        **{"rotor_speed": 100, "battery": 4},
+    }
+    assert log.time.size == pytest.approx(200 * 11.9, abs=20)
+    assert log.torques
+
+
+def load(results: Topics, path: Path, mapping: LogMapping | None = None):
+    (one,) = load_flights([write_ulog(path, results)], ROBOT, mapping=mapping, bandwidth=10.0)
+    return one
+
+
+def test_commands_at_10_hz_show_neither_torques_nor_lag(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Attitude at 20 Hz is accepted; forces are compared below a fifth of the rate of the commands."""
+    one = load(with_commands(table, 20), tmp_path / "a.ulg")
+    assert not one.gyro
+    assert {channel.kind for channel in find_channels([one])} == {"specific_force", "kinematic_force"}
+    assert comparison_band([one], 10.0) == pytest.approx(2.0, rel=0.01)
+    (note,) = [note for note in one.notes if note.code == "rotors_too_slow"]
+    assert note.values["rate_hz"] == pytest.approx(10.0, rel=0.01)
+    assert "torques_not_logged" not in [note.code for note in one.notes]
+
+
+def test_relative_commands_become_speeds_by_the_measured_thrust(table: pd.DataFrame, tmp_path: Path) -> None:
+    one = load(with_commands(table, 1), tmp_path / "a.ulg")
+    (note,) = [note for note in one.notes if note.code == "relative_commands_scaled"]
+    assert note.values["full"] == pytest.approx(FULL_SPEED, rel=0.01)
+    assert one.gyro
+    expected = np.array([np.interp(one.time, table["t"] - table["t"][0], table[f"rotor_{n}"]) for n in range(1, 5)]).T
+    assert np.median(np.abs(one.rotor_command / expected - 1.0)) < 0.02
+
+
+def test_commands_beside_slow_speeds_are_scaled_by_these_and_show_no_lag(table: pd.DataFrame, tmp_path: Path) -> None:
+    results = with_commands(table, 1) | {"esc_status": topics(table)["esc_status"]}
+    fast = load(results, tmp_path / "fast.ulg")
+    assert "rotor_speed" in {channel.kind for channel in find_channels([fast])}
+    slow = load(with_commands(table, 20) | {"esc_status": results["esc_status"]}, tmp_path / "slow.ulg")
+    assert slow.gyro
+    assert "rotor_speed" not in {channel.kind for channel in find_channels([slow])}
+
+
+def test_a_mapping_overrides_what_a_format_declares(table: pd.DataFrame) -> None:
+    results = with_commands(table, 1)
+    own = read_topics(results, layout(rotor_command={"columns": ["rotor_command"], "gain": 1500.0}))
+    relative = read_topics(results)
+    np.testing.assert_allclose(own.rotor_command, 1500.0 * relative.rotor_command)
+    assert (own.relative_commands, relative.relative_commands) == (False, True)
+    columns = [f"actuator_motors.control[{i}]" for i in (1, 0, 3, 2)]
+    swapped = read_topics(results, layout(rotor_command={"columns": columns}))
+    np.testing.assert_allclose(swapped.rotor_command, relative.rotor_command[:, [1, 0, 3, 2]])
+    with pytest.raises(DataError, match="has no column 'no_topic.x'"):
+        read_topics(results, layout(battery={"columns": ["no_topic.x"]}))
+
+
+def test_a_log_without_attitude_integrates_the_gyro_and_keeps_body_axes(table: pd.DataFrame) -> None:
+    results = topics(table)
+    del results["vehicle_attitude"]
+    log = read_topics(results)
+    assert log.attitude_integrated
+    assert log.position is None
+    assert "attitude_integrated" in [note.code for note in log.notes]
+
+
+@pytest.mark.parametrize(("lost", "named"), [
+    (("vehicle_attitude", "vehicle_angular_velocity"), "attitude nor angular velocity"), (("esc_status",), "rotor_speed"),
+])  # fmt: skip
+def test_a_log_without_a_needed_quantity_is_refused(lost, named, table: pd.DataFrame) -> None:
+    results = {name: part for name, part in topics(table).items() if name not in lost}
+    with pytest.raises(DataError, match=named):
+        read_topics(results)
+
+
+def test_a_binary_flight_is_the_flight_of_its_csv_file(table: pd.DataFrame, tmp_path: Path) -> None:
+    binary: FlightLog = read_topics(topics(table))
+    text = read_flight_log(write(table, tmp_path / "a.csv"))
+    rows = np.searchsorted(text.time + 5.0, binary.time - 1e-4)
+    turned = np.abs((binary.attitude * text.attitude[rows]).sum(axis=1))
+    assert turned[5:-5].min() > np.cos(0.5 * 5e-3)
+    for name, size in (("ang_vel", 1e-6), ("specific_force", 1e-5)):
+        np.testing.assert_allclose(getattr(binary, name), getattr(text, name)[rows], atol=size)

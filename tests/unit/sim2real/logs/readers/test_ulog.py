@@ -1,0 +1,131 @@
+"""PX4 ULog files that the test itself writes: topics, rotor order, thrust curve and parameters. A real one, if it is there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.sim2real import read_flight_log
+from aerial_gym.sim2real.logs.raw_log import RawLog
+from aerial_gym.sim2real.logs.readers import log_readers
+from aerial_gym.sim2real.logs.readers.binary_log import open_log
+from tests.unit.sim2real.flat_flights import flight
+from tests.unit.sim2real.ulog_files import read_topics, topics, write_ulog
+
+pytest.importorskip("pyulog", reason="pyulog is not installed: pip install 'aerial-gym[logs]'")
+
+REAL = Path(__file__).parents[6] / "shared" / "data" / "real_logs" / "px4"
+STAMP = (np.arange(800) * 5000 + 10_000_000).astype(np.uint64)
+
+
+def hover(**more: dict[str, float]) -> dict[str, dict[str, np.ndarray]]:
+    """Hover facing north, moving north at 1 m/s and climbing at 0.5 m/s."""
+    sizes = {
+        "vehicle_attitude": dict(zip((f"q[{i}]" for i in range(4)), (1, 0, 0, 0), strict=True)),
+        "vehicle_local_position": dict(zip(("x", "y", "z", "vx", "vy", "vz"), (2, 3, -4, 1, 0, -0.5), strict=True)),
+        "sensor_combined": {f"accelerometer_m_s2[{i}]": v for i, v in enumerate((0.1, 0.2, -9.81))}
+        | {f"gyro_rad[{i}]": v for i, v in enumerate((0.3, 0.4, 0.5))},
+    } | more
+    return {
+        name: {"timestamp": STAMP} | {key: np.full(STAMP.size, value) for key, value in values.items()}
+        for name, values in sizes.items()
+    }
+
+
+def test_hover_has_gravity_up_and_north_is_enu_y() -> None:
+    """Signed cases, each by hand."""
+    log = read_topics(hover(esc_status={f"esc[{i}].esc_rpm": 6000.0 * (i < 4) for i in range(8)}))
+    np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))
+    np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))
+    np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))
+    np.testing.assert_allclose(log.ang_vel[0], (0.3, -0.4, -0.5))
+    np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(log.rotor_speed, np.full((len(log.time), 4), 200.0 * np.pi))
+
+
+def test_rotors_are_in_the_order_of_their_functions() -> None:
+    reports = {f"esc[{i}].esc_rpm": 1000.0 * (i + 1) for i in range(4)}
+    functions = dict(zip((f"esc[{i}].actuator_function" for i in range(4)), (103, 101, 104, 102), strict=True))
+    log = read_topics(hover(esc_status=reports | functions))
+    np.testing.assert_allclose(log.rotor_speed[0] * 30.0 / np.pi, (2000.0, 4000.0, 1000.0, 3000.0))
+
+
+def test_motor_commands_follow_the_thrust_curve_of_the_parameters() -> None:
+    """0.8 u² + 0.2 u = 0.3 at u = 0.5."""
+    controls = {f"control[{i}]": 0.3 if i < 4 else np.nan for i in range(12)}
+    log = read_topics(hover(actuator_motors=controls), THR_MDL_FAC=0.8)
+    np.testing.assert_allclose(log.rotor_command, 0.5)
+    assert log.relative_commands
+
+
+def test_outputs_of_any_instance_are_taken_in_the_order_and_range_of_the_parameters() -> None:
+    wave = np.sin(np.arange(STAMP.size))[:, None]
+    pulses = 1500.0 + 40.0 * np.arange(4) + wave
+    result = hover(**{"actuator_outputs[1]": {f"output[{i}]": 0.0 for i in range(8)}})
+    result["actuator_outputs[1]"] |= {f"output[{i}]": pulses[:, i] for i in range(4)}
+    parameters = {f"PWM_AUX_FUNC{i + 1}": function for i, function in enumerate((102, 101, 104, 103))}
+    parameters |= {f"PWM_AUX_{end}{i}": value for end, value in (("MIN", 1100), ("MAX", 1900)) for i in range(1, 5)}
+    log = read_topics(result, **parameters)
+    np.testing.assert_allclose(log.rotor_command, (pulses[:, [1, 0, 3, 2]] - 1100.0) / 800.0)
+
+
+def test_controls_of_old_firmwares_go_through_the_mixer_of_an_x_frame() -> None:
+    """A pure roll command raises both left rotors (2 and 3), a yaw command the two of one direction (1 and 2)."""
+
+    def command(**values: float) -> np.ndarray:
+        controls = {f"control[{i}]": values.get(name, 0.0) for i, name in enumerate(("roll", "pitch", "yaw", "thrust"))}
+        return read_topics(hover(actuator_controls_0=controls)).rotor_command[0]
+
+    np.testing.assert_allclose(command(thrust=0.5), 0.5)
+    np.testing.assert_allclose(command(thrust=0.5, roll=0.1), 0.5 + 0.07071 * np.array([-1, 1, 1, -1]))
+    np.testing.assert_allclose(command(thrust=0.5, pitch=0.1), 0.5 + 0.07071 * np.array([1, -1, 1, -1]))
+    np.testing.assert_allclose(command(thrust=0.5, yaw=0.1), 0.5 + 0.1 * np.array([1, 1, -1, -1]))
+
+
+@pytest.mark.parametrize(("volts", "known"), [(0.05, False), (15.0, True)])
+def test_a_battery_that_is_not_connected_has_no_voltage(volts: float, known: bool) -> None:
+    controls = {f"control[{i}]": 0.3 for i in range(4)}
+    log = read_topics(hover(actuator_motors=controls, battery_status={"voltage_v": volts}))
+    assert (log.battery is not None) is known
+
+
+def test_a_file_is_recognised_by_its_content_and_read_with_its_parameters(tmp_path: Path) -> None:
+    table = flight(5, seconds=6.0, rate=200.0)
+    path = write_ulog(tmp_path / "flight.csv", topics(table), {"THR_MDL_FAC": 0.25})
+    opened = open_log(path)
+    assert isinstance(opened.raw, RawLog)
+    assert (opened.raw.format, opened.raw.parameters) == ("ulog", {"THR_MDL_FAC": 0.25})
+    log = read_flight_log(path)
+    np.testing.assert_allclose(log.time - 5.0, table["t"][: len(log.time)], atol=1e-6)
+    flown = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]][: len(log.time)])
+    assert (flown.inv() * Rotation.from_quat(log.attitude)).magnitude().max() < 1e-2
+    for name, prefix, size in (("position", "p", 5e-3), ("lin_vel", "v", 2e-2), ("ang_vel", "omega", 1e-6)):
+        columns = table[[f"{prefix}_{axis}" for axis in "xyz"]].to_numpy()[: len(log.time)]
+        np.testing.assert_allclose(getattr(log, name)[5:-5], columns[5:-5], atol=size)
+    speeds = table.filter(like="rotor_").to_numpy()[: len(log.time)]
+    np.testing.assert_allclose(log.rotor_speed[5:-5], speeds[5:-5], rtol=1e-2)
+    (tmp_path / "broken").write_bytes(path.read_bytes()[:9])
+    with pytest.raises(DataError):
+        read_flight_log(tmp_path / "broken")
+
+
+def test_without_pyulog_the_message_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pyulog", None)
+    log_readers._read_once.cache_clear()
+    with pytest.raises(MissingDependencyError, match=r"aerial-gym\[logs\]"):
+        read_flight_log(write_ulog(tmp_path / "flight.ulg", topics(flight(5, seconds=3.0))))
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the real logs are not part of the project")
+def test_real_logs_open_as_the_flights_that_they_hold() -> None:
+    """Hover: motors in instance 1 of the outputs, a yaw reset of 22 deg (by ``delta_q_reset``), commands at 10 Hz."""
+    path = REAL / "quad_hover_second_output_instance.ulg"
+    log = read_flight_log(path)
+    (reset,) = [note for note in log.notes if note.code == "reset_undone"]
+    assert reset.values["angle_deg"] == pytest.approx(22.1, abs=0.3)
+    assert log.streams["rotor_command"].rate == pytest.approx(10.0, abs=0.1)
+    assert not log.torques
+    assert len(open_log(REAL / "hitl_trajectory.ulg").spans) == 2  # its accelerometer has a gap of 0.8 s

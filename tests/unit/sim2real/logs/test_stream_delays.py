@@ -1,0 +1,52 @@
+"""Delays of streams behind the inertial sensors, on exact flights with a known shift."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.stream_delays import stream_delays
+from tests.unit.sim2real.flat_flights import flight
+from tests.unit.sim2real.ulog_files import read_topics, topics
+
+QUANTITIES = {"vehicle_attitude": "attitude", "vehicle_local_position": "lin_vel"}
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(3, seconds=12.0, rate=200.0)
+
+
+def delay_topic(table: pd.DataFrame, topic: str, seconds: float) -> dict[str, dict[str, np.ndarray]]:
+    results = topics(table)
+    results[topic]["timestamp"] = (results[topic]["timestamp"].astype(np.int64) + round(1e6 * seconds)).astype(
+        np.uint64
+    )
+    return results
+
+
+@pytest.mark.parametrize("seconds", [-0.02, 0.0, 0.012, 0.11, 0.2])
+@pytest.mark.parametrize("topic", QUANTITIES)
+def test_a_known_delay_is_found_and_corrected(topic: str, seconds: float, table: pd.DataFrame) -> None:
+    log = read_topics(delay_topic(table, topic, seconds))
+    timing = log.streams[QUANTITIES[topic]]
+    assert timing.delay == pytest.approx(seconds, abs=max(timing.half_width, 1e-3))
+    assert timing.half_width < 0.005
+    corrected = [note.values["topic"] for note in log.notes if note.code == "stream_moved"]
+    assert corrected == [f"{topic}[0]"] * (seconds != 0.0)
+    assert abs(stream_delays(log)[QUANTITIES[topic]].delay) < 2e-3  # of the corrected flight
+
+
+def test_a_larger_delay_leaves_a_stream_out_or_refuses_the_log(table: pd.DataFrame) -> None:
+    log = read_topics(delay_topic(table, "vehicle_local_position", 0.4))
+    assert log.lin_vel is None
+    assert "stream_too_late" in [note.code for note in log.notes]
+    with pytest.raises(DataError, match=r"attitude is 0\.40 ± .* late against the gyro"):
+        read_topics(delay_topic(table, "vehicle_attitude", 0.4))
+
+
+def test_a_vehicle_at_rest_shows_no_delay(table: pd.DataFrame) -> None:
+    still = table.assign(**{name: table[name].iloc[0] for name in table if name != "t"})
+    still[["omega_x", "omega_y", "omega_z"]] = 0.0
+    log = read_topics(topics(still))
+    assert {timing.delay for timing in log.streams.values()} == {None}

@@ -1,0 +1,135 @@
+"""Topics with bad stamps, wrapped counters, clocks that were set back, and resets of the estimator."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real import FlightLog
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.raw_log import LogChannel
+from aerial_gym.sim2real.logs.recording import row_arrays
+from aerial_gym.sim2real.logs.streams import undo_resets, usable_streams
+from tests.unit.sim2real.flat_flights import flight
+from tests.unit.sim2real.ulog_files import read_topics, topics
+
+TIME = 0.01 * np.arange(400)
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(2, seconds=4.0, rate=200.0, noise=1.0)
+
+
+def change_stamps(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):
+    results = topics(table)
+    results[name] |= {key: np.asarray(change(results[name]["timestamp"].copy()))}
+    return results
+
+
+def check_same(one: FlightLog, other: FlightLog, *, rows: int = 0, **tolerance: float) -> None:
+    """At most ``rows`` rows are missing at the ends, and the others are the same."""
+    assert abs(one.time.size - other.time.size) <= rows
+    common, first, second = np.intersect1d(np.round(one.time, 6), np.round(other.time, 6), return_indices=True)
+    assert common.size >= min(one.time.size, other.time.size) - rows
+    arrays = row_arrays(other)
+    for name, values in row_arrays(one).items():
+        if name != "time" and name in arrays:
+            np.testing.assert_allclose(values[first], arrays[name][second], err_msg=name, **tolerance)
+
+
+@pytest.mark.parametrize("name", list(topics(flight(2, seconds=1.0))))
+def test_one_absurd_stamp_costs_one_sample(name: str, table: pd.DataFrame) -> None:
+    good = read_topics(topics(table))
+    bad = 200 if len(topics(table)[name]["timestamp"]) > 200 else 5
+    late = np.uint64(40_000_000)
+    log = read_topics(change_stamps(name, lambda t: t + late * (np.arange(t.size) == bad).astype(np.uint64), table))
+    assert abs(good.time.size - log.time.size) <= 1
+    assert log.time[-1] == good.time[-1]
+    assert [bad] in [n.values["places"] for n in log.notes if n.code == "samples_with_bad_stamps"]
+
+
+@pytest.mark.parametrize("stamps", [lambda t: 0 * t, lambda t: t + np.uint64(10**12), lambda t: t[::-1]])
+@pytest.mark.parametrize(("name", "lost"), [("battery_status", "battery"), ("vehicle_local_position", "position")])
+def test_an_optional_topic_with_bad_stamps_is_left_out(name: str, lost: str, stamps, table: pd.DataFrame) -> None:
+    log = read_topics(change_stamps(name, stamps, table))
+    assert getattr(log, lost) is None
+    assert ("topic_left_out", f"{name}[0]") in [(note.code, note.values.get("topic")) for note in log.notes]
+    check_same(log, read_topics(topics(table)), rows=8, atol=1e-6)
+
+
+def test_unusable_stamps_of_a_needed_topic_are_named(table: pd.DataFrame) -> None:
+    with pytest.raises(DataError, match="rotor_speed"):
+        read_topics(change_stamps("esc_status", lambda t: 0 * t, table))
+
+
+def test_a_sample_stamp_that_is_on_no_clock_gives_way_to_that_of_the_message(table: pd.DataFrame) -> None:
+    good = read_topics(topics(table))
+    for stamps in (lambda t: 0 * t, lambda t: t - np.uint64(4_000_000), lambda t: t + np.uint64(10**12)):
+        check_same(read_topics(change_stamps("vehicle_local_position", stamps, table, "timestamp_sample")), good)
+
+
+def test_a_counter_of_32_bits_in_one_topic_is_unwrapped(table: pd.DataFrame) -> None:
+    results = topics(table)
+    for part in results.values():
+        part["timestamp"] = part["timestamp"] + np.uint64(2**32 - 7_000_000)
+    good = read_topics(results)
+    results["esc_status"]["timestamp"] = results["esc_status"]["timestamp"] % np.uint64(2**32)
+    check_same(read_topics(results), good, atol=1e-6)
+    for part in results.values():
+        part["timestamp"] = part["timestamp"] % np.uint64(2**32)
+    check_same(read_topics(results), good, atol=1e-6)
+
+
+def test_a_clock_set_back_in_all_topics_is_corrected_by_one_amount(table: pd.DataFrame) -> None:
+    good, results = read_topics(topics(table)), topics(table)
+    del results["battery_status"]
+    for part in results.values():
+        part["timestamp"] = part["timestamp"] - np.where(part["timestamp"] > 7_003_000, 1_500_000, 0).astype(np.uint64)
+    log = read_topics(results)
+    check_same(log, good, atol=1e-6)
+    assert "clock_set_back" in [note.code for note in log.notes]
+
+
+def test_two_exchanged_blocks_of_a_topic_cost_nothing(table: pd.DataFrame) -> None:
+    good, results = read_topics(topics(table)), topics(table)
+    rows = np.arange(len(table))
+    rows[100:300] = np.roll(rows[100:300], 80)
+    gyro = results["vehicle_angular_velocity"]
+    results["vehicle_angular_velocity"] = {name: values[rows] for name, values in gyro.items()}
+    mended = read_topics(results)
+    check_same(mended, good)
+    assert len(mended.notes) == len(good.notes) + 1
+
+
+def channels(**values: np.ndarray) -> list[LogChannel]:
+    return [LogChannel(quantity=name, time=TIME, values=all, source=name) for name, all in values.items()]
+
+
+def test_a_reset_of_the_attitude_turns_all_earlier_samples() -> None:
+    """A steady yaw of 0.5 rad/s; the estimate before sample 150 is off by 0.3 rad."""
+    spin = np.tile((0.0, 0.0, 0.5), (TIME.size, 1))
+    actual = Rotation.from_rotvec(spin * TIME[:, None])
+    off = Rotation.from_rotvec([0.0, 0.0, -0.3])
+    logged = Rotation.concatenate([off * actual[:150], actual[150:]]).as_quat()
+    attitude, gyro = channels(attitude=logged, ang_vel=spin)
+    attitude = LogChannel(**vars(attitude) | {"resets": TIME[[150]]})
+    notes: list[Finding] = []
+    streams = undo_resets(usable_streams([attitude, gyro], notes), notes)
+    assert (actual.inv() * Rotation.from_quat(streams["attitude"].values)).magnitude().max() < 1e-9
+    (note,) = notes
+    assert (note.code, note.values["time_s"]) == ("reset_undone", TIME[150])
+    assert note.values["angle_deg"] == pytest.approx(np.degrees(0.3))
+
+
+def test_a_reset_of_the_position_moves_all_later_samples() -> None:
+    velocity = np.tile((1.0, 0.0, 0.2), (TIME.size, 1))
+    actual = velocity * TIME[:, None]
+    logged = actual + np.where(np.arange(TIME.size) >= 200, 1.0, 0.0)[:, None] * (0.0, 2.0, 0.0)
+    position, speed = channels(position=logged, lin_vel=velocity)
+    position = LogChannel(**vars(position) | {"resets": TIME[[200]]})
+    streams = undo_resets(usable_streams([position, speed], []), [])
+    np.testing.assert_allclose(streams["position"].values, actual, atol=1e-9)
