@@ -77,10 +77,13 @@ class ImportPath:
     def summary(self) -> str:
         """Return the ``summary`` in the class body, or else the first line of the docstring, without an import."""
         module, _, name = self.place.partition(":")
-        spec = find_spec(module)
-        if spec is None or spec.origin is None:
+        top, *inner = module.split(".")
+        spec = find_spec(top)  # of the inner modules, it would import their packages
+        if spec is None or not spec.submodule_search_locations:
             raise ModuleNotFoundError(f"no module {module!r}")
-        tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+        file = Path(spec.submodule_search_locations[0]).joinpath(*inner)
+        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+        tree = ast.parse(file.read_text(encoding="utf-8"))
         body = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
         for node in body.body:
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "summary":

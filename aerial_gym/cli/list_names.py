@@ -22,6 +22,7 @@ KINDS = {
     "backends": (ImportPath("aerial_gym.physics:BACKENDS"),),
     "tasks": (ImportPath("aerial_gym.task:task_registry"),),
     "trainers": (ImportPath("aerial_gym.rl_training:TRAINERS"),),
+    "log-formats": (ImportPath("aerial_gym.registry.log_formats:LOG_READERS"),),
 }
 """Registries by kind. None of them imports torch or Warp for its names."""
 
@@ -46,8 +47,9 @@ class ListCmd:
     """List what is registered, with one line each."""
 
     kind: str | None = None
-    """sims, environments, robots, controllers, sensors, imus, effects, backends, tasks or trainers; all of these if not given.
-    Or parts of tasks: observation-terms, reward-terms, termination-terms, task-buffers, commands, actions."""
+    """sims, environments, robots, controllers, sensors, imus, effects, backends, tasks, trainers or log-formats; all of
+    these if not given. Or parts of tasks: observation-terms, reward-terms, termination-terms, task-buffers, commands,
+    actions."""
 
     json: bool = False  # Print one JSON object instead of a table
 

@@ -10,6 +10,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel
+from aerial_gym.sim2real.logs.readers.csv_table import LARGEST
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, correct_stamps
 from aerial_gym.sim2real.logs.recording import NORM_OFF
 from aerial_gym.sim2real.logs.signals import quaternion_signs
@@ -66,7 +67,17 @@ def usable_streams(channels: Sequence[LogChannel], notes: list[Finding]) -> dict
         notes.extend(note for stream in streams.values() for note in stream.channel.notes)
         reference = next(iter(streams.values()))
         notes.extend(s.finding("sample", s.row, topic=reference.channel.source) for s in reference.steps)
-    return _equalise_clock_steps(streams)
+    return _with_increasing_time(_equalise_clock_steps(streams), notes)
+
+
+def _with_increasing_time(streams: dict[str, Stream], notes: list[Finding]) -> dict[str, Stream]:
+    """Return the streams whose time still increases after common corrections of the clock; others become findings."""
+    wrong = [name for name, stream in streams.items() if np.any(np.diff(stream.time) <= 0.0)]
+    for name in wrong:
+        source = streams[name].channel.source
+        error = f"topic {source} steps back by other amounts than the other topics"
+        notes.append(Finding("topic_left_out", "", {"topic": source, "error": error}))
+    return {name: stream for name, stream in streams.items() if name not in wrong}
 
 
 def _stream(channel: LogChannel, notes: list[Finding]) -> Stream:
@@ -74,7 +85,7 @@ def _stream(channel: LogChannel, notes: list[Finding]) -> Stream:
     checked = correct_stamps(channel.time, f"topic {channel.source}")
     notes.extend(checked.late_block_findings(checked.late.tolist(), topic=channel.source))
     values = channel.values[checked.order]
-    good = np.isfinite(values).all(axis=1)
+    good = (np.abs(values) <= LARGEST).all(axis=1)  # which refuses NaN as well
     if channel.quantity == "attitude":
         good &= np.abs(np.linalg.norm(np.nan_to_num(values), axis=1) - 1.0) <= NORM_OFF
     good = good[checked.kept]

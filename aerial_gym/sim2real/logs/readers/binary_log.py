@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from aerial_gym.errors import DataError
+from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import (
     SHORTEST_S,
@@ -23,7 +24,7 @@ from aerial_gym.sim2real.logs.flight_spans import (
 from aerial_gym.sim2real.logs.raw_log import QUANTITIES, LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
 from aerial_gym.sim2real.logs.readers.frames import to_package_frames
-from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
+from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, resample_streams, row_times

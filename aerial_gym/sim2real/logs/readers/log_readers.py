@@ -1,12 +1,11 @@
-"""Registry of log formats. A reader decodes one format and finds the vehicle's quantities in it; one file each."""
+"""Readers of binary logs. Each decodes one format and finds the vehicle's quantities in it; one file each."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from aerial_gym.lazy import ImportPath
-from aerial_gym.registry.registry import Registry
+from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
 
 HEAD_BYTES = 4096  # Length of the beginning by which a reader recognises its format
@@ -32,17 +31,6 @@ class LogReader(ABC):
     @abstractmethod
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the vehicle's quantities, the best source first where several topics hold one quantity."""
-
-
-LOG_READERS: Registry[LogReader] = Registry("log format")
-
-READERS = {
-    "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
-}
-"""Readers of this package. Each format has other first bytes, so that their order does not count."""
-
-for _name, _home in READERS.items():
-    LOG_READERS.register_later(_name, _home.make, summary=_home.summary)
 
 
 def find_reader(path: Path) -> LogReader | None:

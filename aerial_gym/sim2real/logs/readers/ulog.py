@@ -102,8 +102,7 @@ class UlogReader(LogReader):
 
 
 def _topic(name: str, instance: int, data: dict[str, Array]) -> Topic:
-    columns = {key: values for key, values in data.items() if key != "timestamp"}
-    return Topic(name=name, instance=instance, time=stamp_seconds(data["timestamp"], 1e-6), columns=columns)
+    return Topic(name=name, instance=instance, time=stamp_seconds(data["timestamp"], 1e-6), columns=data)
 
 
 def _topics(log: RawLog, name: str) -> list[Topic]:

@@ -1,0 +1,154 @@
+"""``aerial-gym log inspect``, ``log convert`` and ``log plot``: logs of any format."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from aerial_gym.cli.terminal import print_table
+from aerial_gym.config.console import json_line
+
+if TYPE_CHECKING:
+    from aerial_gym.sim2real.logs.inspection import FlightSummary, LogInspection
+    from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectLogCmd:
+    """Show what a log holds: topics, rates, flights, delays, messages, and what its rates do not allow."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """Log file of any format; its content tells the format."""
+
+    mapping: str | None = None
+    """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
+
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+    def run(self) -> int:
+        """Print the content; return 1 if no flight of the log can be used."""
+        from aerial_gym.sim2real.logs.inspection import inspect_log
+        from aerial_gym.sim2real.wording import render_findings
+
+        inspection = inspect_log(self.log, _find_mapping(self.mapping))
+        if self.json:
+            print(json_line(render_findings(inspection.as_mapping()), allow_nan=False))
+        else:
+            _print_inspection(inspection)
+        return int(not inspection.flights)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertLogCmd:
+    """Write a log as CSV (one file for each flight), Parquet (lossless, one file for each topic) or MCAP."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """Log file of any format; FILE#2 selects its second flight for CSV."""
+
+    to: Literal["csv", "parquet", "mcap"]
+    """Form of the result."""
+
+    out: Path
+    """Folder of the results; it is made if it does not exist."""
+
+    mapping: str | None = None
+    """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
+
+    def run(self) -> int:
+        """Write the files and print their names."""
+        from aerial_gym.sim2real.logs.conversion import convert_log
+
+        for path in convert_log(self.log, self.to, self.out, _find_mapping(self.mapping)):
+            print(path)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotLogCmd:
+    """Draw all flights of a log over time into one HTML file."""
+
+    log: Annotated[Path, tyro.conf.Positional]
+    """Log file of any format; FILE#2 selects its second flight."""
+
+    out: Path
+    """HTML file to write."""
+
+    mapping: str | None = None
+    """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
+
+    def run(self) -> int:
+        """Write the page."""
+        from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
+        from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+        from aerial_gym.sim2real.report.log_plot import write_log_page
+        from aerial_gym.sim2real.wording import text
+
+        mapping = _find_mapping(self.mapping)
+        flights = [read_flight_log(path, mapping=mapping) for path in flight_paths(self.log)]
+        notes = dict.fromkeys(text(note) for flight in flights for note in flight.notes)
+        write_log_page(self.out, self.log.name, flights, list(notes))
+        print(self.out)
+        return 0
+
+
+def _find_mapping(name: str | None) -> "LogMapping | None":
+    from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+
+    return None if name is None else find_mapping(name)
+
+
+def _print_inspection(log: "LogInspection") -> None:
+    from aerial_gym.sim2real.wording import text
+
+    console = Console(markup=False)
+    console.print(f"{log.path}: {log.format}, {len(log.topics)} topics, {len(log.flights)} flights")
+    for name, value in log.metadata.items():
+        console.print(f"  {name}: {value}")
+    rows = [
+        (
+            f"{t.name}[{t.instance}]",
+            str(t.samples),
+            *(_number_text(value) for value in (t.rate, t.start, t.end, t.longest_gap)),
+        )
+        for t in log.topics
+    ]
+    print_table(rows, ("topic", "samples", "rate [Hz]", "first [s]", "last [s]", "longest gap [s]"), title="topics")
+    if log.armed:
+        console.print("armed: " + ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in log.armed))
+    for flight in log.flights:
+        _print_flight(flight)
+    times: dict[tuple[str, str], list[float]] = {}
+    for message in log.warnings:
+        times.setdefault((message.level, message.text), []).append(message.time)
+    for (level, sentence), at in times.items():
+        repeats = f" and {len(at) - 1} times more until {at[-1]:.2f} s" if len(at) > 1 else ""
+        console.print(f"{level} at {at[0]:.2f} s{repeats}: {sentence}")
+    for note in log.notes:
+        console.print(f"note: {text(note)}")
+    for refusal in log.refusals:
+        console.print(f"refused: {refusal}")
+
+
+def _print_flight(flight: "FlightSummary") -> None:
+    from aerial_gym.sim2real.wording import text
+
+    voltage = "" if flight.battery is None else f", battery {flight.battery[0]:.2f} to {flight.battery[1]:.2f} V"
+    span = f"{flight.start:.2f} to {flight.end:.2f} s, ended by {flight.ended_by.replace('_', ' ')}"
+    rows = [
+        (
+            name, stream.source, _number_text(stream.rate), _number_text(stream.latency, 1e3),
+            "" if stream.delay is None else f"{1e3 * stream.delay:.1f} ± {1e3 * (stream.half_width or 0.0):.1f}",
+        )
+        for name, stream in flight.streams.items()
+    ]  # fmt: skip
+    head = ("quantity", "topic", "rate [Hz]", "latency [ms]", "delay [ms]")
+    print_table(rows, head, title=f"{flight.path}: {span}{voltage}")
+    for note in flight.notes:
+        Console(markup=False).print(f"  note: {text(note)}")
+
+
+def _number_text(value: float | None, scale: float = 1.0) -> str:
+    return "" if value is None else f"{scale * value:.4g}" if abs(value) < 1e4 else f"{scale * value:.2f}"

@@ -1,0 +1,121 @@
+"""Write the content of a log as CSV, Parquet or MCAP. Letters: T samples, R rotors."""
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from aerial_gym.errors import MissingDependencyError
+from aerial_gym.sim2real.json_values import write_json
+from aerial_gym.sim2real.logs.inspection import csv_raw_log
+from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
+from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
+
+NANOSECONDS = 1e9  # Unit of time in MCAP per second
+
+COLUMNS = {
+    "position": ("p_x", "p_y", "p_z"),
+    "attitude": ("q_x", "q_y", "q_z", "q_w"),
+    "lin_vel": ("v_x", "v_y", "v_z"),
+    "ang_vel": ("omega_x", "omega_y", "omega_z"),
+    "specific_force": ("acc_x", "acc_y", "acc_z"),
+    "rotor_speed": ("rotor_{n}",),
+    "rotor_command": ("cmd_{n}",),
+    "battery": ("vbat",),
+}
+"""Columns of each quantity in the layout of this package."""
+
+RELATIVE = "share_{n}"  # Columns of commands that are shares of the largest speed, which the layout does not know
+
+
+def convert_log(path: str | Path, kind: str, out: Path, mapping: LogMapping | None = None) -> list[Path]:
+    """Write a log into the folder ``out`` and return the files: csv, parquet or mcap.
+
+    ``csv`` holds one file for each flight, in the layout of this package. ``parquet`` is lossless: one file for each topic,
+    and ``metadata.json``. ``mcap`` holds all topics with messages in JSON. Raise ``DataError`` if the log is unusable.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    if kind == "csv":
+        return [_write_flight(read_flight_log(one, mapping=mapping), out) for one in flight_paths(path)]
+    file = Path(split_flight_number(path)[0])
+    raw = read_raw_log(file) or csv_raw_log(file, mapping)
+    writers: dict[str, Callable[[RawLog, Path], list[Path]]] = {"parquet": _write_parquet, "mcap": _write_mcap}
+    try:
+        return writers[kind](raw, out)
+    except ImportError:
+        raise MissingDependencyError(f"writing {kind} needs more packages: pip install 'aerial-gym[logs]'") from None
+
+
+def _write_flight(log: FlightLog, out: Path) -> Path:
+    columns = {"t": log.time}
+    for quantity, names in COLUMNS.items():
+        values = getattr(log, quantity)
+        if values is None:
+            continue
+        table = values.reshape(log.time.size, -1)
+        pattern = RELATIVE if quantity == "rotor_command" and log.relative_commands else names[0]
+        if "{n}" in pattern:
+            names = [pattern.format(n=n + 1) for n in range(table.shape[1])]
+        columns |= dict(zip(names, table.T, strict=True))
+    path = out / f"{log.name.replace('#', '_flight_')}.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def _file_name(topic: Topic) -> str:
+    return f"{re.sub(r'[^A-Za-z0-9_-]+', '_', topic.name).strip('_')}.{topic.instance}"
+
+
+def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
+    """Write one file for each topic, and parameters, messages, units and names in ``metadata.json``."""
+    import pyarrow
+    from pyarrow import parquet
+
+    files = []
+    for topic in raw.topics:
+        table = {"time": topic.time} | {name: np.ascontiguousarray(values) for name, values in topic.columns.items()}
+        files.append(out / f"{_file_name(topic)}.parquet")
+        parquet.write_table(pyarrow.table(table), files[-1])
+    topics = {
+        _file_name(one): {"name": one.name, "instance": one.instance, "units": dict(one.units)} for one in raw.topics
+    }
+    messages = [{"time_s": m.time, "level": m.level, "text": m.text} for m in raw.messages]
+    head = {"path": raw.path, "format": raw.format, "metadata": dict(raw.metadata), "topics": topics}
+    write_json(out / "metadata.json", head | {"parameters": _finite_numbers(raw.parameters), "messages": messages})
+    return [*files, out / "metadata.json"]
+
+
+def _finite_numbers(parameters: Mapping[str, float | str]) -> dict[str, object]:
+    """Return parameters for JSON; numbers that are not finite become text."""
+    return {name: v if isinstance(v, str) or np.isfinite(v) else str(v) for name, v in parameters.items()}
+
+
+def _write_mcap(raw: RawLog, out: Path) -> list[Path]:
+    """Write one channel of JSON messages for each topic."""
+    from mcap.writer import Writer
+
+    path = out / f"{Path(raw.path).stem}.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="", library="aerial_gym")
+        writer.add_metadata("parameters", {name: str(value) for name, value in raw.parameters.items()})
+        writer.add_metadata("metadata", dict(raw.metadata))
+        for topic in raw.topics:
+            properties = {name: {"type": "number"} for name in topic.columns}
+            schema = json.dumps({"type": "object", "properties": properties}).encode()
+            number = writer.register_schema(name=topic.name, encoding="jsonschema", data=schema)
+            channel = writer.register_channel(topic=topic.source, message_encoding="json", schema_id=number)
+            rows = zip(*(np.asarray(values).tolist() for values in topic.columns.values()), strict=True)
+            for at, row in zip(np.maximum(topic.time, 0.0).tolist(), rows, strict=True):
+                stamp = round(at * NANOSECONDS)
+                data = json.dumps(dict(zip(topic.columns, row, strict=True))).encode()
+                writer.add_message(channel_id=channel, log_time=stamp, publish_time=stamp, data=data)
+        writer.finish()
+    return [path]

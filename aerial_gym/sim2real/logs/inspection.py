@@ -1,0 +1,209 @@
+"""Content of a log file: topics with their rates, flights with their streams, messages, and defects. Letters: T samples."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from aerial_gym.errors import DataError
+from aerial_gym.registry.log_formats import LOG_READERS
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import plain, select_fields
+from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
+from aerial_gym.sim2real.logs.readers.binary_log import LogFlights, flight_of_log, open_raw_log
+from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays
+
+SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicSummary:
+    """Size and times of one topic."""
+
+    name: str
+    instance: int
+    samples: int
+    rate: float | None  # Usual number of samples per second [Hz]; None for less than two different stamps
+    start: float | None  # First stamp [s]
+    end: float | None  # Last stamp [s]
+    longest_gap: float | None  # Longest time between samples [s]
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        names = {"rate": "rate_hz", "start": "start_s", "end": "end_s", "longest_gap": "longest_gap_s"}
+        return {names.get(name, name): value for name, value in vars(self).items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightSummary:
+    """Time, streams and findings of one flight."""
+
+    path: str  # Path that selects this flight
+    start: float  # [s]
+    end: float  # [s]
+    ended_by: str  # landing, gap, velocity_reset, crash or log_end
+    rate: float  # Rows per second [Hz]
+    streams: Mapping[str, StreamTiming]  # By quantity
+    battery: tuple[float, float] | None  # Lowest and highest voltage [V]
+    notes: tuple[Finding, ...]
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        names = {"rate": "rate_hz", "latency": "latency_s", "delay": "delay_s", "half_width": "half_width_s"}
+        streams = {
+            quantity: {names.get(name, name): value for name, value in vars(timing).items()}
+            for quantity, timing in self.streams.items()
+        }
+        head = {
+            "path": self.path,
+            "start_s": self.start,
+            "end_s": self.end,
+            "ended_by": self.ended_by,
+            "rate_hz": self.rate,
+        }
+        return head | {"streams": streams, "battery_v": plain(self.battery), "notes": self.notes}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogInspection:
+    """Content of one file."""
+
+    path: str
+    format: str  # Name in ``LOG_READERS``, or csv
+    metadata: Mapping[str, str]
+    topics: tuple[TopicSummary, ...]
+    armed: tuple[tuple[float, float], ...]  # Spans in which the vehicle is armed [s]
+    flights: tuple[FlightSummary, ...]
+    refusals: tuple[str, ...]  # Reasons why the file, or a flight in it, cannot be used
+    notes: tuple[Finding, ...]  # Findings on the file as a whole
+    messages: tuple[LogMessage, ...]
+
+    @property
+    def warnings(self) -> tuple[LogMessage, ...]:
+        """Return the warnings and errors of the firmware."""
+        return tuple(message for message in self.messages if message.level in SHOWN_LEVELS)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON, with findings as objects."""
+        messages = [{"time_s": m.time, "level": m.level, "text": m.text} for m in self.messages]
+        plain_fields = select_fields(self, "path", "format", "metadata", "topics", "armed", "flights", "refusals")
+        return plain_fields | {"notes": self.notes, "messages": messages}
+
+
+def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspection:
+    """Return the content of a log file; raise ``DataError`` if the file cannot be decoded at all."""
+    raw = read_raw_log(Path(path))
+    if raw is None:
+        return _inspect_csv(Path(path), mapping)
+    opened, refusals = None, list[str]()
+    try:
+        opened = open_raw_log(raw, mapping)
+    except DataError as error:
+        refusals.append(str(error))
+    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals)
+    return _inspection(raw, flights, refusals, raw.notes if opened is None else opened.notes, _spans_of_arming(raw))
+
+
+def _inspection(
+    raw: RawLog,
+    flights: list[FlightSummary],
+    refusals: list[str],
+    notes: tuple[Finding, ...],
+    armed: tuple[tuple[float, float], ...] = (),
+) -> LogInspection:
+    return LogInspection(
+        path=raw.path,
+        format=raw.format,
+        metadata=raw.metadata,
+        topics=tuple(map(topic_summary, raw.topics)),
+        armed=armed,
+        flights=tuple(flights),
+        refusals=tuple(refusals),
+        notes=notes,
+        messages=raw.messages,
+    )
+
+
+def _flights_of_log(opened: LogFlights, mapping: LogMapping | None, refusals: list[str]) -> list[FlightSummary]:
+    """Return the usable flights; the errors of others go to ``refusals``."""
+    flights = []
+    relative = mapping is None or mapping.rotor_command is None
+    for number, span in enumerate(opened.spans, start=1):
+        try:
+            log = flight_of_log(opened, number, relative=relative)
+        except DataError as error:
+            refusals.append(str(error))
+            continue
+        known = set(opened.notes)
+        flights.append(_flight_summary(log, span.ended_by, tuple(note for note in log.notes if note not in known)))
+    return flights
+
+
+def _flight_summary(log: FlightLog, ended_by: str, notes: tuple[Finding, ...]) -> FlightSummary:
+    return FlightSummary(
+        path=log.path,
+        start=float(log.time[0]),
+        end=float(log.time[-1]),
+        ended_by=ended_by,
+        rate=1.0 / float(np.median(np.diff(log.time))),
+        streams=log.streams,
+        battery=None if log.battery is None else (float(log.battery.min()), float(log.battery.max())),
+        notes=notes,
+    )
+
+
+def topic_summary(topic: Topic) -> TopicSummary:
+    """Return size and times of a topic; stamps that are no numbers do not count."""
+    stamps = topic.time[np.isfinite(topic.time)]
+    steps = np.diff(stamps)
+    rises = steps[steps > 0.0]
+    return TopicSummary(
+        name=topic.name,
+        instance=topic.instance,
+        samples=topic.time.size,
+        rate=1.0 / float(np.median(rises)) if rises.size else None,
+        start=float(stamps[0]) if stamps.size else None,
+        end=float(stamps[-1]) if stamps.size else None,
+        longest_gap=float(rises.max()) if rises.size else None,
+    )
+
+
+def _spans_of_arming(raw: RawLog) -> tuple[tuple[float, float], ...]:
+    """Return the spans between arming and disarming [s], or the end of the log."""
+    channels = [one for one in LOG_READERS.get(raw.format).channels(raw) if one.quantity == "armed"]
+    if not channels:
+        return ()
+    time, armed = channels[0].time, channels[0].values[:, 0] > 0.0
+    edges: Array = np.flatnonzero(np.diff(np.concatenate(([0], armed.astype(int), [0]))))
+    return tuple(
+        (float(time[a]), float(time[min(b, time.size - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)
+    )
+
+
+def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:
+    """Return a CSV file as a log with one topic ``table``; raise ``DataError`` if it holds no time or no rows."""
+    layout, notes = mapping or find_mapping("aerial_gym"), list[Finding]()
+    table = read_table(path, layout, notes)
+    columns = {name: np.asarray(values) for name, values in table.items() if np.asarray(values).dtype.kind in "fiu"}
+    columns = {str(name): values for name, values in columns.items()}
+    topic = Topic(name="table", time=read_time_stamps(table, layout, str(path)), columns=columns)
+    return RawLog(path=str(path), format="csv", topics=(topic,), notes=tuple(notes))
+
+
+def _inspect_csv(path: Path, mapping: LogMapping | None) -> LogInspection:
+    raw = csv_raw_log(path, mapping)
+    try:
+        log = read_flight_log(path, mapping=mapping)
+    except DataError as error:
+        return _inspection(raw, [], [str(error)], raw.notes)
+    rate = topic_summary(raw.topics[0]).rate or 0.0
+    streams = {
+        name: StreamTiming(source="table[0]", rate=rate) for name in row_arrays(log) if name not in ("time", "lines")
+    }
+    return _inspection(raw, [_flight_summary(replace(log, streams=streams), "log_end", log.notes)], [], ())

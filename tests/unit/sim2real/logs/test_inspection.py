@@ -1,0 +1,60 @@
+"""Inspection of logs: topics, flights, streams, messages and refusals as data."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.sim2real.logs.inspection import inspect_log, topic_summary
+from aerial_gym.sim2real.logs.raw_log import Topic
+from tests.unit.sim2real.flat_flights import flight, write
+from tests.unit.sim2real.ulog_files import topics, write_ulog
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(5, seconds=6.0, rate=200.0)
+
+
+def test_a_topic_has_rate_span_and_longest_gap() -> None:
+    time = np.concatenate((np.arange(100) * 0.01, 2.0 + np.arange(100) * 0.01, [np.nan]))
+    summary = topic_summary(Topic(name="imu", instance=2, time=time, columns={}))
+    assert (summary.name, summary.instance, summary.samples) == ("imu", 2, 201)
+    assert (summary.rate, summary.start) == (pytest.approx(100.0), 0.0)
+    assert (summary.end, summary.longest_gap) == (pytest.approx(2.99), pytest.approx(1.01))
+    assert topic_summary(Topic(name="one", time=np.zeros(1), columns={})).rate is None
+
+
+def test_a_ulog_has_flights_with_native_rates(table: pd.DataFrame, tmp_path: Path) -> None:
+    results = topics(table)
+    stamp = results["esc_status"]["timestamp"]
+    results["actuator_armed"] = {"timestamp": stamp[::40], "armed": (stamp[::40] > 6_000_000).astype(float)}
+    log = inspect_log(write_ulog(tmp_path / "a.ulg", results))
+    assert (log.format, len(log.topics), log.refusals) == ("ulog", 7, ())
+    ((start, end),) = log.armed
+    assert (start, end) == (pytest.approx(6.2, abs=0.21), pytest.approx(10.8, abs=0.21))
+    (one,) = log.flights
+    assert (one.start, one.ended_by) == (pytest.approx(start, abs=0.01), "log_end")
+    assert one.rate == pytest.approx(200.0, rel=1e-3)
+    assert one.streams["attitude"].rate == pytest.approx(100.0, rel=1e-3)
+    assert one.battery == (15.0, 15.0)
+    mapping = log.as_mapping()
+    rates = {one["name"]: one["rate_hz"] for one in mapping["topics"]}
+    assert rates["vehicle_attitude"] == pytest.approx(100.0, rel=1e-3)
+    assert mapping["flights"][0]["streams"]["attitude"]["source"] == "vehicle_attitude[0]"
+
+
+def test_a_log_without_a_flight_still_lists_its_topics(table: pd.DataFrame, tmp_path: Path) -> None:
+    results = {name: part for name, part in topics(table).items() if name == "battery_status"}
+    log = inspect_log(write_ulog(tmp_path / "a.ulg", results))
+    assert (log.flights, [one.name for one in log.topics]) == ((), ["battery_status"])
+    assert len(log.refusals) == 1
+
+
+def test_a_csv_file_has_one_topic(table: pd.DataFrame, tmp_path: Path) -> None:
+    log = inspect_log(write(table, tmp_path / "a.csv"))
+    assert (log.format, [one.samples for one in log.topics]) == ("csv", [len(table)])
+    assert log.flights[0].streams["ang_vel"].rate == pytest.approx(200.0, rel=1e-3)
+    bad = inspect_log(write(table.drop(columns=["q_x"]), tmp_path / "b.csv"))
+    assert (bad.flights, len(bad.refusals)) == ((), 1)
