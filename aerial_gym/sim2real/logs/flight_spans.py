@@ -1,4 +1,4 @@
-"""Split a log into flights: at arming, take-off, landing, gaps, resets of the velocity, and a crash at the end.
+"""Split a log into flights: at arming, take-off, landing, gaps, resets of the velocity, and an impact at the end.
 
 Letters: T samples.
 """
@@ -9,16 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 from aerial_gym.sim2real.logs.streams import Stream
 
 SHORTEST_S = 2.0  # Shortest flight [s]
 LEAST_COVERED = 0.5  # A stream that covers a smaller share of the airborne time is left out
-CRASH_S = 3.0  # An impact counts as a crash if the flight ends within this time [s] after it
-IMPACT = 3.0  # Specific force of an impact in multiples of the 99th percentile before it
-IMPACT_G = 4.0  # Least specific force of an impact [g], beyond hard landings
+LAST_S = 3.0  # Time before the end of a flight in which an impact ends it [s]
+SHOCK_S = 0.01  # Time in which an impact changes the force [s]; thrust needs longer, as rotors lag
+LEAST_SHOCK_G = 1.0  # Least change of the specific force by an impact [g]
+SHOCK_RATIOS = (1.25, 2.0)  # Size of an impact relative to the largest and to the 99.9th percentile of changes before
 BEFORE_IMPACT_S = 0.1  # Time cut off before an impact [s], for the contact that leads to it
 
 STATES = ("armed", "landed")  # Quantities that are no measurements of motion
@@ -30,7 +31,7 @@ class FlightSpan:
 
     start: float  # [s]
     end: float  # [s]
-    ended_by: str  # landing, gap, velocity_reset, crash or log_end
+    ended_by: str  # landing, gap, velocity_reset, impact or log_end
 
     @property
     def duration(self) -> float:
@@ -54,7 +55,7 @@ def flight_spans(streams: Mapping[str, Stream], notes: list[Finding]) -> list[Fl
             break
     if not known and any(name in streams for name in STATES):
         notes.append(Finding("flight_state_unknown"))
-    return [_end_at_crash(span, measured.get("specific_force")) for span in spans]
+    return [_end_at_impact(span, measured.get("specific_force")) for span in spans]
 
 
 def _motion(streams: Mapping[str, Stream]) -> list[Stream]:
@@ -112,23 +113,27 @@ def _split_span(span: FlightSpan, streams: Sequence[Stream]) -> list[FlightSpan]
     return parts
 
 
-def _end_at_crash(span: FlightSpan, force: Stream | None) -> FlightSpan:
-    """Return the span up to its crash: the first impact of its last seconds; unchanged without one."""
+def _end_at_impact(span: FlightSpan, force: Stream | None) -> FlightSpan:
+    """Return the span up to the first impact of its last seconds, as of a crash or a hard landing; unchanged without one."""
     if force is None:
         return span
     inside = (force.time >= span.start) & (force.time <= span.end)
     impacts = _impacts(force.time[inside], force.values[inside])
     if not impacts.size:
         return span
-    crash = FlightSpan(start=span.start, end=float(impacts[0]) - BEFORE_IMPACT_S, ended_by="crash")
-    return crash if crash.duration >= SHORTEST_S else span
+    flight = FlightSpan(start=span.start, end=float(impacts[0]) - BEFORE_IMPACT_S, ended_by="impact")
+    return flight if flight.duration >= SHORTEST_S else span
 
 
 def _impacts(time: Array, force: Array) -> Array:
-    """Return the times [s] of impacts within the last ``CRASH_S``."""
-    size = np.linalg.norm(force, axis=1)
-    late: Flags = time > time[-1] - CRASH_S if time.size else np.zeros(0, dtype=bool)
+    """Return the times [s] of impacts within the last ``LAST_S``: larger changes of the force than in the flight before."""
+    if time.size < 2:
+        return time[:0]
+    rows = max(1, round(SHOCK_S / float(np.median(np.diff(time)))))
+    shocks, time = np.linalg.norm(force[rows:] - force[:-rows], axis=1), time[rows:]
+    late = time > time[-1] - LAST_S if time.size else time > 0.0
     if late.all():
         return time[:0]
-    usual = max(IMPACT * float(np.percentile(size[~late], 99.0)), IMPACT_G * STANDARD_GRAVITY)
-    return time[late & (size > usual)]
+    largest, of_percentile = SHOCK_RATIOS
+    usual = min(largest * float(shocks[~late].max()), of_percentile * float(np.percentile(shocks[~late], 99.9)))
+    return time[late & (shocks > max(usual, LEAST_SHOCK_G * STANDARD_GRAVITY))]

@@ -47,7 +47,7 @@ class FlightSummary:
     path: str  # Path that selects this flight
     start: float  # [s]
     end: float  # [s]
-    ended_by: str  # landing, gap, velocity_reset, crash or log_end
+    ended_by: str  # landing, gap, velocity_reset, impact or log_end
     rate: float  # Rows per second [Hz]
     streams: Mapping[str, StreamTiming]  # By quantity
     battery: tuple[float, float] | None  # Lowest and highest voltage [V]

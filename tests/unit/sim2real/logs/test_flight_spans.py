@@ -1,4 +1,4 @@
-"""Flights within a log: arming, landing, gaps, resets of the velocity, and a crash at the end."""
+"""Flights within a log: arming, landing, gaps, resets of the velocity, and an impact at the end."""
 
 import numpy as np
 import pytest
@@ -57,11 +57,15 @@ def test_a_reset_of_the_velocity_ends_a_flight() -> None:
     assert spans(stream("ang_vel", TIME), velocity) == [(0.0, 29.99, "velocity_reset"), (30.0, 60.0, "log_end")]
 
 
-def test_a_crash_at_the_end_is_cut_off_and_a_hard_manoeuvre_before_it_is_not() -> None:
-    force = np.full(TIME.size, 9.81)
-    force[3000], force[5800:5805] = 60.0, 150.0
-    assert spans(stream("ang_vel", TIME), stream("specific_force", TIME, force)) == [(0.0, 57.9, "crash")]
-    force[5800:5805] = 25.0  # a hard landing
+def test_an_impact_at_the_end_is_cut_off_and_a_hard_manoeuvre_is_not() -> None:
+    """Thrust that rises from 1 to 5 g within 0.2 s, then an impact of 4 g within 0.01 s."""
+    force = 9.81 * (1.0 + np.interp(TIME, [20.0, 20.2, 20.4], [0.0, 4.0, 0.0]))
+    force += 9.81 * np.interp(TIME, [58.5, 58.7, 58.9], [0.0, 4.0, 0.0])
+    calm = stream("specific_force", TIME, force)
+    assert spans(stream("ang_vel", TIME), calm) == [(0.0, 60.0, "log_end")]
+    force[5900] += 40.0
+    assert spans(stream("ang_vel", TIME), stream("specific_force", TIME, force)) == [(0.0, 58.9, "impact")]
+    force[5900], force[3000] = 9.81, 50.0  # a knock in the middle of a flight does not end it
     assert spans(stream("ang_vel", TIME), stream("specific_force", TIME, force)) == [(0.0, 60.0, "log_end")]
 
 
