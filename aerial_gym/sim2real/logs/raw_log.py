@@ -1,10 +1,29 @@
 """The content of a log file as it was recorded: topics at their own rates, parameters and messages. Letters: T samples."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+
+
+class LazyColumns(Mapping[str, Array]):
+    """Columns that are computed at each use, so that only those in use fill memory."""
+
+    def __init__(self, columns: Mapping[str, Callable[[], Array]]) -> None:
+        self._columns = dict(columns)
+
+    def __getitem__(self, name: str) -> Array:
+        return self._columns[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,1 @@
+"""Warp kernels of the log readers, for a CPU."""
