@@ -1,4 +1,4 @@
-"""Read blackbox logs of Betaflight and of INDIFLIGHT, its research branch. Letters: T samples, R rotors, B bytes.
+"""Read blackbox logs of Betaflight and of INDIFLIGHT, its research branch. Letters: T samples, K kinds of frames, F fields.
 
 One file holds the flights between two erasures, each with its own header; all of them become one log.
 Betaflight's body axes are forward, left, up. INDIFLIGHT's quaternion, position and velocity are in NED and FRD.
@@ -33,7 +33,6 @@ HEADER_LINE = re.compile(rb"H ([^:\n\0]{1,100}):([^\n\0]{0,16384})\n")
 MOST_FLIGHTS, MOST_FIELDS = 1000, 1000  # Betaflight logs up to some 100 flights of some 50 fields, INDIFLIGHT of 200
 MOST_GROWTH, FREE_BYTES = 24, 2**27  # A file may grow to so many times its size when decoded, and to 128 MB at least
 BREAK_S = 10.0  # Time between two flights if the clock started anew between them
-TIME = 1  # Place of the time among the main fields
 
 INDIFLIGHT_UNIT = 8127.0  # Logged value of 1 in INDIFLIGHT's quaternions. Source: UNIT_FLOAT_TO_SIGNED16VB
 INDIFLIGHT_GYRO = {
@@ -49,6 +48,9 @@ EVENTS = {
     255: "end of the log",
 }
 """Texts of events by code. Source: Betaflight, ``blackbox_fielddefs.h``."""
+
+
+Numbers = NDArray[np.integer]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +79,7 @@ class BlackboxFlight:
     """Decoded frames of one flight."""
 
     header: BlackboxHeader
-    main: NDArray[np.int32]  # Main frames, (T, fields)
+    main: dict[str, Numbers]  # Fields of the main frames by name, each (T,)
     other: NDArray[np.int32]  # Kind, time [us] and values of each other frame
     damaged: int  # Number of damaged frames
     lost: int  # Number of frames that depend on a damaged one, or whose time does not fit
@@ -97,20 +99,21 @@ class BlackboxReader(LogReader):
         """Return the frames, header entries and events of all flights."""
         data = np.fromfile(path, dtype=np.uint8)
         flights = [_decode_flight(data, header, str(path)) for header in _read_headers(data, str(path))]
-        flights = [flight for flight in flights if flight.main.shape[0] > 1]
+        flights = [flight for flight in flights if flight.main["time"].size > 1]
         if not flights:
             raise DataError(f"{path}: holds no flight: no frame of the blackbox could be decoded")
         times = _flight_times(flights)
         topics = [_main_topic(flights, times)]
-        for kind, name in ((frames.SLOW, "slow"), (frames.GPS, "gps")):
-            topics += _other_topic(flights, times, kind, name)
+        topics += [
+            _other_topic(flights, times, kind, name) for kind, name in ((frames.SLOW, "slow"), (frames.GPS, "gps"))
+        ]
         entries = flights[-1].header.entries
         damaged, lost = (sum(getattr(flight, name) for flight in flights) for name in ("damaged", "lost"))
         note = Finding("frames_damaged", "", {"damaged": damaged, "lost": lost, "total": topics[0].time.size + lost})
         return RawLog(
             path=str(path),
             format=self.name,
-            topics=tuple(topics),
+            topics=tuple(topic for topic in topics if topic.time.size),
             parameters={k: _number_or_text(v) for k, v in entries.items() if not k.startswith("Field ")},
             messages=tuple(_event_messages(flights, times)),
             metadata={
@@ -130,7 +133,7 @@ class BlackboxReader(LogReader):
             name = next((n for n in names if f"{n}[2]" in known), None)
             if name is None:
                 return []
-            values = unit * _stack(main, [f"{name}[{i}]" for i in range(3)])
+            values = _stack(main, [f"{name}[{i}]" for i in range(3)], unit)
             return [LogChannel(quantity=quantity, time=main.time, values=values, source=main.source)]
 
         unit = UNIT_G / float(log.parameters.get("acc_1G") or 2048.0)
@@ -180,7 +183,7 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
     for kind, letter in enumerate(frames.LETTERS):
         if counts[kind] or kind == frames.EVENT:
             kinds[ord(letter)] = kind
-    main, other = np.empty((main_rows, width), dtype=np.int32), np.empty((other_rows, width + 5), dtype=np.int32)
+    main, other = np.empty((width, main_rows), dtype=np.int32), np.empty((other_rows, width + 5), dtype=np.int32)
     result = np.zeros(4, dtype=np.int32)
     start_warp()
     inputs = (
@@ -191,7 +194,10 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
     wp.launch(frames.decode_frames, dim=1, inputs=arrays, device="cpu")
     return BlackboxFlight(
         header=header,
-        main=main[: result[frames.MAIN_ROWS]],
+        main={
+            name: _narrow_column(column[: result[frames.MAIN_ROWS]], sign == 1)
+            for name, column, sign in zip(header.names("I"), main, tables[2, frames.INTRA], strict=False)
+        },
         other=other[: result[frames.OTHER_ROWS]],
         damaged=int(result[frames.DAMAGED]),
         lost=int(result[frames.LOST]),
@@ -202,7 +208,7 @@ def _definitions(header: BlackboxHeader, path: str) -> tuple[NDArray[np.int32], 
     """Return the numbers of fields by kind, (K,), and the encodings, predictors and signs of the fields, (3, K, F)."""
     letters = frames.LETTERS[:-1]
     names = [header.names(letter) for letter in letters]
-    if names[0][: TIME + 1] != ["loopIteration", "time"]:
+    if names[0][:2] != ["loopIteration", "time"]:
         raise DataError(
             f"{path}: its header names no fields loopIteration and time; the file is damaged at its beginning"
         )
@@ -249,52 +255,59 @@ def _flight_times(flights: Sequence[BlackboxFlight]) -> list[float]:
     """Return the shift of each flight's clock [s], so that a clock that started anew follows the flight before."""
     shifts, end = list[float](), -np.inf
     for flight in flights:
-        stamps = _microseconds(flight.main[:, TIME]) * 1e-6
+        stamps = _seconds(flight.main["time"])
         shift = 0.0 if stamps[0] >= end else end + BREAK_S - float(stamps[0])
         shifts.append(shift)
         end = float(stamps[-1]) + shift
     return shifts
 
 
-def _microseconds(column: NDArray[np.int32]) -> Array:
-    """Return unsigned counts of 32 bits, without the wraps of the counter."""
-    counts = column.view(np.uint32).astype(np.float64) if column.flags.c_contiguous else column.astype(np.uint32) * 1.0
-    return counts + 2.0**32 * np.cumsum(np.diff(counts, prepend=counts[:1]) < -(2.0**31))
+def _narrow_column(values: NDArray[np.int32], has_sign: bool) -> Numbers:
+    """Return a copy of a column with its own sign, in 16 bits if they are enough, which most fields are."""
+    numbers = values if has_sign else values.view(np.uint32)
+    small = np.int16 if has_sign else np.uint16
+    fits = numbers.size and np.iinfo(small).min <= numbers.min() and numbers.max() <= np.iinfo(small).max
+    return numbers.astype(small if fits else numbers.dtype)
+
+
+def _seconds(stamps: Numbers) -> Array:
+    """Return the times [s] of counts of microseconds in 32 bits, without the wraps of the counter."""
+    counts = stamps.astype(np.uint32).astype(np.float64)
+    return 1e-6 * (counts + 2.0**32 * np.cumsum(np.diff(counts, prepend=counts[:1]) < -(2.0**31)))
 
 
 def _main_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float]) -> Topic:
-    time = [1e-6 * _microseconds(one.main[:, TIME]) + shift for one, shift in zip(flights, shifts, strict=True)]
-    tables = [(one.header, one.main, "I", 0) for one in flights]
-    return Topic(name="main", time=np.concatenate(time), columns=_columns(tables), units={"time": "us"})
+    time = [_seconds(one.main["time"]) + shift for one, shift in zip(flights, shifts, strict=True)]
+    columns = _columns([one.main for one in flights], [one.size for one in time])
+    return Topic(name="main", time=np.concatenate(time), columns=columns, units={"time": "us"})
 
 
-def _other_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float], kind: int, name: str) -> list[Topic]:
-    """Return the topic of a rare kind of frame; none if there is no such frame."""
-    letter = frames.LETTERS[kind]
-    tables = [(one.header, one.other[one.other[:, 0] == kind], letter, 2) for one in flights]
-    time = [1e-6 * _microseconds(t[:, 1]) + shift for (_, t, _, _), shift in zip(tables, shifts, strict=True)]
-    stamps = np.concatenate(time)
-    return [Topic(name=name, time=stamps, columns=_columns(tables))] if stamps.size else []
+def _other_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float], kind: int, name: str) -> Topic:
+    """Return the topic of a rare kind of frame."""
+    tables, time = list[dict[str, Numbers]](), list[Array]()
+    for flight, shift in zip(flights, shifts, strict=True):
+        rows = flight.other[flight.other[:, 0] == kind]
+        names, signs = (
+            flight.header.names(frames.LETTERS[kind]),
+            flight.header.numbers(f"Field {frames.LETTERS[kind]} signed"),
+        )
+        columns = np.ascontiguousarray(rows[:, 2:].T)
+        tables.append(
+            {n: _narrow_column(column, sign == 1) for n, column, sign in zip(names, columns, signs, strict=False)}
+        )
+        time.append(_seconds(rows[:, 1]) + shift)
+    sizes = [one.size for one in time]
+    return Topic(name=name, time=np.concatenate(time), columns=_columns(tables, sizes))
 
 
-def _columns(tables: Sequence[tuple[BlackboxHeader, NDArray[np.int32], str, int]]) -> LazyColumns:
+def _columns(tables: Sequence[dict[str, Numbers]], sizes: Sequence[int]) -> LazyColumns:
     """Return the columns of all flights by field name, NaN where a flight lacks the field."""
-    names = dict.fromkeys(name for header, _, letter, _ in tables for name in header.names(letter))
-    return LazyColumns({name: partial(_column, tables, name) for name in names})
 
+    def column(name: str) -> Array:
+        parts = [table.get(name, np.full(size, np.nan)) for table, size in zip(tables, sizes, strict=True)]
+        return np.concatenate(parts, dtype=np.float64)
 
-def _column(tables: Sequence[tuple[BlackboxHeader, NDArray[np.int32], str, int]], name: str) -> Array:
-    parts = []
-    for header, table, letter, first in tables:
-        names = header.names(letter)
-        if name not in names:
-            parts.append(np.full(table.shape[0], np.nan))
-            continue
-        place = names.index(name)
-        values = table[:, first + place]
-        signs = header.numbers(f"Field {letter} signed")
-        parts.append((values if signs[place] else values.astype(np.uint32)).astype(np.float64))
-    return np.concatenate(parts)
+    return LazyColumns({name: partial(column, name) for table in tables for name in table})
 
 
 def _event_messages(flights: Sequence[BlackboxFlight], shifts: Sequence[float]) -> list[LogMessage]:
@@ -328,8 +341,12 @@ def _indiflight_gyro(log: RawLog, usual: float) -> float:
     return next((scale for build, scale in INDIFLIGHT_GYRO.items() if build in revision), usual)
 
 
-def _stack(topic: Topic, names: Sequence[str]) -> Array:
-    return np.stack([topic.columns[name] for name in names], axis=1)
+def _stack(topic: Topic, names: Sequence[str], unit: float = 1.0) -> Array:
+    """Return columns side by side, (T, columns)."""
+    values = np.empty((topic.time.size, len(names)))
+    for i, name in enumerate(names):
+        values[:, i] = unit * topic.columns[name]
+    return values
 
 
 def _column_names(topic: Topic, name: str) -> list[str]:
@@ -346,7 +363,7 @@ def _estimates(main: Topic) -> list[LogChannel]:
     )
     return [
         LogChannel(
-            quantity=quantity, time=main.time, values=convert(unit * _stack(main, COMPONENTS[name])), source=main.source
+            quantity=quantity, time=main.time, values=convert(_stack(main, COMPONENTS[name], unit)), source=main.source
         )
         for quantity, name, convert, unit in rows
         if set(COMPONENTS[name]) <= main.columns.keys()
@@ -365,12 +382,12 @@ def _rotors(log: RawLog, main: Topic) -> list[LogChannel]:
     erpm = 100.0 * UNITS["rpm"] / (float(log.parameters.get("motor_poles") or 14.0) / 2.0)
     for name, unit in (("omegaUnfiltered", 1.0), ("eRPM", erpm), ("erpm", erpm)):
         if columns := _column_names(main, name):
-            append("rotor_speed", unit * _stack(main, columns))
+            append("rotor_speed", _stack(main, columns, unit))
     if columns := _column_names(main, "motor"):
         low, high = _motor_range(log)
         append("rotor_command", np.clip((_stack(main, columns) - low) / (high - low), 0.0, 1.0))
     if "vbatLatest" in main.columns:
-        append("battery", _volt_unit(log) * _stack(main, ["vbatLatest"]))
+        append("battery", _stack(main, ["vbatLatest"], _volt_unit(log)))
     return results
 
 

@@ -11,9 +11,10 @@ from aerial_gym.sim2real.logs.raw_log import LogChannel
 def integrate_attitude(gyro: LogChannel) -> LogChannel:
     """Return the attitude by integration of the angular velocity from a level attitude, with a note that says so."""
     steps = np.clip(np.diff(gyro.time, prepend=gyro.time[:1]), 0.0, 1.0)
-    rates = np.nan_to_num(gyro.values)
-    mean = 0.5 * (rates + np.concatenate((rates[:1], rates[:-1])))
-    attitude = product_of_turns(Rotation.from_rotvec(mean * steps[:, None]).as_quat())
+    turns = np.nan_to_num(gyro.values)
+    turns[1:] += turns[:-1].copy()
+    turns *= 0.5 * steps[:, None]
+    attitude = product_of_turns(Rotation.from_rotvec(turns).as_quat())
     return LogChannel(
         quantity="attitude",
         time=gyro.time,
@@ -30,14 +31,15 @@ def product_of_turns(turns: Array) -> Array:
     """
     length = max(int(np.sqrt(turns.shape[0])), 1)
     number = -(-turns.shape[0] // length)
-    padded = np.concatenate((turns, np.tile((0.0, 0.0, 0.0, 1.0), (number * length - turns.shape[0], 1))))
-    blocks = padded.reshape(number, length, 4).copy()
+    rest = np.tile((0.0, 0.0, 0.0, 1.0), (number * length - turns.shape[0], 1))
+    blocks = np.concatenate((turns, rest)).reshape(number, length, 4)
     for i in range(1, length):
         blocks[:, i] = _multiply(blocks[:, i - 1], blocks[:, i])
     for block in range(1, number):
         blocks[block] = _multiply(blocks[block - 1, -1], blocks[block])
     results = blocks.reshape(-1, 4)[: turns.shape[0]]
-    return results / np.linalg.norm(results, axis=1, keepdims=True)
+    results /= np.sqrt(np.einsum("ij,ij->i", results, results))[:, None]
+    return results
 
 
 def _multiply(first: Array, second: Array) -> Array:

@@ -210,19 +210,19 @@ def _add_prediction(
     elif code == 11:
         value = constants[MIN_MOTOR]
     elif last >= 0:
-        newest = before[last, field]
+        newest = before[field, last]
         if code == 1:
             value = newest
         elif code == 2:
-            value = 2 * newest - before[last_but_one, field]
+            value = 2 * newest - before[field, last_but_one]
         elif code == 3 and has_sign:
-            value = int((wp.int64(newest) + wp.int64(before[last_but_one, field])) / wp.int64(2))
+            value = int((wp.int64(newest) + wp.int64(before[field, last_but_one])) / wp.int64(2))
         elif code == 3:
-            value = int((wp.uint32(newest) + wp.uint32(before[last_but_one, field])) / wp.uint32(2))
+            value = int((wp.uint32(newest) + wp.uint32(before[field, last_but_one])) / wp.uint32(2))
         elif code == 6:
             value = newest + 1 + _count_unlogged(constants, newest)
         elif code == 10:
-            value = before[last, 1]
+            value = before[1, last]
     frame[field] = frame[field] + value
 
 
@@ -280,7 +280,7 @@ def decode_frames(
     frame: wp.array[int],  # (F + 8,)
     home: wp.array[int],  # (2,)
     # out
-    main_out: wp.array2d[int],  # (M, F) main frames
+    main_out: wp.array2d[int],  # (F, M) main frames
     other_out: wp.array2d[int],  # (N, F + 2) kind, time [us] and fields of other frames
     counts_out: wp.array[int],  # (4,) number of main and of other rows, of damaged and of lost frames
 ):
@@ -326,7 +326,7 @@ def decode_frames(
             time = frame[1]
             fits = resumed
             if main > 0:
-                fits = _is_step(main_out[main - 1, 1], time) or resumed
+                fits = _is_step(main_out[1, main - 1], time) or resumed
             if kind == INTRA:
                 fits = fits or _is_step(refused, time)
                 refused = time
@@ -334,7 +334,7 @@ def decode_frames(
                 fits = fits and intact
             if fits:
                 for i in range(counts[INTRA]):
-                    main_out[main, i] = frame[i]
+                    main_out[i, main] = frame[i]
                 main += 1
                 last_is_intra = kind == INTRA
                 resumed = wp.bool(False)
@@ -346,7 +346,7 @@ def decode_frames(
             other_out[other, 0] = kind
             other_out[other, 1] = 0
             if main > 0:
-                other_out[other, 1] = main_out[main - 1, 1]
+                other_out[other, 1] = main_out[1, main - 1]
             count = 3
             if kind != EVENT:
                 count = counts[kind]
