@@ -132,10 +132,32 @@ def quaternion_signs(attitude: Array) -> Array:
 def integrate_rates(time: Array, ang_vel: Array) -> Array:
     """Return the attitude (T, 4), level at first, from body rates [rad/s], (T, 3), by the mean rate of each step."""
     turns = Rotation.from_rotvec(0.5 * (ang_vel[1:] + ang_vel[:-1]) * np.diff(time)[:, None])
-    attitude = [Rotation.identity()]
-    for turn in turns:
-        attitude.append(attitude[-1] * turn)
-    return np.array([turn.as_quat() for turn in attitude])
+    return _cumulative_products(np.concatenate(([(0.0, 0.0, 0.0, 1.0)], turns.as_quat())))
+
+
+def _cumulative_products(turns: Array) -> Array:
+    """Return the products of all quaternions up to each, (T, 4), xyzw.
+
+    The samples are cut into blocks of equal length. All blocks advance together, and are then joined one after the other.
+    """
+    length = max(int(np.sqrt(turns.shape[0])), 1)
+    number = -(-turns.shape[0] // length)
+    rest = np.tile((0.0, 0.0, 0.0, 1.0), (number * length - turns.shape[0], 1))
+    blocks = np.concatenate((turns, rest)).reshape(number, length, 4)
+    for i in range(1, length):
+        blocks[:, i] = _multiply(blocks[:, i - 1], blocks[:, i])
+    for block in range(1, number):
+        blocks[block] = _multiply(blocks[block - 1, -1], blocks[block])
+    results = blocks.reshape(-1, 4)[: turns.shape[0]]
+    return results / np.sqrt(np.einsum("ij,ij->i", results, results))[:, None]
+
+
+def _multiply(first: Array, second: Array) -> Array:
+    """Return the quaternion products ``first second``, (..., 4), xyzw."""
+    a, b = first[..., :3], second[..., :3]
+    vector = first[..., 3:] * b + second[..., 3:] * a + np.cross(a, b)
+    scalar = first[..., 3:] * second[..., 3:] - np.sum(a * b, axis=-1, keepdims=True)
+    return np.concatenate((vector, scalar), axis=-1)
 
 
 def interpolate_columns(at: Array, time: Array, values: Array) -> Array:

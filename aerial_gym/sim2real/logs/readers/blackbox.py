@@ -23,7 +23,6 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.frames import attitude_from_ned_frd, enu_from_ned
-from aerial_gym.sim2real.logs.readers.integration import integrate_attitude
 from aerial_gym.sim2real.logs.readers.kernels import blackbox_frames as frames
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS
@@ -123,7 +122,7 @@ class BlackboxReader(LogReader):
         )
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
-        """Return the quantities of the vehicle; the attitude of Betaflight is integrated from the gyro."""
+        """Return the quantities of the vehicle; Betaflight logs no attitude."""
         main = log.topics[0]
         known = main.columns.keys()
         high_resolution = 10.0 if log.parameters.get("blackbox_high_resolution") == 1.0 else 1.0
@@ -137,16 +136,12 @@ class BlackboxReader(LogReader):
             return [LogChannel(quantity=quantity, time=main.time, values=values, source=main.source)]
 
         unit = UNIT_G / float(log.parameters.get("acc_1G") or 2048.0)
-        results = [
+        return [
             *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC"), gyro_unit),
             *vector("specific_force", ("accADCafterRpm", "accSmooth", "accADC"), unit),
             *_estimates(main),
             *_rotors(log, main),
         ]
-        gyro = next((one for one in results if one.quantity == "ang_vel"), None)
-        if gyro is not None and not any(one.quantity == "attitude" for one in results):
-            results.append(integrate_attitude(gyro))
-        return results
 
 
 def _read_headers(data: NDArray[np.uint8], path: str) -> list[BlackboxHeader]:

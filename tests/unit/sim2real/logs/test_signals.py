@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import signal
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import FlightLog, read_flight_log
@@ -14,6 +15,7 @@ from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     apply_lag,
     continuous_quaternion,
+    integrate_rates,
     interpolate_columns,
     log_at_equal_steps,
     lowpass,
@@ -228,3 +230,15 @@ def test_a_pose_that_repeats_all_along_a_short_log_is_said(table: pd.DataFrame, 
     short[["p_x", "p_y", "p_z"]] = short[["p_x", "p_y", "p_z"]].to_numpy()[0]
     log = mend(short, tmp_path)
     assert ("samples_repeated", "position") in [(note.code, note.values.get("sensor")) for note in log.notes]
+
+
+def test_integrated_rates_equal_the_product_of_the_turns() -> None:
+    """The blocks of the product end and begin with different turns; 103 samples fill no whole number of them."""
+    time = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.01, 103))
+    rates = np.random.default_rng(1).normal(scale=20.0, size=(103, 3))
+    expected = Rotation.identity()
+    for k in range(102):
+        expected *= Rotation.from_rotvec(0.5 * (rates[k] + rates[k + 1]) * (time[k + 1] - time[k]))
+    attitude = integrate_rates(time, rates)
+    assert (Rotation.from_quat(attitude[-1]).inv() * expected).magnitude() < 1e-12
+    np.testing.assert_array_equal(attitude[0], (0.0, 0.0, 0.0, 1.0))
