@@ -181,8 +181,61 @@ class HoverCmd:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InertiaCmd:
+    """The inertia of a body from throws by hand with a flywheel that spins up in the air."""
+
+    throws: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Logs of throws with gyro, accelerometer and the speed of the flywheel, one throw each, in any log format."""
+
+    mass_kg: float | None = None
+    """Mass of the body [kg], without the device if that is thrown alone too."""
+
+    wheel_inertia_kg_m2: float | None = None
+    """Inertia of the flywheel about its axis [kg m²]: rotor and propeller or disc."""
+
+    device: tuple[Path, ...] = ()
+    """Throws of the device alone: IMU, battery and flywheel. Its inertia is then taken from that of the body."""
+
+    device_mass_kg: float | None = None
+    """Mass of the device [kg]."""
+
+    proof: tuple[Path, ...] = ()
+    """Throws of the device on a body of known inertia, in place of --wheel-inertia-kg-m2."""
+
+    proof_mass_kg: float | None = None
+    """Mass of the proof body [kg]."""
+
+    proof_inertia_kg_m2: tuple[float, float, float] | None = None
+    """Moments of inertia of the proof body about the x, y and z axes of the IMU [kg m²]."""
+
+    out: Path | None = None
+    """Folder for report.md, result.json and body.yaml; nothing is written if not given."""
+
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Identify and print; return the exit status."""
+        from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
+
+        if not self.throws:
+            raise ConfigError("identify inertia needs at least one log of a throw")
+        device = ThrowSeries(paths=self.device, mass=self.device_mass_kg) if self.device else None
+        proof = ThrowSeries(paths=self.proof, mass=self.proof_mass_kg, inertia=self.proof_inertia_kg_m2)
+        with progress_bar() as progress:
+            progress("reading throws", 0.1)
+            study = study_inertia(
+                ThrowSeries(paths=self.throws, mass=self.mass_kg),
+                device,
+                proof if self.proof else None,
+                self.wheel_inertia_kg_m2,
+            )
+        return _report_study(self, study, (*self.throws, *self.device, *self.proof))
+
+
+@dataclass(frozen=True, kw_only=True)
 class IdentifyCmd:
-    """Identify rotors or a compliant joint from bench CSVs, joints from flights, or the thrust coefficient from hover."""
+    """Identify rotors, joints or thrust from bench tables and flights, or the inertia of a body from throws by hand."""
 
     subject: tyro.conf.OmitArgPrefixes[
         tyro.conf.OmitSubcommandPrefixes[
@@ -190,6 +243,7 @@ class IdentifyCmd:
             | Annotated[JointCmd, tyro.conf.subcommand("joint")]
             | Annotated[JointsCmd, tyro.conf.subcommand("joints")]
             | Annotated[HoverCmd, tyro.conf.subcommand("hover")]
+            | Annotated[InertiaCmd, tyro.conf.subcommand("inertia")]
         ]
     ]
     """What is identified."""
@@ -216,7 +270,9 @@ def _optional_robot(name: str | None) -> "RobotCfg | None":
     return None if name is None else robot_by_name(name)
 
 
-def _report_study(command: MotorCmd | JointCmd | JointsCmd | HoverCmd, study: "Study", inputs: tuple[Path, ...]) -> int:
+def _report_study(
+    command: MotorCmd | JointCmd | JointsCmd | HoverCmd | InertiaCmd, study: "Study", inputs: tuple[Path, ...]
+) -> int:
     """Write the results of a command to its folder, if it has one, and print them; return the exit status."""
     from aerial_gym.sim2real.teststand.report import write_study
     from aerial_gym.sim2real.wording import render_findings, text

@@ -36,7 +36,8 @@ _BY_SEVERITY = {
         "battery_left_out file_damaged frames_damaged position_jumps_left sensor_bias sensor_turned "
         "sensor_late velocity_factor sensor_dropout row_without_state row_with_bad_stamp "
         # test stand
-        "test_left_out few_steps rows_far_apart mass_exact scatter_unknown no_unseen_log flights_differ curvature_kept "
+        "test_left_out axes_open few_steps rows_far_apart mass_exact scatter_unknown no_unseen_log flights_differ "
+        "curvature_kept "
         "weigh_vehicle measure_thrust turn_with_gyro swap_propeller"
     ),
     Severity.OPEN: (

@@ -64,6 +64,9 @@ TESTSTAND: dict[str, Template] = {
     ),
     "intervals_of_flights": "Intervals hold the scatter within these flights, but no error of the declaration.",
     "published_law": _sentence_on_published_law,
+    "axes_open": (
+        "Principal moments {first} and {second} differ by less than 10 %: the directions of their axes are uncertain."
+    ),
     "one_record": "This is one record of one joint: its intervals hold for this record only.",
 }
 """Templates of findings of the test stand, by code."""

@@ -231,6 +231,7 @@ SAMPLES = [
     *map(Finding, ("measure_thrust", "turn_with_gyro", "swap_propeller", "links_as_declared", "thrust_scale_fitted")),
     Finding("intervals_of_flights"), Finding("joint_driven", "arm0"), Finding("joint_creeps", "arm0"),
     Finding("published_law", "", {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}), Finding("one_record"),
+    Finding("axes_open", "", {"first": 2, "second": 3}),
 ]  # fmt: skip
 """Of every code, and of every template of an effect."""
 

@@ -1,0 +1,148 @@
+"""Inertia of thrown bodies against motions that Euler's equations give, which the fit itself does not use."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.teststand import inertia_study
+from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
+from aerial_gym.sim2real.teststand.thrown_body import FreeFlight, find_free_flight, fit_momentum, steiner_term
+
+WHEEL = 1.7e-6  # Inertia of the flywheel [kg m²]
+AXIS = np.array([0.02, -0.01, -1.0]) / np.linalg.norm([0.02, -0.01, -1.0])
+RATE = 2000.0
+DEVICE = np.diag((9.0e-5, 7.5e-5, 2.5e-5))
+DEVICE_MASS, BODY_MASS = 0.1, 0.3
+LEVER = np.array((0.004, -0.003, 0.03))
+"""Position of the device's centre of mass from that of the body [m]."""
+IMU = np.array((-0.002, 0.011, -0.009))
+"""Position of the IMU from the device's centre of mass [m]."""
+TURN = np.linalg.qr(np.array(((1.0, 0.3, 0.1), (-0.2, 1.0, 0.2), (0.1, -0.1, 1.0))))[0]
+BODY = np.asarray(TURN @ np.diag((5.0e-4, 1.1e-3, 1.4e-3)) @ TURN.T, dtype=np.float64)
+
+
+def wheel_speed(time: Array) -> Array:
+    return (
+        1300.0
+        * (1.0 - np.exp(-np.clip(time - 0.25, 0.0, 0.3) / 0.05))
+        * np.exp(-np.clip(time - 0.55, 0.0, None) / 0.05)
+    )
+
+
+def throw(
+    inertia: Array, imu: Array, start: Array, *, drag: float = 0.0, late: float = 0.0, seed: int = 0
+) -> FreeFlight:
+    """Return a record: 0.2 s in the hand, then free flight by Euler's equations."""
+    time = np.arange(0.0, 0.75, 1.0 / RATE)
+
+    def acceleration(now: float, rates: Array) -> Array:
+        step = 1e-5
+        speed, after = wheel_speed(np.array((now, now + step)))
+        momentum = inertia @ rates + WHEEL * speed * AXIS
+        torque = (
+            -np.cross(rates, momentum) - WHEEL * (after - speed) / step * AXIS - drag * np.linalg.norm(rates) * rates
+        )
+        return np.linalg.solve(inertia, torque)
+
+    solution = solve_ivp(acceleration, (0.0, 0.75), start, t_eval=time, rtol=1e-9, atol=1e-9, max_step=1e-3)
+    rates = solution.y.T
+    change = np.array([acceleration(now, row) for now, row in zip(time, rates, strict=True)])
+    force = np.cross(change, imu) + np.cross(rates, np.cross(rates, imu))
+    force[time < 0.2] += (0.0, 0.0, -25.0)
+    rng = np.random.default_rng(seed)
+    return FreeFlight(
+        name="throw", time=time, ang_vel=rates + rng.normal(0.0, 0.005, rates.shape),
+        specific_force=force + rng.normal(0.0, 0.3, force.shape), wheel_speed=wheel_speed(time - late),
+    )  # fmt: skip
+
+
+STARTS = ((9.0, -5.0, 3.0), (-4.0, 8.0, 6.0), (6.0, 6.0, -7.0), (-7.0, -3.0, 8.0))
+
+
+def throws(inertia: Array, imu: Array, **options: float) -> list[FreeFlight]:
+    return [throw(inertia, imu, np.array(start), seed=n, **options) for n, start in enumerate(STARTS)]  # type: ignore[arg-type]
+
+
+def joint_inertia() -> Array:
+    """Return the inertia of body and device together, about their common centre of mass."""
+    share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
+    return BODY + DEVICE + steiner_term(DEVICE_MASS, LEVER * (1.0 - share)) + steiner_term(BODY_MASS, LEVER * share)
+
+
+def test_momentum_gives_inertia_axis_and_position() -> None:
+    flights = [find_free_flight(flight) for flight in throws(BODY, IMU, drag=3e-5, late=0.002)]
+    wheel, (fit,) = fit_momentum([flights])
+    np.testing.assert_allclose(WHEEL * fit.inertia, BODY, atol=0.004 * BODY.max())
+    np.testing.assert_allclose(fit.imu_position, IMU, atol=3e-4)
+    np.testing.assert_allclose(wheel.axis, AXIS, atol=0.004)
+    assert wheel.lateness == pytest.approx(0.002, abs=2e-4)
+    assert all(flight.time[0] >= 0.2 for flight in flights)
+
+
+def test_one_throw_is_inside_its_interval() -> None:
+    _, (fit,) = fit_momentum([[find_free_flight(throw(BODY, IMU, np.array(STARTS[0])))]])
+    values = np.array([fit.inertia[k, k] for k in range(3)])
+    deviation = np.sqrt(np.diag(fit.covariance)[:3])
+    assert (np.abs(values - np.diag(BODY) / WHEEL) < 4.0 * deviation + 0.005 * values).all()
+    assert (deviation < 0.05 * values).all()
+
+
+def test_device_and_proof_body_give_the_body_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The proof body is the body itself turned by 0: its known inertia calibrates the wheel."""
+    share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
+    records = {
+        "body": throws(joint_inertia(), IMU + LEVER * (1.0 - share)),
+        "device": throws(DEVICE, IMU),
+    }
+    flights = {f"{name}{n}": find_free_flight(f) for name, group in records.items() for n, f in enumerate(group)}
+    monkeypatch.setattr(inertia_study, "read_throw", lambda path: flights[str(path)])
+    paths = {name: [name + str(n) for n in range(4)] for name in records}
+    study = study_inertia(
+        ThrowSeries(paths=paths["body"], mass=BODY_MASS),  # type: ignore[arg-type]
+        ThrowSeries(paths=paths["device"], mass=DEVICE_MASS),  # type: ignore[arg-type]
+        None,
+        WHEEL,
+    )
+    np.testing.assert_allclose(study.mapping["inertia_kg_m2"], BODY, atol=0.01 * BODY.max())  # type: ignore[arg-type]
+    np.testing.assert_allclose(study.mapping["centre_of_mass_m"], -(IMU + LEVER), atol=5e-4)  # type: ignore[arg-type]
+
+
+def test_proof_body_gives_the_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
+    moments = (5.0e-4, 1.1e-3, 1.4e-3)
+    share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
+    coupled = steiner_term(DEVICE_MASS, LEVER * (1.0 - share)) + steiner_term(BODY_MASS, LEVER * share)
+    groups = {
+        "device": throws(DEVICE, IMU),
+        "proof": throws(np.diag(moments) + DEVICE + coupled, IMU + LEVER * (1.0 - share)),
+    }
+    flights = {f"{name}{n}": find_free_flight(f) for name, group in groups.items() for n, f in enumerate(group)}
+    monkeypatch.setattr(inertia_study, "read_throw", lambda path: flights[str(path)])
+    paths = {name: [f"{name}{n}" for n in range(4)] for name in groups}
+    study = study_inertia(
+        ThrowSeries(paths=paths["proof"], mass=BODY_MASS),  # type: ignore[arg-type]
+        ThrowSeries(paths=paths["device"], mass=DEVICE_MASS),  # type: ignore[arg-type]
+        ThrowSeries(paths=paths["proof"], mass=BODY_MASS, inertia=moments),  # type: ignore[arg-type]
+        None,
+    )
+    wheel = study.mapping["wheel_inertia_kg_m2"]
+    assert wheel["value"] == pytest.approx(WHEEL, rel=0.01)  # type: ignore[index]
+
+
+def test_refusals() -> None:
+    still = throw(BODY, IMU, np.array(STARTS[0]))
+    with pytest.raises(DataError):
+        find_free_flight(FreeFlight(
+            name="still", time=still.time, ang_vel=still.ang_vel, specific_force=still.specific_force,
+            wheel_speed=np.zeros_like(still.time),
+        ))  # fmt: skip
+    body = ThrowSeries(paths=[], mass=0.3)
+    for device, proof, wheel in (
+        (None, None, None),
+        (None, body, None),
+        (ThrowSeries(paths=[]), None, 1e-6),
+        (body, body, 1e-6),
+    ):
+        with pytest.raises(ConfigError):
+            study_inertia(body, device, proof, wheel)
