@@ -46,6 +46,14 @@ class ArticulatedState(BodyState):
         return *super().tensors(), self.joint_pos, self.joint_vel
 
 
+@dataclass(frozen=True, kw_only=True)
+class JointEfforts:
+    """Efforts that drives and dry friction applied to joints over the last substep; zero without them."""
+
+    drive: Tensor  # [N m] or [N], (E, D)
+    friction: Tensor  # [N m] or [N], (E, D)
+
+
 def state_at_rest(num_envs: int, num_rotors: int, *, device: torch.device, dtype: torch.dtype) -> BodyState:
     """Return E bodies at rest at the world origin, level, with rotors at rest."""
     zeros = torch.zeros(num_envs, 3, device=device, dtype=dtype)

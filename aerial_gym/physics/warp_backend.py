@@ -51,7 +51,7 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.law_memory import LawMemory, check_law_step, fresh_law_memory, law_needs
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.state import BodyState, JointEfforts
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.vehicle import is_same_row, is_shared
 
@@ -125,6 +125,7 @@ class WarpBackend:
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
         random: Randomness | None = None,
+        efforts: JointEfforts | None = None,
     ) -> None:
         """Compose the kernel and make the buffers.
 
@@ -162,7 +163,7 @@ class WarpBackend:
         start_warp()
         law = fuse_law(control, model.vehicle.num_envs, model.vehicle.num_rotors, differentiable=self._differentiable)
         self._law, self._control, self._integrator, self._model = law, control, integrator, model
-        self._given_ground, self._hook, self._random = ground, hook, random
+        self._given_ground, self._hook, self._random, self._efforts = ground, hook, random, efforts
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._num_actions = law.num_actions + (0 if model.articulation is None else model.articulation.num_driven)
@@ -182,7 +183,9 @@ class WarpBackend:
         if model.articulation is not None:
             from aerial_gym.physics.articulated.fused.kernel import make_jointed_kernel
 
-            self.kernel = make_jointed_kernel(model, law, self._packing, num_spheres=num_spheres, hook=fused_hook)
+            self.kernel = make_jointed_kernel(
+                model, law, self._packing, num_spheres=num_spheres, hook=fused_hook, efforts=efforts is not None
+            )
         else:
             self.kernel = make_kernel(
                 model,
@@ -240,6 +243,7 @@ class WarpBackend:
                 ground=self._given_ground,
                 hook=self._hook,
                 random=self._random,
+                efforts=self._efforts,
             )
             self._memory, self.law_memory, self._dashpots = memory, law_memory, dashpots
         elif self._dt != 0.0:
@@ -377,6 +381,7 @@ class WarpBackend:
         ground = self._ground
         inputs += [wp.from_torch(self._packed), *ground[:3], self._model.gravity, dt, substeps]
         creep = [] if self._dashpots is None else [wp.from_torch(self._dashpots)]
+        efforts = self._effort_arrays()
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
@@ -384,7 +389,7 @@ class WarpBackend:
                     self.kernel,
                     dim=count,
                     inputs=[*inputs, first, self._memory_arrays, self._hook_data, *creep],
-                    outputs=[*arrays, *ground[3:]],
+                    outputs=[*arrays, *ground[3:], *efforts],
                     device=self._device,
                     block_dim=BLOCK_DIM,
                 )
@@ -403,6 +408,16 @@ class WarpBackend:
         if self._model.articulation is not None:
             kinds = (*kinds, *(vector_type(self._model.articulation.num_joints),) * 2)
         return [self._view(tensor, kind, name) for (name, tensor), kind in zip(vars(state).items(), kinds, strict=True)]
+
+    def _effort_arrays(self) -> list[wp.array]:
+        """Return the kernel arguments of applied efforts; the kernel of a rigid vehicle has none."""
+        bends = self._model.articulation
+        if bends is None:
+            return []
+        kind, efforts = vector_type(bends.num_joints), self._efforts
+        if efforts is None:
+            return [wp.empty(0, dtype=kind, device=wp.device_from_torch(self._device))] * 2
+        return [self._view(tensor, kind, f"effort of {name}") for name, tensor in vars(efforts).items()]
 
     def _kinds(self) -> tuple[type, ...]:
         """Return the Warp types of the tensors of a state and of an action."""

@@ -120,8 +120,8 @@ def step_bound(start: Start, first: int) -> Bound:
     """
     seen: list[Bound] = []
 
-    def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench, damping, fluid):
-        assert damping is None
+    def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench, damping, fluid, applied):
+        assert damping is applied is None
         assert fluid is None
         used: list[tuple[Effort, Equations]] = []
 
@@ -129,7 +129,7 @@ def step_bound(start: Start, first: int) -> Bound:
             used.append((acts, equations(tree, links, swings, gravity=gravity, wrench=wrench)))
             return _implicit(tree, before, used[-1][1], acts, dt)
 
-        after = with_drive(step, laws, drive, friction, before)
+        after = with_drive(step, laws, drive, friction, before, dt)
         acts, result = used[-1]
         places = result.places
         mass = result.mass + torch.diag_embed(

@@ -90,17 +90,22 @@ class Articulation:
         """
         whole = (vehicle.mass, vehicle.com, vehicle.inertia)
         mass, com, inertia = (rows[:1] for rows in whole) if all(map(is_shared, whole)) else whole
-        carried = self.link_mass.sum()
-        own = mass - carried
-        first = (mass.unsqueeze(-1) * com - self.link_mass @ self.link_com) / own.unsqueeze(-1)
-        about = inertia - _shift_inertia(self.link_inertia, self.link_mass, self.link_com - com.unsqueeze(1)).sum(1)
-        about = about - _shift_inertia(torch.zeros_like(inertia), own, first - com)
+        own, first, about = self.base(mass, com, inertia)
         num_envs = mass.shape[0]
         return Links(
             mass=torch.cat((own.unsqueeze(1), self.link_mass.expand(num_envs, -1)), dim=1),
             com=torch.cat((first.unsqueeze(1), (self.link_com - self.origins[1:]).expand(num_envs, -1, -1)), dim=1),
             inertia=torch.cat((about.unsqueeze(1), self.link_inertia.expand(num_envs, -1, -1, -1)), dim=1),
         )
+
+    def base(self, mass: Tensor, com: Tensor, inertia: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return mass (E,), centre of mass (E, 3) and inertia about it (E, 3, 3) of the base: the whole vehicle in its
+        reference pose minus the links."""
+        own = mass - self.link_mass.sum()
+        first = (mass.unsqueeze(-1) * com - self.link_mass @ self.link_com) / own.unsqueeze(-1)
+        links = _shift_inertia(self.link_inertia, self.link_mass, self.link_com).sum(0)
+        about_origin = _shift_inertia(inertia, mass, com) - links
+        return own, first, _shift_inertia(about_origin, -own, first)
 
     @property
     def num_creep(self) -> int:
@@ -150,7 +155,10 @@ class Articulation:
 
 
 def _shift_inertia(inertia: Tensor, mass: Tensor, lever: Tensor) -> Tensor:
-    """Return inertias about a point at ``-lever`` from the centres, by the parallel axis theorem: ``J + m (l² 1 - l l^T)``."""
+    """Return inertias about a point at ``-lever`` from the centres, by the parallel axis theorem: ``J + m (l² 1 - l l^T)``.
+
+    A negative mass shifts them back to the centres.
+    """
     square = lever.square().sum(-1)[..., None, None] * torch.eye(3, dtype=lever.dtype, device=lever.device)
     return inertia + mass[..., None, None] * (square - lever.unsqueeze(-1) * lever.unsqueeze(-2))
 

@@ -9,7 +9,7 @@ Sources:
     Featherstone (2008), Rigid Body Dynamics Algorithms, sections 6.1 and 6.2 (mass matrix; factor of a positive definite one).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -99,6 +99,36 @@ def along_coordinates(rates: Tensor, vectors: Tensor) -> Tensor:
 def sum_of_products(one: Tensor, other: Tensor) -> Tensor:
     """Return ``sum one^T other`` over the links, (E, N, N), of (E, L, 3, N) each, likewise."""
     return torch.bmm(one.flatten(1, 2).transpose(1, 2), other.flatten(1, 2))
+
+
+def add_at_centers(tree: Tree, system: Equations, mass: Tensor, wrench: Tensor) -> Equations:
+    """Return the equations of motion with further masses and constant wrenches at the centres of mass of links.
+
+    Args:
+        mass: Masses along [kg] and inertias about [kg m²] the axes of each link, (E, L, 6).
+        wrench: Force [N] and torque [N m], axes of the link, (E, L, 6).
+    """
+    places, matrix, force = system.places, system.mass, system.force
+    jacobians = point_jacobian(tree, places, places.com), angular_jacobian(tree, places)
+    for jacobian, own, push in zip(jacobians, mass.split(3, dim=-1), wrench.split(3, dim=-1), strict=True):
+        rates = places.rotation.mT @ jacobian  # (E, L, 3, N), axes of the link
+        matrix = matrix + sum_of_products(rates, own.unsqueeze(-1) * rates)
+        force = force + along_coordinates(rates, push)
+    return replace(system, mass=matrix, force=force)
+
+
+def center_change(system: Equations, turned_wind: Tensor) -> Tensor:
+    """Return the rates of ``(u, w)`` in axes of each link at zero acceleration of all coordinates, (E, L, 6).
+
+    Here u is the velocity of the centre of mass through the air, and w the angular velocity: ``u' = a - w x v + w x wind``.
+
+    Args:
+        turned_wind: ``w x wind`` [m/s²], axes of the link, (E, L, 3).
+    """
+    places, motion = system.places, system.motion
+    com_vel = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
+    swing = places.to_link(motion.com_acc - cross(motion.ang_vel, com_vel)) + turned_wind
+    return torch.cat((swing, places.to_link(motion.ang_acc)), dim=-1)
 
 
 def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> TreeAccelerations:

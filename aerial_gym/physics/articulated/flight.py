@@ -28,7 +28,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import air_velocity, condition_in, force_breakdown
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
-from aerial_gym.physics.state import ArticulatedState, BodyState
+from aerial_gym.physics.state import ArticulatedState, BodyState, JointEfforts
 from aerial_gym.physics.vehicle import is_shared, share_row
 
 
@@ -41,6 +41,7 @@ def articulated_step(
     *,
     crept: Tensor | None = None,
     stepper: Callable[..., TreeState] = implicit_euler,
+    applied: JointEfforts | None = None,
 ) -> ArticulatedState:
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
 
@@ -50,6 +51,7 @@ def articulated_step(
         dt: Length of the step [s].
         crept: Positions of creep dashpots, (E, N, D); None without creep.
         stepper: Integrator of the tree, by default ``implicit_euler``.
+        applied: Receives the applied efforts of drives and dry friction.
     """
     articulation = model.articulation
     assert articulation is not None
@@ -78,6 +80,7 @@ def articulated_step(
         wrench=link_wrenches(model, articulation, before, rotor_speed, rotor_acc),
         damping=link_damping(model, articulation, links, before),
         fluid=link_fluid(model, links, before),
+        applied=applied,
     )
     return ArticulatedState(**vars(after), rotor_speed=rotor_speed)
 

@@ -34,6 +34,17 @@ class Effort:
             damping=self.damping + other.damping,
         )
 
+    def at_end(self, rate: Tensor, dt: Tensor | float) -> tuple[Tensor, Tensor]:
+        """Return the effort at the end of a step without acceleration, ``f - K q' dt``, and its decrease ``C dt + K dt²``
+        per acceleration, (E, D) each.
+
+        Args:
+            rate: Rates q' at the start, (E, D).
+            dt: Length of the step [s].
+        """
+        soft = self.stiffness * dt
+        return self.value - soft * rate, dt * (self.damping + soft)
+
 
 class JointLaw(Protocol):
     """A law of the effort of joints by position and rate."""
@@ -99,23 +110,6 @@ class Drive:
     def effort_demand(self, position: Tensor, rate: Tensor) -> Tensor:
         """Return the unlimited effort."""
         return self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
-
-    def saturation_side(self, position: Tensor, rate: Tensor) -> Tensor:
-        """Return the sign of an unlimited effort beyond the limit, 1 or -1; else 0."""
-        return self.side(self.effort_demand(position, rate))
-
-    def side(self, wanted: Tensor) -> Tensor:
-        """Return the sign of an effort beyond the limit, 1 or -1; else 0."""
-        return torch.where(wanted.abs() > self.limit, torch.sign(wanted), 0.0)
-
-    def evaluate_effort(self, position: Tensor, rate: Tensor, at_limit: Tensor) -> Effort:
-        """Return the effort; for ``at_limit`` 1 or -1 it is the constant limit on that side."""
-        free = at_limit == 0.0
-        return Effort(
-            value=torch.where(free, self.effort_demand(position, rate), at_limit * self.limit),
-            stiffness=torch.where(free, self.stiffness, 0.0),
-            damping=torch.where(free, self.damping, 0.0),
-        )
 
 
 def dry_friction(size: Tensor) -> Drive:

@@ -4,25 +4,18 @@ The force is ``F = -D u`` in axes of the link, with the velocity u of its centre
 these axes is ``u' = a_c - w x v_c + w x wind``. The force at the end of a step is ``-D (u + u' dt)`` with the D of its start,
 and the torque follows likewise from the angular velocity. The terms in the accelerations add to the mass matrix:
 ``M + dt sum J^T D J``. So a step is stable for every D.
-Letters: E environments, L links, N coordinates of motion.
+Letters: E environments, L links.
 
 Source: Hairer, Wanner (1996), Solving Ordinary Differential Equations II, section IV.8 (linearly implicit Euler).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.articulated.dynamics import Equations, along_coordinates, sum_of_products
-from aerial_gym.physics.articulated.motion import (
-    LinkPoses,
-    angular_jacobian,
-    cross,
-    move_links,
-    place_links,
-    point_jacobian,
-)
+from aerial_gym.physics.articulated.dynamics import Equations, add_at_centers, center_change
+from aerial_gym.physics.articulated.motion import cross, move_links, place_links
 from aerial_gym.physics.articulated.tree import Links, Tree
 
 
@@ -56,8 +49,19 @@ def motion_in_air(
     motion = move_links(tree, places, lin_vel, ang_vel, joint_vel)
     through = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin) - wind.unsqueeze(1)
     turned = cross(motion.ang_vel, wind.unsqueeze(1).expand_as(through))
-    own = [_to_link(places, part) for part in (through, motion.ang_vel, turned)]
+    own = [places.to_link(part) for part in (through, motion.ang_vel, turned)]
     return torch.cat(own[:2], dim=-1), own[2]
+
+
+def damping_at_end(damping: Tensor, velocity: Tensor, change: Tensor, dt: Tensor | float) -> tuple[Tensor, Tensor]:
+    """Return the masses that damping adds over a step of ``dt`` [s], and its force and torque without acceleration.
+
+    Args:
+        damping: D, (..., 6).
+        velocity: u and angular velocity at the start of the step, (..., 6).
+        change: Their rates without acceleration (``dynamics.center_change``), (..., 6).
+    """
+    return dt * damping, -damping * (velocity + dt * change)
 
 
 def add_damping(tree: Tree, system: Equations, acts: LinkDamping, dt: float) -> Equations:
@@ -65,22 +69,5 @@ def add_damping(tree: Tree, system: Equations, acts: LinkDamping, dt: float) -> 
 
     The velocity terms of ``u'`` use the rates of the equations.
     """
-    places, motion = system.places, system.motion
-    pushes, turns = point_jacobian(tree, places, places.com), angular_jacobian(tree, places)
-    along, about = acts.damping.split(3, dim=-1)
-    com_vel = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
-    swing = _to_link(places, motion.com_acc - cross(motion.ang_vel, com_vel)) + acts.turned_wind
-    bend = _to_link(places, motion.ang_acc)
-    through, turn = (acts.velocity + dt * torch.cat((swing, bend), dim=-1)).split(3, dim=-1)
-    mass, force = system.mass, system.force
-    for jacobian, damping, value in ((pushes, along, through), (turns, about, turn)):
-        own = places.rotation.mT @ jacobian  # (E, L, 3, N), axes of the link
-        slowed = damping.unsqueeze(-1) * own
-        mass = mass + dt * sum_of_products(own, slowed)
-        force = force - along_coordinates(slowed, value)
-    return replace(system, mass=mass, force=force)
-
-
-def _to_link(places: LinkPoses, vectors: Tensor) -> Tensor:
-    """Rotate vectors (E, L, 3) from axes of the base into those of their links."""
-    return (places.rotation.mT @ vectors.unsqueeze(-1)).squeeze(-1)
+    mass, wrench = damping_at_end(acts.damping, acts.velocity, center_change(system, acts.turned_wind), dt)
+    return add_at_centers(tree, system, mass, wrench)

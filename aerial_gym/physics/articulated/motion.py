@@ -31,6 +31,10 @@ class LinkPoses:
     com: Tensor  # Centre of mass of each link from the origin of the base [m], (E, L, 3)
     inertia: Tensor  # Inertia of each link about its centre of mass [kg m²], (E, L, 3, 3)
 
+    def to_link(self, vectors: Tensor) -> Tensor:
+        """Rotate vectors (E, L, 3) from axes of the base into those of their links."""
+        return (self.rotation.mT @ vectors.unsqueeze(-1)).squeeze(-1)
+
 
 def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> LinkPoses:
     """Return the poses of links for joint coordinates (E, D)."""

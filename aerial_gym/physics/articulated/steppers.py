@@ -21,12 +21,13 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
-from aerial_gym.physics.articulated.complementarity import ROUNDS, ComplementarityProblem
+from aerial_gym.physics.articulated.complementarity import ROUNDS, ComplementarityProblem, EffortLimits, LimitState
 from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
 from aerial_gym.physics.articulated.link_damping import LinkDamping, add_damping
 from aerial_gym.physics.articulated.link_fluid import LinkFluid, add_fluid
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.state import JointEfforts
 
 
 def implicit_euler(
@@ -43,6 +44,7 @@ def implicit_euler(
     effort: Tensor | None = None,
     damping: LinkDamping | None = None,
     fluid: LinkFluid | None = None,
+    applied: JointEfforts | None = None,
 ) -> TreeState:
     """Return the state after one step.
 
@@ -58,6 +60,7 @@ def implicit_euler(
         effort: Further constant efforts of joints, (E, D).
         damping: Damping of links, at the end of the step; None without damping.
         fluid: Added mass of links; None without any.
+        applied: Receives the applied efforts of drives and friction.
     """
 
     traces = torch.is_grad_enabled()
@@ -73,7 +76,7 @@ def implicit_euler(
     def step(acts: Effort, swings: TreeState) -> TreeState:
         return _implicit(tree, state, build_equations(swings), acts, dt)
 
-    return with_drive(step, laws, drive, friction, state)
+    return with_drive(step, laws, drive, friction, state, dt, applied=applied)
 
 
 def with_drive(
@@ -82,8 +85,10 @@ def with_drive(
     drive: Drive | None,
     friction: Drive | None,
     state: TreeState,
+    dt: float,
     *,
     rounds: int = ROUNDS,
+    applied: JointEfforts | None = None,
 ) -> TreeState:
     """Return the state after a step under laws, drives and dry friction, each within its limit at the end of the step.
 
@@ -92,20 +97,28 @@ def with_drive(
     Args:
         step: Function of a step from ``state`` with efforts of joints at its end and the velocity terms of a motion.
         drive: Drives of joints; None without drives.
+        dt: Length of the step [s].
+        applied: Receives the applied efforts.
     """
     acts = joint_effort(laws, state.joint_pos, state.joint_vel)
     bounded = [(law, law is friction) for law in (drive, friction) if law is not None]
     if not bounded:
         return step(acts, state)
     own, rubs = zip(*bounded, strict=True)
-    problem = ComplementarityProblem(laws=own, friction=rubs, acts=acts, state=state, rounds=rounds)
+    ends = EffortLimits.at_end(own, state.joint_pos, dt)
+    problem = ComplementarityProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
 
-    def solve_step(swings: TreeState, guess: TreeState) -> TreeState:
+    def solve_step(swings: TreeState, guess: TreeState) -> tuple[LimitState, TreeState]:
         solution = problem.solve(lambda effort: step(effort, swings), guess)
-        return step(problem.total(solution), swings)
+        return solution, step(problem.total(solution), swings)
 
-    first = solve_step(state, state)
-    return solve_step(half_way(state, first), first)
+    _, first = solve_step(state, state)
+    solution, end = solve_step(half_way(state, first), first)
+    if applied is not None:
+        with torch.no_grad():
+            for effort, rub in zip(problem.law_efforts(solution, end).unbind(1), rubs, strict=True):
+                (applied.friction if rub else applied.drive).copy_(effort)
+    return end
 
 
 def half_way(state: TreeState, end: TreeState) -> TreeState:
@@ -119,10 +132,8 @@ def half_way(state: TreeState, end: TreeState) -> TreeState:
 
 def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt: float) -> TreeState:
     """Return the state after a step under equations of motion and implicit efforts of joints."""
-    soft = acts.stiffness * dt
-    held = torch.nn.functional.pad(acts.value - soft * state.joint_vel, (6, 0))
-    stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
-    now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + held)
+    effort, stiff = (torch.nn.functional.pad(rows, (6, 0)) for rows in acts.at_end(state.joint_vel, dt))
+    now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + effort)
     return advance_state(
         state,
         state.lin_vel + dt * now.lin_acc,

@@ -19,10 +19,6 @@ from aerial_gym.physics.effects import (
     CommandEffect,
     Condition,
     DelayEffect,
-    Effect,
-    LinkEffect,
-    LinkFluidEffect,
-    LinkWrenchEffect,
     LoadEffect,
     Moment,
     Suspension,
@@ -238,44 +234,3 @@ def make_pull(effect: LoadEffect, suspension: Any, load: Any, vector: Any, param
 
     arguments = {"at": suspension, "load": load, "params": params}
     return trace_to_warp("pull", arguments, pull, [vector, vector], constants={}, shared=["at.gravity"])
-
-
-LINK_KINDS = LinkEffect, LinkWrenchEffect, LinkFluidEffect
-"""Kinds of effects on links."""
-
-
-def _link_formula(effect: Effect, num_links: int, link: int, motion: Tensor, params: Tensor) -> Tensor:
-    """Return the six numbers of an effect on a link, (E, 6), with the motion (E, 6) that its kind takes."""
-    each = motion.unsqueeze(1).expand(-1, num_links, -1)
-    if isinstance(effect, LinkEffect):
-        return effect.damping(each, params)[:, link]
-    if isinstance(effect, LinkWrenchEffect):
-        return effect.wrench(each[..., :3], params)[:, link]
-    assert isinstance(effect, LinkFluidEffect)
-    return effect.added_mass(num_links, params)[:, link]
-
-
-def _num_links(model: Model) -> int:
-    assert model.articulation is not None
-    return model.articulation.tree.num_links
-
-
-def acts_on_link(effect: Effect, model: Model, link: int) -> bool:
-    """Return whether an effect with positive parameters acts on a link."""
-    motion, params = torch.tensor([[0.3, -0.5, 0.8, 0.7, -0.2, 0.4]]), torch.ones(1, len(effect.parameters))
-    return bool(_link_formula(effect, _num_links(model), link, motion, params).any())
-
-
-def make_link_formula(model: Model, kind: type[Effect], link: int) -> wp.Function:
-    """Return the sum of the effects of a kind on a link, a function (motion or attitude of the link, values) -> six numbers.
-
-    The first argument is velocity through the air and angular velocity, or world z, axes of the link.
-    """
-
-    def formula(motion: Tensor, values: Tensor) -> Tensor:
-        acting = row_effects(model, values)[kind]
-        parts = [_link_formula(effect, _num_links(model), link, motion, own) for effect, own in acting]
-        return sum(parts[1:], parts[0])
-
-    arguments = {"motion": wp.spatial_vector, "values": values_type(model)}
-    return trace_to_warp("link_formula", arguments, formula, [wp.spatial_vector], constants={})

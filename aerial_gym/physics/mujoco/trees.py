@@ -29,6 +29,7 @@ from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
 from aerial_gym.physics.solids import Solids
+from aerial_gym.physics.state import JointEfforts
 
 LEAST_MASS = 1e-9
 """Mass [kg] and moments of inertia [kg m²] for links without any, because MuJoCo needs them."""
@@ -117,6 +118,7 @@ class MujocoTrees(ABC):
         friction: Drive | None = None,
         damping: LinkDamping | None = None,
         fluid: LinkFluid | None = None,
+        applied: JointEfforts | None = None,
     ) -> TreeState:
         """Return the state after one step; arguments as for ``steppers.implicit_euler``, but with constant damping of links.
 
@@ -133,7 +135,7 @@ class MujocoTrees(ABC):
             self._check_link_damping(links, damping)
             wrench = wrench + damping.start_wrench(links)
         step = partial(self._step, links, state, gravity, wrench)
-        return with_drive(step, laws, drive, friction, state)
+        return with_drive(step, laws, drive, friction, state, dt, applied=applied)
 
     def _initial_state(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
         """Return MuJoCo's initial state, (E, nq + nv), and M mocap bodies: positions, then attitudes wxyz, (E, 7 M)."""
@@ -167,8 +169,8 @@ class MujocoTrees(ABC):
         if self._touches:
             swings = state
         dt = self.dt
-        armature = dt * (acts.damping + dt * acts.stiffness).double()
-        held = acts.value - dt * acts.stiffness * state.joint_vel
+        held, stiff = acts.at_end(state.joint_vel, dt)
+        armature = stiff.double()
         start, places = self._initial_state(state, swings)
         control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)
         sane = (torch.cat((start, control, armature), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)

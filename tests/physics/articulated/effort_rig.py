@@ -17,6 +17,7 @@ from aerial_gym.physics.articulated.joint_laws import STICK_RATE, Drive, Effort,
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.physics.state import JointEfforts
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
 
@@ -34,27 +35,28 @@ class TreeCase:
     state: TreeState
 
     @property
-    def limit(self) -> Tensor:
-        """Return the largest effort of drive and friction together, (E, D); 0 where a joint has neither."""
+    def drive_limit(self) -> Tensor:
+        """Return the largest effort of the drive of each joint, (E, D); 0 where a joint has none."""
         has_drive = (self.drive.stiffness + self.drive.damping + self.drive.effort.abs()).amax(0, keepdim=True) > 0.0
-        return torch.where(has_drive, self.drive.limit, 0.0) + self.friction.limit
+        return torch.where(has_drive, self.drive.limit, 0.0)
 
-    def lawful(self, position: Tensor, rate: Tensor) -> Tensor:
+    def lawful(self, position: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
         """Return the efforts of drive and friction at a position and rate, (E, D), written out anew."""
         drive, size = self.drive, self.friction.limit
         wanted = drive.stiffness * (drive.position - position) + drive.damping * (drive.rate - rate) + drive.effort
-        sticks = size * (rate / STICK_RATE).clamp(-1.0, 1.0)
-        return wanted.clamp(-drive.limit, drive.limit) - sticks
+        return wanted.clamp(-drive.limit, drive.limit), -size * (rate / STICK_RATE).clamp(-1.0, 1.0)
 
 
 Stepper = Callable[..., TreeState]
 """As ``steppers.implicit_euler``."""
 
 
-def step(bent: TreeCase, dt: float = DT, stepper: Stepper = steppers.implicit_euler) -> TreeState:
+def step(
+    bent: TreeCase, dt: float = DT, stepper: Stepper = steppers.implicit_euler, applied: JointEfforts | None = None
+) -> TreeState:
     return stepper(
         bent.tree, bent.links, bent.laws, bent.state, dt, gravity=9.81, drive=bent.drive, friction=bent.friction,
-        wrench=bent.wrench,
+        wrench=bent.wrench, applied=applied,
     )  # fmt: skip
 
 
@@ -105,7 +107,8 @@ def random_snakes(name: str, *, num_envs: int = 32, friction: float = 0.02, seed
 
 
 class StepRecorder:
-    """A step function whose last call is kept: the efforts of all laws, and the state that they led to."""
+    """A step function whose last call is kept: the efforts of all laws, and the state that they led to. The change of rates is
+    due to these efforts."""
 
     acts: Effort
     end: TreeState
@@ -122,7 +125,7 @@ class StepRecorder:
         monkeypatch.setattr(owner, name, record)
 
     def effort(self, bent: TreeCase, end: TreeState) -> Tensor:
-        """Return the efforts of drives and friction of joints in the step that ended so [N m], (E, D)."""
+        """Return the total effort of drive and friction of each joint in the step that ended so [N m], (E, D)."""
         assert self.end is end
         start = bent.state
         passive = joint_effort(bent.laws, start.joint_pos, start.joint_vel)
@@ -135,17 +138,47 @@ class StepRecorder:
         return value - stiffness * (end.joint_pos - start.joint_pos) - damping * (end.joint_vel - start.joint_vel)
 
 
-def residuals(bent: TreeCase, effort: Tensor, end: TreeState) -> tuple[float, float, float]:
-    """Return the largest violations in shares of a joint's limit: complementarity, limit, and friction's power. Friction's
-    effort is what the drive does not give; its power is taken where it is all that acts."""
-    limit = bent.limit.clamp_min(1e-12).expand_as(effort)
-    has = (bent.limit > 0.0).expand_as(effort)
-    alone = ((bent.limit == bent.friction.limit) & (bent.limit > 0.0)).expand_as(effort)
-    gap = ((effort - bent.lawful(end.joint_pos, end.joint_vel)).abs() / limit)[has]
-    excess = (effort.abs() / limit - 1.0)[has]
-    power = (effort * torch.sign(end.joint_vel) / limit)[alone]
-    worst = [each.max().item() if each.numel() else 0.0 for each in (gap, excess, power)]
-    return worst[0], worst[1], worst[2]
+@dataclass(frozen=True)
+class Residuals:
+    """Largest violations by applied efforts, in shares of the limit of a drive or of the size of friction."""
+
+    law: float = 0.0  # Distance from the law at the end of the step: complementarity
+    excess: float = 0.0  # Excess of an effort over its limit
+    power: float = 0.0  # Friction along the rate
+    change: float = 0.0  # Distance of the total from the effort that changed the rates
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} {value:.1e}" for name, value in vars(self).items())
+
+    def join(self, other: "Residuals") -> "Residuals":
+        return Residuals(*(max(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)))
+
+    @property
+    def worst(self) -> float:
+        return max(vars(self).values())
+
+
+def largest_share(part: Tensor, limit: Tensor) -> float:
+    """Return the largest share of a limit, among joints with one."""
+    shares = (part / limit.clamp_min(1e-12))[(limit > 0.0).expand_as(part)]
+    return shares.max().item() if shares.numel() else 0.0
+
+
+def residuals(bent: TreeCase, efforts: JointEfforts, change: Tensor, end: TreeState) -> Residuals:
+    """Return the violations of a step with the given end; ``change`` is the effort that changed the rates, (E, D)."""
+    drive, friction = efforts.drive, efforts.friction
+    limit, size = bent.drive_limit, bent.friction.limit
+    of_drive, of_friction = bent.lawful(end.joint_pos, end.joint_vel)
+    return Residuals(
+        law=max(largest_share((drive - of_drive).abs(), limit), largest_share((friction - of_friction).abs(), size)),
+        excess=max(largest_share(drive.abs() - limit, limit), largest_share(friction.abs() - size, size)),
+        power=largest_share(friction * torch.sign(end.joint_vel), size),
+        change=largest_share((drive + friction - change).abs(), limit + size),
+    )
+
+
+def no_efforts(bent: TreeCase) -> JointEfforts:
+    return JointEfforts(drive=torch.zeros_like(bent.state.joint_pos), friction=torch.zeros_like(bent.state.joint_pos))
 
 
 def fly(bent: TreeCase, steps: int, *, dt: float = DT, stepper: Stepper = steppers.implicit_euler) -> TreeCase:
@@ -156,14 +189,13 @@ def fly(bent: TreeCase, steps: int, *, dt: float = DT, stepper: Stepper = steppe
 
 def worst_residuals(
     bents: list[TreeCase], watched: StepRecorder, steps: int, stepper_of: Callable[[TreeCase], Stepper]
-) -> tuple[float, float, float]:
-    """Return the largest violations in the flights of several trees, as ``residuals`` has them."""
-    worst = (0.0, 0.0, 0.0)
+) -> Residuals:
+    """Return the largest violations in the flights of several trees."""
+    worst = Residuals()
     for bent in bents:
-        stepper = stepper_of(bent)
+        stepper, applied = stepper_of(bent), no_efforts(bent)
         for _ in range(steps):
-            end = step(bent, stepper=stepper)
-            result = residuals(bent, watched.effort(bent, end), end)
-            worst = max(worst[0], result[0]), max(worst[1], result[1]), max(worst[2], result[2])
+            end = step(bent, stepper=stepper, applied=applied)
+            worst = worst.join(residuals(bent, applied, watched.effort(bent, end), end))
             bent = replace(bent, state=end)
     return worst

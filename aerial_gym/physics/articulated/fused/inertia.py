@@ -83,25 +83,20 @@ def add_acceleration(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swi
 
 
 @wp.func
-def add_resistance(
-    own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp.vec3, torque: wp.vec3
-) -> Inertia:
-    """Add further inertia at a centre of mass, and a wrench there.
+def add_inertia(own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3) -> Inertia:
+    """Add further inertia at a centre of mass.
 
     Args:
+        own: Inertia of a link.
         push: Force per acceleration of the centre [kg].
         turn: Torque per angular acceleration [kg m²].
         com: The centre from the link's origin [m].
-        force: At the centre [N].
-        torque: [N m].
     """
     mixed = wp.skew(com) * push
     after = own
     after.push += push
     after.mixed += mixed
     after.turn += turn - mixed * wp.skew(com)
-    after.force -= force
-    after.torque -= torque + wp.cross(com, force)
     return after
 
 

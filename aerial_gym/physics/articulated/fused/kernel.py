@@ -6,17 +6,16 @@ dashpots: creep elements of a joint).
 """
 
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
 
 import warp as wp
+from torch import Tensor
 
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_type
-from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.complementarity import ROUNDS
-from aerial_gym.physics.articulated.fused.effort_limits import make_bounded
-from aerial_gym.physics.articulated.fused.efforts import make_creep
 from aerial_gym.physics.articulated.fused.hubs import hub_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, plus, rigid_inertia
+from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_passive
+from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver
 from aerial_gym.physics.articulated.fused.link_effects import effect_links, make_on_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
@@ -28,7 +27,8 @@ from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
 from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
-from aerial_gym.physics.fused.row_model import structure_constants
+from aerial_gym.physics.fused.row_model import structure_constants, vehicle_rows
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.model import Model
 
 
@@ -58,34 +58,29 @@ def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Func
     return of_law, of_drives
 
 
-def make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
-    """Return the function of the base's inertia: (vehicle, angular velocity, velocity) -> ``Inertia``.
+def make_base(model: Model) -> wp.Function:
+    """Return the function of the base's inertia: (vehicle, angular velocity, velocity) -> ``Inertia``."""
+    articulation, vehicle_type = model.articulation, model_types(model).vehicle
+    assert articulation is not None
 
-    It is the whole vehicle in its reference pose minus the links, as in ``Articulation.links``; inertias about the base's
-    origin add up.
-    """
-    carried = float(articulation.link_mass.sum())
-    moment = wp.vec3(*(articulation.link_mass @ articulation.link_com).tolist())
-    inertia = articulation.link_inertia.new_zeros(3, 3)
-    for mass, com, own in zip(articulation.link_mass, articulation.link_com, articulation.link_inertia, strict=True):
-        inertia = inertia + own + mass * (com @ com * inertia.new_ones(3).diag() - com.outer(com))
-    links = wp.mat33(*inertia.flatten().tolist())
+    def base_numbers(plant: SimpleNamespace) -> tuple[Tensor, Tensor, Tensor]:
+        vehicle = vehicle_rows(model, plant)
+        return articulation.base(vehicle.mass, vehicle.com, vehicle.inertia)
+
+    numbers = trace_to_warp(
+        "base_numbers", {"plant": vehicle_type}, base_numbers, [float, wp.vec3, wp.mat33], constants={}
+    )
 
     @wp.func
     def base(vehicle: vehicle_type, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
-        mass = 1.0 / vehicle.mass_inverse
-        lever = wp.skew(vehicle.com)
-        own = mass - wp.static(carried)
-        com = (mass * vehicle.com - moment) / own
-        about = vehicle.inertia - mass * (lever * lever) - links  # about the origin
-        own_lever = wp.skew(com)
-        return rigid_inertia(own, com, about + own * (own_lever * own_lever), ang_vel, lin_vel)
+        mass, com, about = numbers(vehicle)
+        return rigid_inertia(mass, com, about, ang_vel, lin_vel)
 
     return base
 
 
 def make_jointed_kernel(
-    model: Model, law: FusedLaw, packing: Packing, *, num_spheres: int, hook: FusedHook | None
+    model: Model, law: FusedLaw, packing: Packing, *, num_spheres: int, hook: FusedHook | None, efforts: bool = False
 ) -> wp.Kernel:
     """Return the kernel; absent features cost nothing.
 
@@ -93,6 +88,7 @@ def make_jointed_kernel(
         packing: Rows of numbers that differ between environments.
         num_spheres: Number of the base's spheres in the ground test; 0 without ground.
         hook: Hook after every substep, with the base's origin in place of a centre of mass.
+        efforts: Whether to write the efforts that drives and dry friction applied in the last substep.
     """
     articulation = model.articulation
     assert articulation is not None
@@ -118,13 +114,11 @@ def make_jointed_kernel(
     air, hubs = make_on_links(model, joints), make_hubs(model, joints)
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
-    base, floating = make_base(articulation, vehicle_type), articulation.tree.floating
-    bounded, rubs, ahead = make_bounded(articulation), articulation.rubs, articulation.solves_limits
-    ask, sides, tangent, fits = bounded.ask, bounded.sides, bounded.tangent, bounded.fits
-    line_search, driven, rubbing, pushes = bounded.line_search, bounded.driven, bounded.rubbing, bounded.pushes
-    (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
-    num_joints, held_type = articulation.num_joints, joints.held
-    dashpot_type = vector_type(max(num_creep * num_joints, 1))
+    base, floating = make_base(model), articulation.tree.floating
+    passive, num_creep, num_joints = make_passive(articulation), articulation.num_creep, articulation.num_joints
+    passive_efforts, initialise_creep, advance_creep = passive.efforts, passive.initialise, passive.advance
+    dashpot_type, held_type = dashpots_type(articulation), joints.held
+    ahead, applied = articulation.solves_limits, efforts and articulation.solves_limits
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_law = make_completion(law_type, {**packing.followed, **packing.law}, {})
     read_params = make_reader(params_type, num_params, 0)
@@ -172,60 +166,7 @@ def make_jointed_kernel(
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
 
-    @wp.func
-    def solve_limits(
-        vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
-        asked: joint_vector, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
-    ):  # fmt: skip
-        """Return the results of ``find`` with limited drives and dry friction, and the rate of velocity terms.
-
-        It is the Warp version of ``steppers.with_drive``, with one loop over all solutions, which compiles ``find`` once.
-        """
-        acts = given
-        rates = vel
-        turn = wp.vec3()
-        rise = held
-        half_w = w
-        half_vel = vel
-        at = vel  # rates of the tried limited laws
-        efforts = joint_vector()  # efforts at these rates
-        stage = wp.int32(
-            0
-        )  # velocity terms 0: of the start, 1: of the middle; 2: constant efforts; 3: without friction
-        rounds = wp.int32(0)
-        while stage < 4:
-            of_drives, of_friction = sides(asked, at, dt)
-            value, slope = tangent(asked, of_drives, of_friction, dt)
-            if stage > 1:
-                value = efforts
-                slope = joint_vector()
-            acts.bounded_value = value
-            acts.bounded_slope = slope
-            rates, turn, rise = find(vehicle, more, held, pos, vel, half_vel, acts, thrusts, drags, w, half_w, move, dt)
-            if stage > 1:
-                stage += 2
-                if wp.static(rubs) and stage == 4 and pushes(rubbing(at), rates):
-                    efforts = driven(asked, at, dt)
-                    stage = 3
-            elif fits(asked, of_drives, of_friction, rates, dt) or (stage == 0 and rounds == wp.static(ROUNDS)):
-                if stage == 0:
-                    half_w = w + 0.5 * dt * turn
-                    half_vel = 0.5 * (vel + rates)
-                stage = wp.where(stage == 0, 1, 4)
-                rounds = 0
-                at = rates
-            elif rounds == wp.static(ROUNDS):
-                efforts = driven(asked, at, dt) + rubbing(at)
-                stage = 2
-            else:
-                end = value - wp.cw_mul(slope, rates)
-                share = wp.float32(1.0)
-                if rounds > 0:
-                    share = line_search(asked, at, efforts, rates, end, dt)
-                efforts += share * (end - efforts)
-                at += share * (rates - at)
-                rounds += 1
-        return rates, turn, rise, half_w
+    solve_limits = make_limit_solver(find, articulation, types, joints) if ahead else None
 
     @wp.func
     def step_once(
@@ -247,11 +188,14 @@ def make_jointed_kernel(
             given.attitude = q
             given.rotor_speed = n
             given.rotor_acc = (n - before) / dt
-        if wp.static(num_creep > 0):
-            given.crept = pull(crept)
+        effort, stiff = passive_efforts(pos, vel, crept, dt)
+        given.effort = effort
+        given.stiff = stiff
+        drive = joint_vector()
+        friction = joint_vector()
         if wp.static(ahead):
-            rates, turn, rise, half_w = solve_limits(
-                vehicle, more, held, pos, vel, ask(pos, drives), given, thrusts, drags, w, move, dt
+            rates, turn, rise, half_w, drive, friction = solve_limits(
+                vehicle, more, held, pos, vel, drives, given, thrusts, drags, w, move, dt
             )
         else:
             half_w = w
@@ -268,6 +212,8 @@ def make_jointed_kernel(
             ang_vel,
             pos + dt * rates,
             rates,
+            drive,
+            friction,
         )
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -305,12 +251,16 @@ def make_jointed_kernel(
         joint_vel_out: wp.array[joint_vector],
         contact_out: wp.array[wp.bool],  # (E,) set where the base touches the ground
         impulse_out: wp.array[wp.vec3],  # (E,) of the rigid kernel; not written
+        drive_effort_out: wp.array[joint_vector],  # (E,) of the last substep [N m]; written on request
+        friction_effort_out: wp.array[joint_vector],
     ):
         """Advance one environment."""
         env = wp.tid() + first
         vehicle = read_vehicle(shared_vehicle, packed, env)
         law_numbers = read_law(shared_law, packed, env)
         params = read_params(packed, wp.static(first_param), env)
+        drive = joint_vector()
+        friction = joint_vector()
         x = position[env]
         q = attitude[env]
         v = lin_vel[env]
@@ -326,8 +276,7 @@ def make_jointed_kernel(
         crept = dashpot_type()
         for i in range(wp.static(num_creep * num_joints)):
             crept[i] = dashpots[i, env]
-            if wp.isnan(crept[i]):
-                crept[i] = pos[i % wp.static(num_joints)]
+        crept = initialise_creep(crept, pos)
         since = wp.int32(0)
         if wp.static(remembers and law_remembers):
             effects = memory.effects
@@ -358,11 +307,11 @@ def make_jointed_kernel(
                     for i in range(wp.static(num_joints)):
                         hook_data.joint_pos[0, env, i] = pos[i]
             n = follow_rotors(vehicle, before, followed, dt)
-            x, q, v, w, pos, vel = step_once(
+            x, q, v, w, pos, vel, drive, friction = step_once(
                 vehicle, params, gravity, x, q, v, w, before, n, pos, vel, drives, crept, dt
             )
             if wp.static(num_creep > 0):
-                crept = creep_on(crept, pos, dt)
+                crept = advance_creep(crept, pos, dt)
             if wp.static(num_spheres > 0):
                 for i in range(wp.static(num_spheres)):
                     center = wp.vec3(spheres[i][0], spheres[i][1], spheres[i][2])
@@ -398,5 +347,8 @@ def make_jointed_kernel(
         rotor_speed_out[env] = n
         joint_pos_out[env] = pos
         joint_vel_out[env] = vel
+        if wp.static(applied):
+            drive_effort_out[env] = drive
+            friction_effort_out[env] = friction
 
     return advance

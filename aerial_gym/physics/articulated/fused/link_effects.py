@@ -1,19 +1,29 @@
-"""Damping, fluid and wrenches of effects on one link in Warp; the recursion calls them at each link.
+"""Effects on one link in Warp, traced from their formulas; the recursion calls them at each link.
 
-Damping is ``articulated.link_damping``, fluid is ``articulated.link_fluid``.
+Letters: E environments, L links.
 """
 
-from functools import reduce
 from typing import Any
 
+import torch
 import warp as wp
+from torch import Tensor
 
 from aerial_gym.math.warp_functions import world_up
-from aerial_gym.physics.articulated.fused.inertia import Inertia, add_resistance
+from aerial_gym.physics.articulated.fused.inertia import Inertia, add_inertia
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
+from aerial_gym.physics.articulated.link_damping import damping_at_end
+from aerial_gym.physics.articulated.link_fluid import fluid_wrench
 from aerial_gym.physics.effects import Effect, LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.physics.fused.formulas import LINK_KINDS, acts_on_link, make_link_formula
+from aerial_gym.physics.fused.packing import values_type
+from aerial_gym.physics.fused.row_model import row_effects
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.model import Model
+
+cross = torch.linalg.cross
+
+KINDS = LinkEffect, LinkFluidEffect, LinkWrenchEffect
+"""Kinds of effects on links."""
 
 
 def effect_links(model: Model) -> tuple[int, ...]:
@@ -21,123 +31,107 @@ def effect_links(model: Model) -> tuple[int, ...]:
     articulation = model.articulation
     assert articulation is not None
     able = [articulation.tree.floating, *(articulation.link_mass > 0.0).tolist()]
-    return tuple(link for link, moves in enumerate(able) if moves and any(_kinds_on_link(model, link)))
+    return tuple(link for link, moves in enumerate(able) if moves and _kinds_on_link(model, link))
 
 
 def _kinds_on_link(model: Model, link: int) -> list[type[Effect]]:
-    """Return the kinds of effects that act on a link."""
-    return [kind for kind in LINK_KINDS if any(acts_on_link(effect, model, link) for effect, _ in model.effects[kind])]
+    """Return the kinds of effects that act on a link with positive parameters."""
+    motion = torch.tensor([[0.3, -0.5, 0.8, 0.7, -0.2, 0.4]])
+
+    def acts(effect: Effect) -> bool:
+        numbers = _effect_numbers(effect, _num_links(model), link, motion, torch.ones(1, len(effect.parameters)))
+        return bool(numbers.any())
+
+    return [kind for kind in KINDS if any(acts(effect) for effect, _ in model.effects[kind])]
+
+
+def _num_links(model: Model) -> int:
+    assert model.articulation is not None
+    return model.articulation.tree.num_links
+
+
+def _effect_numbers(effect: Effect, num_links: int, link: int, motion: Tensor, params: Tensor) -> Tensor:
+    """Return the six numbers of an effect on a link, (E, 6), for the motion (E, 6) or world z (E, 3) that its kind takes."""
+    each = motion.unsqueeze(1).expand(-1, num_links, -1)
+    if isinstance(effect, LinkEffect):
+        return effect.damping(each, params)[:, link]
+    if isinstance(effect, LinkWrenchEffect):
+        return effect.wrench(each[..., :3], params)[:, link]
+    assert isinstance(effect, LinkFluidEffect)
+    return effect.added_mass(num_links, params)[:, link]
+
+
+def make_link_formula(model: Model, link: int) -> wp.Function:
+    """Return the masses and the wrench that all effects add at the centre of mass of a link, axes of the link.
+
+    Arguments: velocity through the air and angular velocity at the start of the step; both at the rates of the velocity terms;
+    their rates without acceleration in still air; wind; world z; parameters; dt.
+    """
+
+    def formula(
+        start: Tensor, now: Tensor, change: Tensor, wind: Tensor, up: Tensor, values: Tensor, dt: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        effects, mass, wrench = row_effects(model, values), torch.zeros_like(now), torch.zeros_like(now)
+
+        def numbers(kind: type[Effect], motion: Tensor) -> list[Tensor]:
+            return [_effect_numbers(effect, _num_links(model), link, motion, own) for effect, own in effects[kind]]
+
+        def change_in_wind(velocity: Tensor) -> Tensor:
+            swing, bend = change.split(3, dim=1)
+            return torch.cat((swing + cross(velocity[:, 3:], wind), bend), dim=1)
+
+        for damping in numbers(LinkEffect, start):
+            more, push = damping_at_end(damping, start, change_in_wind(start), dt)
+            mass, wrench = mass + more, wrench + push
+        for added in numbers(LinkFluidEffect, now):
+            mass, wrench = mass + added, wrench + fluid_wrench(added, now, change_in_wind(now))
+        for push in numbers(LinkWrenchEffect, up):
+            wrench = wrench + push
+        return mass, wrench
+
+    six = wp.spatial_vector
+    arguments = {"start": six, "now": six, "change": six, "wind": wp.vec3, "up": wp.vec3}
+    arguments |= {"values": values_type(model), "dt": float}
+    return trace_to_warp("link_formula", arguments, formula, [six, six], constants={}, shared=["dt"])
 
 
 def make_on_links(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     """Return the Warp function of all effects on each link, by number of the link. Vectors are in axes of the base.
 
     Arguments: inertia of the link; rotation from its axes to those of the base; its centre of mass from its origin; angular
-    velocity and velocity of its origin at the start of the step; both at the rates of the turning terms; angular acceleration
+    velocity and velocity of its origin at the start of the step; both at the rates of the velocity terms; angular acceleration
     and acceleration of its origin by these terms alone; quantities constant over the step; dt. Result: the new ``Inertia``.
     """
-    return {link: reduce(_chain, _link_functions(model, joints, link)) for link in effect_links(model)}
+    return {link: _make_on_link(model, joints, link) for link in effect_links(model)}
 
 
-def _link_functions(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
-    functions = (make(model, joints, link) for make in (make_damping, make_fluid, make_wrench))
-    return [each for each in functions if each is not None]
+def _make_on_link(model: Model, joints: JointTypes, link: int) -> Any:
+    """Return the function of one link.
 
-
-def _chain(first: wp.Function, second: wp.Function) -> wp.Function:
-    @wp.func
-    def both(
-        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
-        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: Any, dt: float,
-    ):  # fmt: skip
-        after = first(own, rotation, com, ang_vel_0, lin_vel_0, ang_vel, lin_vel, bend, swing, held, dt)
-        return second(after, rotation, com, ang_vel_0, lin_vel_0, ang_vel, lin_vel, bend, swing, held, dt)
-
-    return both
-
-
-def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
-    """Return the damping of a link, a function as in ``make_on_links``, or None without one.
-
-    The damping force at the end of a step is ``-D (u + u' dt)`` with ``u' = R^T (a - weight + w x wind)``. Here ``a`` is the
-    spatial acceleration of the centre of mass from the recursion, weight included. The term in ``a`` adds ``dt D`` to the
-    mass; the rest is a force.
+    The recursion's accelerations are spatial and contain the weight: ``a - w x v`` is their value at the centre without it.
     """
-    if LinkEffect not in _kinds_on_link(model, link):
-        return None
-    damping_of, held_type = make_link_formula(model, LinkEffect, link), joints.held
+    formula, held_type = make_link_formula(model, link), joints.held
+    adds_mass = set(_kinds_on_link(model, link)) != {LinkWrenchEffect}
 
     @wp.func
-    def link_damping(
+    def on_link(
         own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
         lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
     ) -> Inertia:  # fmt: skip
         back = wp.transpose(rotation)
-        through = back * (lin_vel_0 + wp.cross(ang_vel_0, com) - held.wind)
-        turn = back * ang_vel_0
-        damping = damping_of(wp.spatial_vector(through, turn), held.params)
-        along = wp.spatial_top(damping)
-        about = wp.spatial_bottom(damping)
-        change = held.weight - wp.cross(ang_vel_0, held.wind) - swing - wp.cross(bend, com)
-        force = rotation * wp.cw_mul(along, dt * (back * change) - through)
-        torque = -rotation * wp.cw_mul(about, turn + dt * (back * bend))
-        push = dt * (rotation * wp.diag(along) * back)
-        return add_resistance(own, push, dt * (rotation * wp.diag(about) * back), com, force, torque)
-
-    return link_damping
-
-
-def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
-    """Return the added mass of a link, a function as in ``make_on_links``, or None without one.
-
-    ``R A R^T`` adds to the mass and ``R B R^T`` to the inertia. The fluid takes the force
-    ``A (a - weight + w x wind) + w x (A u)``, with the spatial acceleration ``a`` of the centre of mass from the recursion,
-    weight included. The terms without ``a`` are a force.
-    """
-    if LinkFluidEffect not in _kinds_on_link(model, link):
-        return None
-    added_of, held_type = make_link_formula(model, LinkFluidEffect, link), joints.held
-
-    @wp.func
-    def link_fluid(
-        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
-        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
-    ) -> Inertia:  # fmt: skip
-        back = wp.transpose(rotation)
-        added = added_of(wp.spatial_vector(), held.params)
-        along = wp.spatial_top(added)
-        about = wp.spatial_bottom(added)
-        through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
-        turn = back * ang_vel
-        momentum = wp.cw_mul(along, through)
-        change = held.weight - wp.cross(ang_vel, held.wind) - swing - wp.cross(bend, com)
-        force = rotation * (wp.cw_mul(along, back * change) - wp.cross(turn, momentum))
-        spin = wp.cw_mul(about, turn)
-        torque = -rotation * (wp.cw_mul(about, back * bend) + wp.cross(turn, spin) + wp.cross(through, momentum))
-        return add_resistance(
-            own, rotation * wp.diag(along) * back, rotation * wp.diag(about) * back, com, force, torque
-        )
-
-    return link_fluid
-
-
-def make_wrench(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
-    """Return the wrench of the effects on a link, a function as in ``make_on_links``, or None without one."""
-    if LinkWrenchEffect not in _kinds_on_link(model, link):
-        return None
-    wrench_of, held_type = make_link_formula(model, LinkWrenchEffect, link), joints.held
-
-    @wp.func
-    def link_wrench(
-        own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
-        lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
-    ) -> Inertia:  # fmt: skip
-        up = wp.transpose(rotation) * world_up(held.attitude)
-        wrench = wrench_of(wp.spatial_vector(up, wp.vec3()), held.params)
+        wind = back * held.wind
+        start = wp.spatial_vector(back * (lin_vel_0 + wp.cross(ang_vel_0, com)) - wind, back * ang_vel_0)
+        now = wp.spatial_vector(back * (lin_vel + wp.cross(ang_vel, com)) - wind, back * ang_vel)
+        change = wp.spatial_vector(back * (swing + wp.cross(bend, com) - held.weight), back * bend)
+        mass, wrench = formula(start, now, change, wind, back * world_up(held.attitude), held.params, dt)
         force = rotation * wp.spatial_top(wrench)
+        torque = rotation * wp.spatial_bottom(wrench)
         after = own
+        if wp.static(adds_mass):
+            push = rotation * wp.diag(wp.spatial_top(mass)) * back
+            after = add_inertia(own, push, rotation * wp.diag(wp.spatial_bottom(mass)) * back, com)
         after.force -= force
-        after.torque -= rotation * wp.spatial_bottom(wrench) + wp.cross(com, force)
+        after.torque -= torque + wp.cross(com, force)
         return after
 
-    return link_wrench
+    return on_link

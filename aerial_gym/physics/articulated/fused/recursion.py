@@ -14,14 +14,13 @@ Source: Featherstone (2008), Rigid Body Dynamics Algorithms, section 7.3 (articu
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import cache, reduce
 from typing import Any
 
 import warp as wp
 
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import make_effort, make_held_type
 from aerial_gym.physics.articulated.fused.inertia import Inertia, add_acceleration, carry, plus, rigid_inertia
 from aerial_gym.physics.fused.types import RotorTypes
 
@@ -36,7 +35,7 @@ class JointTypes:
 
 
 def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:
-    """Return the types for a number of joints, with that of ``efforts.make_held_type``."""
+    """Return the types for a number of joints, with that of ``make_held_type``."""
     vector, rows = vector_type(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint for a parent without acceleration
@@ -47,6 +46,24 @@ def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTy
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
     return JointTypes(vector, struct, make_held_type(num_joints, params_type, rotor_vector))
+
+
+@cache
+def make_held_type(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
+    """Return the ``wp.struct`` of quantities that are constant over a step.
+
+    It has both results of ``Effort.at_end`` for all laws of joints. With effects on links it also has their parameters, wind
+    [m/s] and gravity [m/s²], axes of the base, the pose of the base, and states and accelerations of the rotors.
+
+    Args:
+        params_type: Type of the parameters; None without effects on links.
+    """
+    vector = vector_type(num_joints)
+    fields = {"effort": vector, "stiff": vector}
+    if params_type is not None:
+        fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3, "position": wp.vec3, "attitude": wp.quat}
+        fields |= {"rotor_speed": rotor_vector, "rotor_acc": rotor_vector}
+    return wp.struct(type("Held", (), {"__annotations__": fields, "__module__": __name__}))
 
 
 def make_recursion(
@@ -202,7 +219,6 @@ def _make_link(
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
     carries = bool(articulation.tree.children(k + 1))
-    effort = make_effort(articulation, k, held_type)
     rotors = make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
 
     def wrap_children(carried: wp.Function) -> wp.Function:
@@ -260,17 +276,16 @@ def _make_link(
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
                 whole = in_air(whole, turned, turned * com, turn_0, move_0, turn, move, bent, swung, held, dt)
-            acts, stiff = effort(q, vel[k], held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis
                 by_push = wp.transpose(whole.mixed) * axis
-                inverse = 1.0 / (wp.dot(axis, by_turn) + stiff)
-                left = acts - wp.dot(axis, whole.torque)
+                inverse = 1.0 / (wp.dot(axis, by_turn) + held.stiff[k])
+                left = held.effort[k] - wp.dot(axis, whole.torque)
             else:
                 by_turn = whole.mixed * axis
                 by_push = whole.push * axis
-                inverse = 1.0 / (wp.dot(axis, by_push) + stiff)
-                left = acts - wp.dot(axis, whole.force)
+                inverse = 1.0 / (wp.dot(axis, by_push) + held.stiff[k])
+                left = held.effort[k] - wp.dot(axis, whole.force)
             free = inverse * left
             beyond = Inertia()
             beyond.turn = whole.turn - inverse * wp.outer(by_turn, by_turn)
