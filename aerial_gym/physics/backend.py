@@ -11,7 +11,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.state import BodyState, JointEfforts
 from aerial_gym.physics.substep_hook import SubstepHook
 
 
@@ -80,10 +80,11 @@ class PhysicsBackend(Protocol):
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
         random: Randomness | None = None,
+        efforts: JointEfforts | None = None,
     ) -> None:
         """Set model, control law, integrator, ground, substep hook and random numbers, and allocate all buffers.
 
-        Without random numbers, seed 0 counts.
+        Without random numbers, seed 0 counts. ``step`` writes the efforts applied to joints into ``efforts``, if given.
 
         Raises:
             CapabilityError: If the backend lacks a requested capability, which the message names.

@@ -39,7 +39,7 @@ from aerial_gym.physics.memory import (
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import Ramp, stop_in_dead_band
-from aerial_gym.physics.state import ArticulatedState, BodyState
+from aerial_gym.physics.state import ArticulatedState, BodyState, JointEfforts
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_rows import SubstepRows
 from aerial_gym.physics.vehicle import is_shared
@@ -162,6 +162,7 @@ class TorchBackend:
     _stepper: Stepper
     _memory: Memory | None = None
     _random: Randomness | None = None
+    _efforts: JointEfforts | None = None
     _crept: Tensor | None = None
     law_memory: LawMemory | None = None
     """Memory of the control law; None before its first step, and without memory."""
@@ -175,8 +176,9 @@ class TorchBackend:
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
         random: Randomness | None = None,
+        efforts: JointEfforts | None = None,
     ) -> None:
-        """Set model, control law, integrator by name, ground, hook and random numbers."""
+        """Set model, control law, integrator by name, ground, hook, random numbers and tensors of applied efforts."""
         if integrator not in self.capabilities.integrators:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
@@ -185,7 +187,7 @@ class TorchBackend:
 
             check_jointed(integrator, ground, self.capabilities)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
-        self._hook = hook
+        self._hook, self._efforts = hook, efforts
         self._share = position_share(integrator, in_fluid=bool(model.effects[FluidEffect]))
         self._memory, self.law_memory, self._random, self._crept = None, None, random, None
         self._places: tuple[dict[str, Tensor], ...] = ({}, {}, {})
@@ -279,8 +281,9 @@ class TorchBackend:
         if memory is not None:
             model, followed, memory = begin_substep(model, memory, state.rotor_speed, followed, dt)
             self._memory = _store_memory(self._memory, end_substep(memory, state.position[:, :0]))
+        stepper = self.tree_stepper(model, dt)
         step = partial(
-            articulated_step, model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt)
+            articulated_step, model, state, followed, joint_command, dt, stepper=stepper, applied=self._efforts
         )
         bends = self._model.articulation
         if bends is None or not bends.num_creep:

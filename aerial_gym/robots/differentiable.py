@@ -15,7 +15,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import ControlLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.state import ArticulatedState, BodyState
+from aerial_gym.physics.state import ArticulatedState, BodyState, JointEfforts
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_backend import TorchBackend, copy_tensors
 from aerial_gym.physics.torch_rows import SubstepRows
@@ -54,11 +54,14 @@ class DifferentiableBackend(TorchBackend):
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
         random: Randomness | None = None,
+        efforts: JointEfforts | None = None,
     ) -> None:
         """Take everything in the float type of the graph; the control law is in it already."""
         if ground is not None:
             ground = replace(ground, spheres=ground.spheres.to(self._dtype))
-        super().allocate(model, control, integrator=integrator, ground=ground, hook=hook, random=random)
+        super().allocate(
+            model, control, integrator=integrator, ground=ground, hook=hook, random=random, efforts=efforts
+        )
 
     def set_model(self, model: Model) -> None:
         """Replace the parameters of the model."""

@@ -34,7 +34,7 @@ from aerial_gym.robots.contact_sources import ContactSources, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.effect_scene import declare_effect_scene, guard_parameters, make_slung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
-from aerial_gym.robots.joints.states import JointStates
+from aerial_gym.robots.joints.states import JointStates, declare_efforts
 from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.parameter_draws import draw_code
 from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise, check_base_draws
@@ -106,6 +106,8 @@ class RobotManager:
         guard_parameters(gtd, self._effects, drawn, notice=self._note_write)
         self._pushing = ContactSources(robot, gtd, around)
         self._load = make_slung_load(gtd, self._effects, self.tensors.state)
+        limited = self.articulation is not None and self.articulation.solves_limits
+        efforts = declare_efforts(gtd, robot.joints) if limited and robot.joints is not None else None
         self.backend.allocate(
             self._build_model(),
             self.controller,
@@ -115,6 +117,7 @@ class RobotManager:
                 self.tensors.state, sim, mass=self._mass, inertia=self._inertia, com=self._com
             ),
             random=random,
+            efforts=efforts,
         )
         self.backend.prepare(sim.dt)
         rest_speed = hover_speed(self.declared, sim.gravity)
@@ -135,7 +138,7 @@ class RobotManager:
         self._joints: JointStates | None = None
         if robot.joints is not None:
             assert isinstance(self.tensors.state, ArticulatedState)
-            self._joints = JointStates(robot.joints, gtd, self.tensors.state, random)
+            self._joints = JointStates(robot.joints, gtd, self.tensors.state, random, efforts)
         self._update = self._make_update()
         self._step_begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 

@@ -8,35 +8,46 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.math.random import Purpose, Randomness, split_state, uniform_draw
-from aerial_gym.physics.state import ArticulatedState
+from aerial_gym.physics.state import ArticulatedState, JointEfforts
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 
 def declare_joints(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> dict[str, Tensor]:
     """Declare coordinates and rates of the joints, and return them as ``ArticulatedState`` names them, each (E, D)."""
     gtd.define_size("D", len(cfg.layout))
-    names = ", ".join(cfg.names)
     return {
-        field: gtd.declare(
-            TensorSpec(
-                key=key, shape=("E", "D"), unit=unit, frame="-", owner="physics", meaning=f"{quantity} of {names}"
-            )
-        )
-        for field, key, unit, quantity in (
-            ("joint_pos", "dof_position", "rad or m", "coordinates"),
-            ("joint_vel", "dof_velocity", "rad/s or m/s", "rates"),
-        )
+        "joint_pos": _declare(gtd, cfg, "dof_position", "rad or m", "coordinates"),
+        "joint_vel": _declare(gtd, cfg, "dof_velocity", "rad/s or m/s", "rates"),
     }
+
+
+def declare_efforts(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> JointEfforts:
+    """Declare the efforts of drives and dry friction."""
+    return JointEfforts(
+        drive=_declare(gtd, cfg, "dof_drive_effort", "N m or N", "effort of the drive in the last substep"),
+        friction=_declare(gtd, cfg, "dof_friction_effort", "N m or N", "effort of dry friction in the last substep"),
+    )
+
+
+def _declare(gtd: GlobalTensorDictionary, cfg: JointsCfg, key: str, unit: str, quantity: str) -> Tensor:
+    """Declare one number per joint, (E, D)."""
+    meaning = f"{quantity} of {', '.join(cfg.names)}"
+    return gtd.declare(TensorSpec(key=key, shape=("E", "D"), unit=unit, frame="-", owner="physics", meaning=meaning))
 
 
 class JointStates:
     """Draws joints where episodes begin and keeps ``dof_state_tensor``; captured with the step that it belongs to."""
 
     def __init__(
-        self, cfg: JointsCfg, gtd: GlobalTensorDictionary, state: ArticulatedState, random: Randomness
+        self,
+        cfg: JointsCfg,
+        gtd: GlobalTensorDictionary,
+        state: ArticulatedState,
+        random: Randomness,
+        efforts: JointEfforts | None,
     ) -> None:
-        """Take the ranges, the state that is written, and the random numbers."""
-        self._state, self._random = state, random
+        """Take the ranges, the state that is written, the random numbers, and the efforts that a reset clears."""
+        self._state, self._random, self._efforts = state, random, efforts
         self._together = gtd.declare(TensorSpec(
             key="dof_state_tensor", shape=("E", "D", 2), unit="rad, rad/s", frame="-", owner="robot",
             meaning="copy of dof_position and dof_velocity, side by side",
@@ -59,6 +70,8 @@ class JointStates:
             shares = [uniform_draw(split_state(stream, first + k), dtype=low.dtype) for k in range(len(low))]
             drawn = low + (high - low) * torch.stack(shares, dim=1)
             target.copy_(torch.where(mask, drawn, target))
+        for effort in () if self._efforts is None else vars(self._efforts).values():
+            effort.masked_fill_(mask, 0.0)
         self.refresh()
 
     @torch.no_grad()
