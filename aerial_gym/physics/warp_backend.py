@@ -33,7 +33,7 @@ from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.hook import NoHook
 from aerial_gym.physics.fused.kernel import make_kernel
-from aerial_gym.physics.fused.law import fuse_law
+from aerial_gym.physics.fused.law import FusedLaw, fuse_law
 from aerial_gym.physics.fused.memory import MemoryArrays, memory_type
 from aerial_gym.physics.fused.packing import (
     Numbers,
@@ -161,9 +161,18 @@ class WarpBackend:
         if hook is not None and self._differentiable:
             raise CapabilityError("backend warp: a differentiable rollout follows no obstacles. Use backend 'torch'.")
         start_warp()
-        law = fuse_law(control, model.vehicle.num_envs, model.vehicle.num_rotors, differentiable=self._differentiable)
-        self._law, self._control, self._integrator, self._model = law, control, integrator, model
-        self._given_ground, self._hook, self._random, self._efforts = ground, hook, random, efforts
+        self._control, self._integrator, self._given_ground, self._hook, self._random = (
+            control, integrator, ground, hook, random
+        )  # fmt: skip
+        self._compose(model, self._trace_law(model))
+
+    def _trace_law(self, model: Model) -> FusedLaw:
+        vehicle = model.vehicle
+        return fuse_law(self._control, vehicle.num_envs, vehicle.num_rotors, differentiable=self._differentiable)
+
+    def _compose(self, model: Model, law: FusedLaw) -> None:
+        """Compose the kernel and make the buffers for a model that this backend can run."""
+        self._law, self._model, integrator, ground, hook = law, model, self._integrator, self._given_ground, self._hook
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._num_actions = law.num_actions + (0 if model.articulation is None else model.articulation.num_driven)
@@ -236,15 +245,8 @@ class WarpBackend:
         changed = any(is_shared(kept) and new is not kept and not is_same_row(new, kept) for new, kept in pairs)
         if changed or not self._packing.fits(self._numbers(1.0)):
             memory, law_memory, dashpots = self._memory, self.law_memory, self._dashpots
-            self.allocate(
-                model,
-                self._control,
-                integrator=self._integrator,
-                ground=self._given_ground,
-                hook=self._hook,
-                random=self._random,
-                efforts=self._efforts,
-            )
+            unchanged = self._law.structure.is_unchanged()
+            self._compose(model, self._law if unchanged else self._trace_law(model))
             self._memory, self.law_memory, self._dashpots = memory, law_memory, dashpots
         elif self._dt != 0.0:
             self._write_packed()

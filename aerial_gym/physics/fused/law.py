@@ -7,7 +7,7 @@ Letters: E environments, R rotors, U entries of an action, M numbers of memory.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import warp as wp
@@ -59,6 +59,8 @@ class FusedLaw:
 
     followed: Mapping[str, str]  # Their names by the fields' names
 
+    structure: "_Structure"  # Numbers of tensors that the trace took as constants
+
     def follow_vehicle(self, vehicle: Vehicle) -> "FusedLaw":
         """Return the law with the tensors that depend on a vehicle."""
         if self.follow is None:
@@ -101,6 +103,37 @@ class _Reads:
         )
 
 
+MAPS = ("thrust_map", "reverse_thrust_map")
+"""Followed tensors whose zeros stay: randomisation multiplies the map of a rotor by a factor."""
+
+
+class _Structure:
+    """Entries of tensors that a trace takes as constants, because other robots of equal structure have them too."""
+
+    def __init__(self, followed: Mapping[int, str]) -> None:
+        """Start without any; ``followed``: names of tensors that follow the vehicle, by their ids."""
+        self._followed = followed
+        self._known: list[tuple[Tensor, dict[int, float]]] = []
+
+    def note_entries(self, tensor: Tensor) -> dict[int, float]:
+        """Return the entries of a tensor's rows that are structure, and note them."""
+        self._known.append((tensor, self._find_entries(tensor)))
+        return self._known[-1][1]
+
+    def is_unchanged(self) -> bool:
+        """Return whether the tensors still have these numbers; waits for the device."""
+        return all(known.items() <= self._find_entries(tensor).items() for tensor, known in self._known)
+
+    def _find_entries(self, tensor: Tensor) -> dict[int, float]:
+        """Return the entries that are 0, 1 or -1 if shared, and zeros of followed maps; other numbers need no compilation."""
+        if is_shared(tensor):
+            numbers = tensor[0].detach().flatten().tolist()
+            return {i: value for i, value in enumerate(numbers) if value in (0.0, 1.0, -1.0)}
+        if self._followed.get(id(tensor)) in MAPS:
+            return {i: 0.0 for i, differs in enumerate(tensor.flatten(1).any(0).tolist()) if not differs}
+        return {}
+
+
 @cache
 def _struct_of_widths(widths: tuple[int, ...]) -> Any:
     """Return the ``wp.struct`` with a vector of each width, ``p0``, ``p1``, ..."""
@@ -121,7 +154,7 @@ def fuse_law(control: Any, num_envs: int, num_rotors: int, *, differentiable: bo
     needs, num_actions = law_needs(control), len(control.action_names)
     allocation = getattr(control, "allocation", None)
     rows = {} if allocation is None else {id(tensor): name for name, tensor in allocation.rows.items()}
-    reads, vector = _Reads(), vector_type(num_rotors)
+    reads, structure, vector = _Reads(), _Structure(rows), vector_type(num_rotors)
 
     def trace_law(name: str, more: Mapping[str, Any], function: Callable[..., Any]) -> ArgumentsTrace:
         return trace_arguments(
@@ -130,7 +163,7 @@ def fuse_law(control: Any, num_envs: int, num_rotors: int, *, differentiable: bo
             function,
             num_envs=num_envs,
             lifts=True,
-            known=None if differentiable else partial(_structural_entries, rows),
+            known=None if differentiable else structure.note_entries,
         )
 
     make = _fuse_without_memory if needs is None else _fuse_with_memory
@@ -148,27 +181,8 @@ def fuse_law(control: Any, num_envs: int, num_rotors: int, *, differentiable: bo
         needs=needs,
         follow=allocation.compute_rows if rows else None,
         followed={field.name: rows[id(field.tensor)] for field in fields if id(field.tensor) in rows},
+        structure=structure,
     )
-
-
-MAPS = ("thrust_map", "reverse_thrust_map")
-"""Followed tensors whose zeros stay: randomisation multiplies the map of a rotor by a factor."""
-
-
-def _structural_entries(followed: Mapping[int, str], tensor: Tensor) -> dict[int, float]:
-    """Return the entries of a tensor's rows that are structure: 0, 1 or -1 if shared, and zeros of followed maps.
-
-    Robots of equal structure share a kernel, and other numbers can change without compilation.
-
-    Args:
-        followed: Names of tensors that follow the vehicle, by their ids.
-    """
-    if is_shared(tensor):
-        numbers = tensor[0].detach().flatten().tolist()
-        return {i: value for i, value in enumerate(numbers) if value in (0.0, 1.0, -1.0)}
-    if followed.get(id(tensor)) in MAPS:
-        return {i: 0.0 for i, differs in enumerate(tensor.flatten(1).any(0).tolist()) if not differs}
-    return {}
 
 
 TraceLaw = Callable[[str, Mapping[str, Any], Callable[..., Any]], ArgumentsTrace]

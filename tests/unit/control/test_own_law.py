@@ -14,7 +14,15 @@ from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop, mak
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import (
+    BodyState,
+    TorchBackend,
+    Vehicle,
+    WarpBackend,
+    build_model,
+    state_at_rest,
+    vehicle_from_config,
+)
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.check.flights import StableStep, largest_stable_step
@@ -145,3 +153,30 @@ def test_an_unknown_law_is_refused_with_the_known_ones(own_law: str) -> None:
         make_controller(replace(CONTROLLERS.get(own_law), law="climb"), vehicle, 9.81, dt=DT)
     with pytest.raises(ConfigError, match="needs a time step"):
         make_controller(CONTROLLERS.get(own_law), vehicle, 9.81)
+
+
+class GainLaw:
+    """Rotor speeds proportional to the action; it counts its calls."""
+
+    action_names = ("share [-]",)
+    calls = 0
+
+    def __init__(self, vehicle: Vehicle, gain: float) -> None:
+        self.gain = vehicle.share([[gain]])  # (E, 1, 1)
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        self.calls += 1
+        return 500.0 * action.expand(-1, 4) * (1.0 + self.gain[:, 0])
+
+
+@pytest.mark.parametrize(("gain", "traces"), [(0.5, 1), (0.0, 2)])
+def test_a_changed_model_traces_the_law_again_only_if_its_structure_changed(gain: float, traces: int) -> None:
+    """A gain of 0 is folded into the kernel; a gain of 0.5 is a number of it, which can change."""
+    vehicle, backend = vehicle_from_config(ROBOT, num_envs=2), WarpBackend()
+    law, state = GainLaw(vehicle, gain), state_at_rest(2, 4, device=torch.device("cpu"), dtype=torch.float32)
+    backend.allocate(build_model(vehicle), law, integrator="euler")
+    law.gain[0].fill_(0.25)
+    backend.set_model(build_model(replace(vehicle, mass=vehicle.share(2.0 * vehicle.mass[0]))))
+    assert law.calls == traces
+    backend.step(state, torch.full((2, 1), 0.8), DT, 1000)
+    torch.testing.assert_close(state.rotor_speed, torch.full((2, 4), 500.0), rtol=1e-5, atol=0.0)
