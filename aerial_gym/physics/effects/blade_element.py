@@ -28,9 +28,9 @@ Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficien
 depends on how blades are built, higher harmonics of flapping, a lag of the inflow, its slope across the disc, tip loss, and
 turning of the hub but for its velocity.
 
-In a climb only the product s a matters. With s from the chord at 3/4 of the radius, the lift slope that fits the loss of
-thrust of three tested propellers best is 3.3 (``docs/results/propellers.md``), not the 5.7 of a thin section: blades are
-short, slow and partly stalled at rest.
+In a climb only the product s a matters, with s from the chord at 3/4 of the radius. ``lift_slope`` gives a by the Reynolds
+number: 3.3 at 50,000, by the loss of thrust of three tested propellers (``docs/results/propellers.md``), not the 5.7 of a
+thin section, because blades are short, slow and partly stalled at rest.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Johnson (1980),
 Helicopter Theory, chapter 5; Bramwell, Done, Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small propellers
 Gill, D'Andrea (2017), Propeller thrust and drag in forward flight, IEEE CCTA. Forces and flapping: derived, by integration of
@@ -68,6 +68,30 @@ LEAST = 1e-6
 """Least coefficient of thrust in hover and of induced velocity, and square of the least velocity in units of the tip speed."""
 
 SHARE, SOLIDITY, SLOPE, TWIST, LOCK, FLAP = range(6)
+
+SOLIDITY_OF_TWO_BLADES = 0.1
+"""Area of the blades per area of the disc of a plastic propeller with two blades."""
+
+KINEMATIC_VISCOSITY = 1.461e-5
+"""Of the standard atmosphere at sea level [m²/s] (ISO 2533)."""
+
+REFERENCE_SLOPE, REFERENCE_REYNOLDS = 3.3, 5e4
+"""Lift slope [1/rad] at a Reynolds number, by climbs of three propellers in a wind tunnel."""
+
+REYNOLDS_EXPONENT = 0.11
+"""Exponent of the lift slope in the Reynolds number. Static thrust of 136 propellers goes with the speed to the power 2.09
+(``tests/measured/test_bench.py``), thus its coefficient with the Reynolds number to the power 0.09. By the equation of C_T at
+rest the slope to the power 0.8 is in the coefficient: ``d ln C_T / d ln a = (Theta - lambda / 2) / (Theta - lambda / 4)``."""
+
+
+def lift_slope(reynolds: float) -> float:
+    """Return the lift slope [1/rad] of blades at the Reynolds number of chord and speed at 3/4 of the radius."""
+    return REFERENCE_SLOPE * (reynolds / REFERENCE_REYNOLDS) ** REYNOLDS_EXPONENT
+
+
+def reynolds_number(speed: float, radius: float, chord: float) -> float:
+    """Return the Reynolds number at 3/4 of the radius [m], of a chord [m] there, at a rotor speed [rad/s]."""
+    return 0.75 * radius * speed * chord / KINEMATIC_VISCOSITY
 
 
 class BladeElement(WrenchEffect):
@@ -128,8 +152,7 @@ class BladeElement(WrenchEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return share 0, with a two-bladed plastic propeller as in the sources of ``docs/results/propellers.md``."""
-        del robot
-        return 0.0, 0.1, 3.3, -0.45, 0.4, 900.0
+        return 0.0, SOLIDITY_OF_TWO_BLADES, _slope_at_hover(robot), -0.45, 0.4, 900.0
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless radii are known and drag torques exceed those of an ideal rotor."""
@@ -191,6 +214,15 @@ class BladeElement(WrenchEffect):
         moment = moment - (spin * unit * radius * (torque - hover_torque)).unsqueeze(-1) * way
         moment = moment + torch.linalg.cross(condition.lever.expand_as(force), force, dim=-1)
         return share * torch.cat((sum_slices(force, 1), sum_slices(moment, 1)), dim=-1)
+
+
+def _slope_at_hover(robot: RobotCfg) -> float:
+    """Return the lift slope [1/rad] of two blades at hover, of the first rotor; that of the reference without a radius."""
+    rotor = robot.rotor_types[0]
+    if rotor.radius is None or rotor.mode == "force":
+        return REFERENCE_SLOPE
+    speed = rotor_state_for_thrust(rotor, robot.body.mass * STANDARD_GRAVITY / robot.num_rotors)
+    return lift_slope(reynolds_number(speed, rotor.radius, 0.5 * SOLIDITY_OF_TWO_BLADES * pi * rotor.radius))
 
 
 def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
