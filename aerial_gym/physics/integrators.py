@@ -22,7 +22,7 @@ from aerial_gym.physics.rigid_body import (
     multiply_rows,
     with_load,
 )
-from aerial_gym.physics.rotor_lag import RotorCommand, follow_command, stage_rates
+from aerial_gym.physics.rotor_lag import RotorCommand, follow_command, stage_rates, vehicle_lag
 from aerial_gym.physics.state import BodyState
 
 
@@ -95,7 +95,7 @@ def step_wrench(
         Speeds [rad/s], and force without gravity and load [N] with torque about the centre of mass [N m], body, each (E, 3).
     """
     position, attitude, lin_vel, ang_vel, before, _ = vars(state).values()
-    rotor_speed = follow_command(model.vehicle, before, rotor_command, dt)
+    rotor_speed = follow_command(vehicle_lag(model.vehicle), before, rotor_command, dt)
     rotor_acc = (rotor_speed - before) / dt  # the mean over the step makes the rotors' momentum exact
     return rotor_speed, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
 
@@ -191,10 +191,11 @@ def rk4(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) 
 
     Source: Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2.
     """
-    half = follow_command(model.vehicle, state.rotor_speed, rotor_command, 0.5 * dt)
-    end = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
+    lag = vehicle_lag(model.vehicle)
+    half = follow_command(lag, state.rotor_speed, rotor_command, 0.5 * dt)
+    end = follow_command(lag, state.rotor_speed, rotor_command, dt)
     speeds = (state.rotor_speed, half, end)
-    rates = stage_rates(model.vehicle, speeds, rotor_command, dt)
+    rates = stage_rates(lag, speeds, rotor_command, dt)
     slopes, stage = [], state
     for place, weight in ((0, 0.5), (1, 0.5), (1, 1.0), (2, 0.0)):
         stage, rotor_acc = MassState(**{**vars(stage), "rotor_speed": speeds[place]}), rates[place]

@@ -4,20 +4,18 @@
 and falling size of x. Pure functions of tensors. Letters: E environments, R rotors.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from aerial_gym.math.rows import choose
-from aerial_gym.physics.rotors import lag_acceleration, lag_speed
+from aerial_gym.physics.rotors import SHORTEST, approach, lag_acceleration, lag_speed, select_by_direction
 from aerial_gym.physics.vehicle import Vehicle
 
 FASTEST = 1e30
 """Slew rate that represents no limit: far above all others, with finite products in float32."""
-
-SHORTEST = 1e-12
-"""Time constant that represents zero [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,26 +45,94 @@ def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
     return torch.where(command.abs() < vehicle.dead_band, 0.0, command)
 
 
-def follow_command(vehicle: Vehicle, state: Tensor, command: RotorCommand, dt: float) -> Tensor:
+class RotorLag(Protocol):
+    """Response of rotor states to constant commands. Its unit of time is that of all spans."""
+
+    def follow(self, state: Tensor, command: Tensor, span: float | Tensor) -> Tensor:
+        """Return the states after a span, (E, R)."""
+        ...
+
+    def rate(self, state: Tensor, command: Tensor, jump: Tensor, span: float | Tensor) -> Tensor:
+        """Return the rates of change, (E, R); those of rotors without lag are ``jump / span``."""
+        ...
+
+
+@dataclass(frozen=True)
+class FirstOrderLag:
+    """First-order lag with time constants [s]."""
+
+    tau_up: Tensor  # For a command above the state, (E, R); 0 follows at once
+    tau_down: Tensor
+
+    def follow(self, state: Tensor, command: Tensor, span: float | Tensor) -> Tensor:
+        """Return ``rotors.lag_speed``."""
+        return lag_speed(state, command, self.tau_up, self.tau_down, span)
+
+    def rate(self, state: Tensor, command: Tensor, jump: Tensor, span: float | Tensor) -> Tensor:
+        """Return ``rotors.lag_acceleration``."""
+        return lag_acceleration(state, command, self.tau_up, self.tau_down, jump, span)
+
+
+@dataclass(frozen=True)
+class DecayLag:
+    """First-order lag given by decays ``d = exp(-unit / tau)``; times are multiples of that unit.
+
+    A kernel computes the decays once per launch, because a power with a known exponent costs less than an exponential.
+    """
+
+    decay_up: Tensor  # For a command above the state, (E, R); 0 follows at once
+    decay_down: Tensor
+
+    def follow(self, state: Tensor, command: Tensor, span: float | Tensor) -> Tensor:
+        """Return ``c + (x - c) d^span``."""
+        decay = select_by_direction(state, command, self.decay_up, self.decay_down)
+        return approach(state, command, decay**span)
+
+    def rate(self, state: Tensor, command: Tensor, jump: Tensor, span: float | Tensor) -> Tensor:
+        """Return ``-log(d) (c - x)``, and without lag ``jump / span``."""
+        decay = select_by_direction(state, command, self.decay_up, self.decay_down)
+        lags = decay > 0.0
+        return torch.where(lags, -torch.log(torch.where(lags, decay, 1.0)) * (command - state), jump / span)
+
+
+@dataclass(frozen=True)
+class SlewLimitedLag:
+    """First-order lag with a slew limit, for states of either sign."""
+
+    tau_up: Tensor  # For a growing size of the state [s], (E, R)
+    tau_down: Tensor
+    slew_up: Tensor  # Largest rate of growth, (E, R); infinite for no limit
+    slew_down: Tensor
+
+    def follow(self, state: Tensor, command: Tensor, span: float | Tensor) -> Tensor:
+        """Return ``slew_limited_lag``."""
+        return slew_limited_lag(state, command, self.tau_up, self.tau_down, self.slew_up, self.slew_down, span)
+
+    def rate(self, state: Tensor, command: Tensor, jump: Tensor, span: float | Tensor) -> Tensor:
+        """Return ``slew_limited_rate``."""
+        return slew_limited_rate(state, command, self.tau_up, self.tau_down, self.slew_up, self.slew_down, jump, span)
+
+
+def vehicle_lag(vehicle: Vehicle) -> RotorLag:
+    """Return the lag of a vehicle's rotors."""
+    tau = vehicle.time_constant_up, vehicle.time_constant_down
+    if vehicle.traits & {"reversible", "slew"}:
+        return SlewLimitedLag(*tau, vehicle.slew_rate, vehicle.slew_rate_down)
+    return FirstOrderLag(*tau)
+
+
+def follow_command(lag: RotorLag, state: Tensor, command: RotorCommand, dt: float | Tensor) -> Tensor:
     """Return the exact states of the rotors, (E, R), ``dt`` [s] after the start of a step."""
     if isinstance(command, Ramp):
         return state + command.rate * dt
     if isinstance(command, Tensor):
-        return _follow_held(vehicle, state, command, dt)
-    lag = {name: getattr(vehicle, name).clamp_min(SHORTEST) for name in ("time_constant_up", "time_constant_down")}
-    vehicle, early = replace(vehicle, **lag), command.change.clamp_max(dt)  # a span may be zero
-    return _follow_held(vehicle, _follow_held(vehicle, state, command.earlier, early), command.later, dt - early)
-
-
-def _follow_held(vehicle: Vehicle, state: Tensor, command: Tensor, dt: float | Tensor) -> Tensor:
-    lag = vehicle.time_constant_up, vehicle.time_constant_down
-    if not vehicle.traits & {"reversible", "slew"}:
-        return lag_speed(state, command, *lag, dt)
-    return slew_limited_lag(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, dt)
+        return lag.follow(state, command, dt)
+    early = command.change.clamp_max(dt)
+    return lag.follow(lag.follow(state, command.earlier, early), command.later, dt - early)
 
 
 def stage_rates(
-    vehicle: Vehicle, stages: tuple[Tensor, Tensor, Tensor], command: RotorCommand, dt: float
+    lag: RotorLag, stages: tuple[Tensor, Tensor, Tensor], command: RotorCommand, dt: float | Tensor
 ) -> tuple[Tensor, ...]:
     """Return the rates of change of the states, (E, R), at the start, in the middle and at the end of a step of ``dt`` [s].
 
@@ -77,21 +143,13 @@ def stage_rates(
         return command.rate, command.rate, command.rate
     start, _, end = stages
     if isinstance(command, Tensor):
-        return tuple(state_rate(vehicle, state, command, command - start, dt) for state in stages)
+        return tuple(lag.rate(state, command, command - start, dt) for state in stages)
     rates = []
     for state, time in zip(stages, (0.0, 0.5 * dt, dt), strict=True):
         now = torch.where(command.change > time, command.earlier, command.later)
-        rates.append(state_rate(vehicle, state, now, end - start, dt))
+        rates.append(lag.rate(state, now, end - start, dt))
     missing = (end - start) / dt - (rates[0] + 4.0 * rates[1] + rates[2]) / 6.0
     return tuple(rate + missing for rate in rates)
-
-
-def state_rate(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, dt: float) -> Tensor:
-    """Return the rates of change of the states, (E, R); those of rotors without lag are ``jump / dt``."""
-    lag = vehicle.time_constant_up, vehicle.time_constant_down
-    if not vehicle.traits & {"reversible", "slew"}:
-        return lag_acceleration(state, command, *lag, jump, dt)
-    return slew_limited_rate(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, jump, dt)
 
 
 def slew_limited_rate(

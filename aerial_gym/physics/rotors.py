@@ -12,6 +12,19 @@ from torch import Tensor
 from aerial_gym.math.rows import sum_slices, times
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
+SHORTEST = 1e-12
+"""Time constant that represents zero [s]."""
+
+
+def select_by_direction(state: Tensor, command: Tensor, up: Tensor, down: Tensor) -> Tensor:
+    """Return ``up`` where the command is above the state, else ``down``."""
+    return torch.where(command > state, up, down)
+
+
+def approach(state: Tensor, command: Tensor, kept: Tensor) -> Tensor:
+    """Return the state after which a share ``kept`` of the distance to the command remains."""
+    return command + (state - command) * kept
+
 
 def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float | Tensor) -> Tensor:
     """Return the rotor speed after ``dt`` under a constant command, ``w_c + (w - w_c) exp(-dt / tau)``.
@@ -32,12 +45,12 @@ def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, 
     Source:
         Derived: linear first-order equation with constant input.
     """
-    tau = torch.where(command > speed, tau_up, tau_down)
-    return command + (speed - command) * torch.exp(-dt / tau)
+    tau = select_by_direction(speed, command, tau_up, tau_down).clamp_min(SHORTEST)
+    return approach(speed, command, torch.exp(-dt / tau))
 
 
 def lag_acceleration(
-    speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, jump: Tensor, dt: float
+    speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, jump: Tensor, dt: float | Tensor
 ) -> Tensor:
     """Return the angular acceleration of the rotors [rad/s²], (E, R): ``(w_c - w) / tau``.
 
@@ -54,7 +67,7 @@ def lag_acceleration(
     Source:
         Derived: linear first-order equation.
     """
-    tau = torch.where(command > speed, tau_up, tau_down)
+    tau = select_by_direction(speed, command, tau_up, tau_down)
     lags = tau > 0.0
     return torch.where(lags, (command - speed) / torch.where(lags, tau, torch.ones_like(tau)), jump / dt)
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from aerial_gym.physics import EFFECTS, INTEGRATORS, WarpBackend, advance, build_model, vehicle_from_config
 from aerial_gym.physics.memory import make_memory
-from aerial_gym.physics.rotor_lag import CommandSwitch, follow_command, slew_limited_lag, stage_rates
+from aerial_gym.physics.rotor_lag import CommandSwitch, follow_command, slew_limited_lag, stage_rates, vehicle_lag
 from aerial_gym.physics.vehicle import Vehicle
 from tests.physics.rotor_types import REVERSIBLE, three_type_robot, with_rotor
 from tests.physics.swing import fly_remembering
@@ -96,17 +96,17 @@ def test_a_rotor_reverses_late_along_its_closed_form() -> None:
 @pytest.mark.parametrize("change", [0.0, 0.3e-3, 0.002, 0.0031])
 def test_the_rates_of_a_step_sum_up_to_its_change(change: float) -> None:
     """Simpson's rule over the stages is exact wherever the command changes; without a change they are those of one command."""
-    vehicle = vehicle_from_config(three_type_robot(), num_envs=1, dtype=F64)
+    lag = vehicle_lag(vehicle_from_config(three_type_robot(), num_envs=1, dtype=F64))
     start, earlier, later = (torch.tensor([row], dtype=F64) for row in (
         [100.0, 500.0, 1.0, -50.0], [-300.0, 900.0, 3.0, 80.0], [600.0, 450.0, -2.0, -400.0]
     ))  # fmt: skip
     both = CommandSwitch(earlier=earlier, later=later, change=torch.tensor([[change]], dtype=F64))
-    half, end = (follow_command(vehicle, start, both, t) for t in (0.5 * DT, DT))
-    rates = stage_rates(vehicle, (start, half, end), both, DT)
+    half, end = (follow_command(lag, start, both, t) for t in (0.5 * DT, DT))
+    rates = stage_rates(lag, (start, half, end), both, DT)
     total = DT * (rates[0] + 4.0 * rates[1] + rates[2]) / 6.0
     torch.testing.assert_close(total, end - start, rtol=1e-12, atol=1e-12)
     if change == 0.0:
-        plain = vehicle_from_config(asymmetric_robot(), num_envs=1, dtype=F64)
+        plain = vehicle_lag(vehicle_from_config(asymmetric_robot(), num_envs=1, dtype=F64))
         start = start.abs()
         half, end = (follow_command(plain, start, later.abs(), t) for t in (0.5 * DT, DT))
         both = CommandSwitch(earlier=earlier, later=later.abs(), change=both.change)

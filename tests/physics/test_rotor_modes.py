@@ -16,9 +16,9 @@ from aerial_gym.control.controllers import ThrustController
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
+from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.model import check_effects
-from aerial_gym.physics.rotor_lag import slew_limited_lag, stop_in_dead_band
-from aerial_gym.physics.rotor_maps import POLYNOMIAL
+from aerial_gym.physics.rotor_lag import CommandSwitch, DecayLag, follow_command, slew_limited_lag, stop_in_dead_band
 from aerial_gym.physics.rotors import (
     lag_speed,
     map_terms,
@@ -240,8 +240,30 @@ def test_lag_follows_the_exponential_with_its_own_time_constant(steps: int, star
     torch.testing.assert_close(speed, expected.expand(1, 4), atol=0.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+def test_rotors_of_a_kernel_follow_the_exponential_at_a_late_command(integrator: str) -> None:
+    """Speeds under a command that changes 1.3 ms after the start of a substep of 2 ms, rising and falling."""
+    start, earlier, later, up, down, change, dt = 400.0, 900.0, 300.0, 0.05, 0.02, 1.3e-3, 2e-3
+    stage = STAGES[integrator] * dt
+    lag = DecayLag(*(torch.full((1, 1), exp(-stage / tau), dtype=F64) for tau in (up, down)))
+    state, first, second, time = (
+        torch.full((1, 1), value, dtype=F64) for value in (start, earlier, later, change / stage)
+    )
+    middle = earlier + (start - earlier) * exp(-change / up)
+    expected = later + (middle - later) * exp(-(dt - change) / down)
+    command = CommandSwitch(earlier=first, later=second, change=time)
+    after = follow_command(lag, state, command, dt / stage)
+    assert after.item() == pytest.approx(expected, rel=1e-13)
+    assert lag.rate(state, first, first - state, dt / stage).item() / stage == pytest.approx(500.0 / up, rel=1e-12)
+    assert lag.rate(state, second, second - state, dt / stage).item() / stage == pytest.approx(-100.0 / down, rel=1e-12)
+
+
 def test_lag_without_time_constant_follows_at_once() -> None:
     zero = torch.zeros(1, 1, dtype=F64)
+    seven, three = torch.full((1, 1), 7.0, dtype=F64), torch.full((1, 1), 3.0, dtype=F64)
+    at_once = DecayLag(zero, zero)
+    assert at_once.follow(three, seven, 2.0).item() == 7.0
+    assert at_once.rate(three, seven, seven - three, 2.0).item() == 2.0
     out = lag_speed(torch.full((1, 1), 3.0, dtype=F64), torch.full((1, 1), 7.0, dtype=F64), zero, zero, 0.01)
     assert out.item() == 7.0
 

@@ -214,6 +214,8 @@ def _power(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     base, exponent = row
     scalar = into.scalars[exponent]
     value = scalar.args[0] if scalar.kind == "constant" else None
+    if value == 1:
+        return base
     if value in (2, 3):
         square = into.number("mul", (base, base), dtype)
         return square if value == 2 else into.number("mul", (square, base), dtype)

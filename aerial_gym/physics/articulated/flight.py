@@ -26,7 +26,7 @@ from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEf
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import air_velocity, condition_in, force_breakdown
-from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
+from aerial_gym.physics.rotor_lag import RotorCommand, follow_command, vehicle_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.state import ArticulatedState, BodyState, JointEfforts
 from aerial_gym.physics.vehicle import is_shared, share_row
@@ -57,7 +57,7 @@ def articulated_step(
     assert articulation is not None
     if not articulation.tree.floating:
         state = replace(state, lin_vel=torch.zeros_like(state.lin_vel), ang_vel=torch.zeros_like(state.ang_vel))
-    rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
+    rotor_speed = follow_command(vehicle_lag(model.vehicle), state.rotor_speed, rotor_command, dt)
     rotor_acc = (rotor_speed - state.rotor_speed) / dt
     before = TreeState(
         position=state.position,

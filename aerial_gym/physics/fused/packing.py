@@ -18,7 +18,8 @@ from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.fused.law import FusedLaw, LawField
 from aerial_gym.physics.fused.types import RotorTypes, rotor_types
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
+from aerial_gym.physics.rotor_lag import FASTEST
+from aerial_gym.physics.rotors import SHORTEST
 from aerial_gym.physics.vehicle import is_shared
 
 

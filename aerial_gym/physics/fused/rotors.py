@@ -1,49 +1,36 @@
-"""Warp functions of the rotors of one environment: lag, slew limit and dead band, for plain or general rotors.
+"""Warp functions of the rotors of one environment, traced from ``physics.rotor_lag``: lag, slew limit and dead band.
 
-Plain rotors have unsigned speeds with a first-order lag only. Their decay over a stage is computed beforehand.
+Rotors with a first-order lag alone have decays over a stage of the integrator; their time is in stages.
 Letters: R rotors.
 """
 
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import cast
 
 import warp as wp
+from torch import Tensor
 
+from aerial_gym.physics.fused.readers import compile_source
+from aerial_gym.physics.fused.row_model import VehicleRows
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.fused.types import rotor_types
-from aerial_gym.physics.rotor_lag import slew_limited_lag, slew_limited_rate
+from aerial_gym.physics.rotor_lag import (
+    CommandSwitch,
+    DecayLag,
+    RotorCommand,
+    RotorLag,
+    SlewLimitedLag,
+    follow_command,
+    stage_rates,
+    stop_in_dead_band,
+)
+from aerial_gym.physics.vehicle import Vehicle
 
-
-@wp.func
-def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: float, jump: float, dt: float) -> float:
-    """Return the Warp version of ``rotors.lag_acceleration`` for one rotor, from its decay over half a step."""
-    decay = wp.where(command > speed, decay_up, decay_down)
-    if decay > 0.0:
-        return -2.0 * wp.log(decay) / dt * (command - speed)
-    return jump / dt
-
-
-@wp.func
-def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
-    """Return the rotor speed [rad/s] after a span with the decay ``exp(-span / tau)`` of the distance to the command."""
-    return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
-
-
-_LIMITS = ("state", "command", "tau_up", "tau_down", "slew_up", "slew_down")
-
-
-@cache
-def make_limited_lag(real: Any) -> wp.Function:
-    """Return ``rotor_lag.slew_limited_lag`` of one rotor in a given precision."""
-    arguments = dict.fromkeys((*_LIMITS, "dt"), real)
-    return trace_to_warp("slew_limited_lag", arguments, slew_limited_lag, [real], constants={})
-
-
-@cache
-def _make_limited_rate() -> wp.Function:
-    """Return ``rotor_lag.slew_limited_rate`` of one rotor."""
-    arguments = dict.fromkeys((*_LIMITS, "jump", "dt"), float)
-    return trace_to_warp("slew_limited_rate", arguments, slew_limited_rate, [float], constants={})
+SLEW_LIMITED = "tau_up", "tau_down", "slew_up", "slew_down"
+DECAYS = "decay_up", "decay_down"
+"""Fields of the vehicle that are the fields of ``SlewLimitedLag`` and ``DecayLag``."""
 
 
 @cache
@@ -53,118 +40,85 @@ def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: i
     Two stages in one call are rounded once. A state near its command stops once its change in a stage is below half a unit in
     the last place, so separate stages end twice as far from the command. With ``late``, the command changes within a step.
     """
-    types, limited_lag = rotor_types(num_rotors, general), make_limited_lag(wp.float32)
-    vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
 
-    @wp.func
-    def plain(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
-        up = plant.decay_up[i]
-        down = plant.decay_down[i]
-        if wp.static(stages == 2):
-            up = up * up
-            down = down * down
-        return lag_speed(n, command, up, down)
+    def follow(lag: RotorLag, states: list[Tensor], command: CommandOf, span: Tensor) -> tuple[Tensor]:
+        if general:
+            return (follow_command(lag, states[0], command(1.0), span),)
+        return (follow_command(lag, states[0], command(stages / span), float(stages)),)
 
-    @wp.func
-    def plain_part(plant: vehicle_type, i: int, n: float, command: float, share: float, span: float) -> float:
-        decay = wp.where(command > n, plant.decay_up[i], plant.decay_down[i])
-        return n + (command - n) * (1.0 - wp.pow(decay, share * wp.static(float(stages))))
-
-    @wp.func
-    def general_law(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
-        return limited_lag(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i], span)
-
-    @wp.func
-    def general_part(plant: vehicle_type, i: int, n: float, command: float, share: float, span: float) -> float:
-        return general_law(plant, i, n, command, share * span)
-
-    one, part = (general_law, general_part) if general else (plain, plain_part)
-
-    @wp.func
-    def follow(vehicle: vehicle_type, state: vector, command: vector, span: float) -> vector:
-        after = vector()
-        for i in range(wp.static(num_rotors)):
-            after[i] = one(vehicle, i, state[i], command[i], span)
-        return after
-
-    @wp.func
-    def follow_both(vehicle: vehicle_type, state: vector, command: succession, span: float) -> vector:
-        after = vector()
-        early = wp.min(command.change / span, 1.0)
-        for i in range(wp.static(num_rotors)):
-            middle = part(vehicle, i, state[i], command.earlier[i], early, span)
-            after[i] = part(vehicle, i, middle, command.later[i], 1.0 - early, span)
-        return after
-
-    return follow_both if late else follow
+    return _trace_each_rotor("follow", follow, ["state"], 1, num_rotors, general, late)
 
 
 @cache
 def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.Function:
-    """Return the Warp version of ``rotor_lag.stage_rates``, (vehicle, three states, commands, step [s]) -> three rates."""
-    types, limited_rate = rotor_types(num_rotors, general), _make_limited_rate()
-    vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
+    """Return the function of the rates of change in a step of two stages, (vehicle, three states, commands, step [s])."""
 
-    @wp.func
-    def plain(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
-        return lag_acceleration(n, command, plant.decay_up[i], plant.decay_down[i], jump, dt)
+    def rates(lag: RotorLag, states: list[Tensor], command: CommandOf, dt: Tensor) -> tuple[Tensor, ...]:
+        start, middle, end = states
+        if general:
+            return stage_rates(lag, (start, middle, end), command(1.0), dt)
+        scale = 2.0 / dt
+        return tuple(scale * rate for rate in stage_rates(lag, (start, middle, end), command(scale), 2.0))
 
-    @wp.func
-    def general_law(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
-        return limited_rate(
-            n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i], jump, dt
-        )
+    return _trace_each_rotor("stage_rates", rates, ["start", "middle", "end"], 3, num_rotors, general, late)
 
-    one = general_law if general else plain
 
-    @wp.func
-    def rates(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
-        rate = vector()
-        for i in range(wp.static(num_rotors)):
-            rate[i] = one(vehicle, i, state[i], command[i], command[i] - first[i], dt)
-        return rate
+CommandOf = Callable[[Tensor | float], RotorCommand]
+"""Function from a factor of times to the command."""
 
-    @wp.func
-    def single_rates(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: vector, dt: float):
-        return (
-            rates(vehicle, start, command, start, dt),
-            rates(vehicle, middle, command, start, dt),
-            rates(vehicle, end, command, start, dt),
-        )
 
-    @wp.func
-    def switch_rate(
-        vehicle: vehicle_type, state: vector, command: succession, time: float, jump: vector, dt: float
-    ) -> vector:
-        rate = vector()
-        for i in range(wp.static(num_rotors)):
-            now = wp.where(command.change > time, command.earlier[i], command.later[i])
-            rate[i] = one(vehicle, i, state[i], now, jump[i], dt)
-        return rate
+def _trace_each_rotor(
+    name: str,
+    function: Callable[[RotorLag, list[Tensor], CommandOf, Tensor], tuple[Tensor, ...]],
+    states: Sequence[str],
+    num_results: int,
+    num_rotors: int,
+    general: bool,
+    late: bool,
+) -> wp.Function:
+    """Return the function (vehicle, states, commands, span [s]) that calls a traced function of one rotor for each rotor.
 
-    @wp.func
-    def both(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: succession, dt: float):
-        jump = end - start
-        n1 = switch_rate(vehicle, start, command, 0.0, jump, dt)
-        n2 = switch_rate(vehicle, middle, command, 0.5 * dt, jump, dt)
-        n4 = switch_rate(vehicle, end, command, dt, jump, dt)
-        missing = jump / dt - (n1 + 4.0 * n2 + n4) / 6.0
-        return n1 + missing, n2 + missing, n4 + missing
+    One trace for all rotors would mix their operations, which takes more registers.
+    """
+    types, fields = rotor_types(num_rotors, general), SLEW_LIMITED if general else DECAYS
+    commands = ("earlier", "later", "change") if late else ("command",)
 
-    return both if late else single_rates
+    def one(span: Tensor, **rows: Tensor) -> tuple[Tensor, ...]:
+        lag = (SlewLimitedLag if general else DecayLag)(*(rows[field] for field in fields))
+
+        def command(scale: Tensor | float) -> RotorCommand:
+            if not late:
+                return rows["command"]
+            return CommandSwitch(earlier=rows["earlier"], later=rows["later"], change=rows["change"] * scale)
+
+        return function(lag, [rows[state] for state in states], command, span)
+
+    floats = dict.fromkeys((*fields, *states, *commands, "span"), float)
+    traced = trace_to_warp(f"{name}_one", floats, one, [float] * num_results, constants={})
+    numbers = [f"plant.{field}[i]" for field in fields] + [f"{state}[i]" for state in states]
+    numbers += ["command.earlier[i]", "command.later[i]", "command.change"] if late else ["command[i]"]
+    kinds = {"plant": types.vehicle, **dict.fromkeys(states, types.vector)}
+    kinds |= {"command": types.succession if late else types.vector, "span": float}
+    results = [f"after_{k}" for k in range(num_results)]
+    code = [
+        f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in kinds)}):",
+        *(f"    {result} = vector()" for result in results),
+        f"    for i in range({num_rotors}):",
+        f"        {', '.join(f'{result}_i' for result in results)} = one({', '.join(numbers)}, span)",
+        *(f"        {result}[i] = {result}_i" for result in results),
+        f"    return {', '.join(results)}",
+    ]
+    names = {f"{argument}_type": kind for argument, kind in kinds.items()} | {"one": traced, "vector": types.vector}
+    return compile_source(name, "\n".join(code) + "\n", names)
 
 
 @cache
 def make_dead_band(num_rotors: int) -> wp.Function:
-    """Return the Warp version of ``rotor_lag.stop_in_dead_band``, (vehicle, commands) -> commands."""
+    """Return ``rotor_lag.stop_in_dead_band`` as a function (vehicle, commands) -> commands."""
     types = rotor_types(num_rotors, general=True)
-    vehicle_type, vector = types.vehicle, types.vector
 
-    @wp.func
-    def stop_in_dead_band(vehicle: vehicle_type, command: vector) -> vector:
-        after = vector()
-        for i in range(wp.static(num_rotors)):
-            after[i] = wp.where(wp.abs(command[i]) < vehicle.dead_band[i], 0.0, command[i])
-        return after
+    def stop(plant: SimpleNamespace, command: Tensor) -> Tensor:
+        return stop_in_dead_band(cast(Vehicle, VehicleRows(**vars(plant), traits=frozenset({"dead_band"}))), command)
 
-    return stop_in_dead_band
+    arguments = {"plant": types.vehicle, "command": types.vector}
+    return trace_to_warp("stop_in_dead_band", arguments, stop, [types.vector], constants={})

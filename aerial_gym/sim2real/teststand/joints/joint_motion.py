@@ -22,7 +22,7 @@ from aerial_gym.physics.articulated.flight import link_damping, link_fluid, link
 from aerial_gym.physics.articulated.link_fluid import add_fluid
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
-from aerial_gym.physics.rotor_lag import follow_command
+from aerial_gym.physics.rotor_lag import follow_command, vehicle_lag
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.csv_table import read_csv_rows
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -159,5 +159,5 @@ def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
     state, results, step = command[0], [], float(np.median(np.diff(log.time)))
     for row in command:
         results.append(state[0])
-        state = follow_command(vehicle, state, row, step)
+        state = follow_command(vehicle_lag(vehicle), state, row, step)
     return torch.stack(results).numpy()
