@@ -18,9 +18,9 @@ UNLIMITED = wp.constant(1.0e9)
 def make_thrusts_by_priority(num_rotors: int, *, idle: bool, differentiable: bool) -> wp.Function:
     """Return the Warp version of ``control.allocation.ThrustsByPriority``, with its arguments and results.
 
-    Traced, its pairs of rotors would be unrolled and would need more GPU registers than the rest of a kernel. A loop step that
-    the compiler does not know keeps its loops. An adjoint needs the values of every iteration, which Warp keeps for unrolled
-    loops only; there the step is known.
+    Traced, its pairs of rotors become straight code, which needs twice the GPU registers
+    (``docs/results/independent_checks.md``). A loop step that the compiler does not know keeps the loops. An adjoint needs
+    the values of every iteration, which Warp keeps for unrolled loops only; there the step is known.
 
     Args:
         idle: Whether any rotor has no part in the force along body z.

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import MountCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.allocation import Allocation, allocation_matrix, allot_thrust
+from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot_thrust
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.warp_functions import vector_type
@@ -152,8 +152,11 @@ def argument_types(num_rotors: int) -> dict[str, Any]:
     return {"inverse": matrix, "wrench": vector_type(6), "low": vector, "high": vector}
 
 
+@pytest.mark.parametrize("by_hand", [True, False])
 @pytest.mark.parametrize("name", rare_values(VEHICLES, ["hexarotor"]))
-def test_warp_gives_the_same_thrusts(name: str) -> None:
+def test_warp_gives_the_same_thrusts(name: str, by_hand: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not by_hand:
+        monkeypatch.delattr(ThrustsByPriority, "make_warp")
     robot = VEHICLES[name]
     start_warp()
     kinds = argument_types(robot.num_rotors)
