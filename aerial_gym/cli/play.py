@@ -14,22 +14,8 @@ from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 
 COLUMNS = [
-    "t",
-    "env",
-    "p_x",
-    "p_y",
-    "p_z",
-    "q_x",
-    "q_y",
-    "q_z",
-    "q_w",
-    "v_x",
-    "v_y",
-    "v_z",
-    "omega_x",
-    "omega_y",
-    "omega_z",
-]
+    "t", "env", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,15 +90,13 @@ def _sensor_pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str,
         return _share_url((height - height.min()) / max(float(np.ptp(height)), 1e-6))
 
     kinds: dict[str, tuple[torch.Tensor | None, Callable[[np.ndarray], str]]] = {
-        str(cfg.kind): (images.distance, distance_url),
-        "segmentation": (images.segmentation, _id_url),
+        str(cfg.kind): (images.distance, distance_url), "segmentation": (images.segmentation, _id_url),
         "faces": (images.face_ids, _id_url),
         f"normals, {cfg.normals}": (images.normals, lambda normals: _png_url(0.5 + 0.5 * normals)),
         "disparity": (images.disparity, lambda shift: _share_url(1.0 - shift / max(float(shift.max()), 1e-6))),
-        "optical flow at 1 m/s ahead": (images.optical_flow, _flow_url),
-        "colour": (images.color, _png_url),
+        "optical flow at 1 m/s ahead": (images.optical_flow, _flow_url), "colour": (images.color, _png_url),
         f"height of the points, {cfg.points}": (images.points, height_url),
-    }
+    }  # fmt: skip
     return [{"title": title, "url": url(first(image))} for title, (image, url) in kinds.items() if image is not None]
 
 

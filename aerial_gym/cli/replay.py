@@ -39,14 +39,9 @@ class ReplayCmd:
 
         with progress_bar() as progress:
             result = replay(
-                self.robot,
-                self.flights,
-                self.out,
-                mapping=self.mapping,
-                bandwidth=self.bandwidth_hz,
-                seed=self.seed,
+                self.robot, self.flights, self.out, mapping=self.mapping, bandwidth=self.bandwidth_hz, seed=self.seed,
                 progress=progress,
-            )
+            )  # fmt: skip
         if self.json:
             print(json_line(result.as_mapping()))
             return 0

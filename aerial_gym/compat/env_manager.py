@@ -118,13 +118,10 @@ class RobotManager:
         self.imu_sensor = SimpleNamespace(cfg=config.sensor_config.imu_config) if imu and config is not None else None
         num_actions = env.robot_manager.num_actions
         self.robot = SimpleNamespace(
-            cfg=config,
-            num_actions=num_actions,
-            controller=env.robot_manager.controller,
-            controller_config=SimpleNamespace(num_actions=num_actions),
-            robot_mass=env.gtd["robot_mass"],
+            cfg=config, num_actions=num_actions, controller=env.robot_manager.controller,
+            controller_config=SimpleNamespace(num_actions=num_actions), robot_mass=env.gtd["robot_mass"],
             robot_inertia=env.gtd["robot_inertia"],
-        )
+        )  # fmt: skip
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the robots of some environments; the obstacles stay."""

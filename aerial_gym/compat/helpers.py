@@ -29,12 +29,9 @@ class CustomLogger(logging.LoggerAdapter):
 
 
 def parse_arguments(
-    description: str = "Aerial Gym Example",
-    headless: bool = False,
-    no_graphics: bool = False,
-    custom_parameters: Sequence[Mapping[str, Any]] = (),
-    argv: Sequence[str] | None = None,
-) -> argparse.Namespace:
+    description: str = "Aerial Gym Example", headless: bool = False, no_graphics: bool = False,
+    custom_parameters: Sequence[Mapping[str, Any]] = (), argv: Sequence[str] | None = None,
+) -> argparse.Namespace:  # fmt: skip
     """Return the flags of a script.
 
     Args:

@@ -22,35 +22,12 @@ from aerial_gym.math.quaternion import (
 )
 
 __all__ = [
-    "compute_vee_map",
-    "copysign",
-    "exponential_penalty_function",
-    "exponential_reward_function",
-    "get_euler_xyz",
-    "get_euler_xyz_tensor",
-    "matrix_to_euler_zyx",
-    "normalize",
-    "pd_control",
-    "quat_apply",
-    "quat_apply_inverse",
-    "quat_axis",
-    "quat_conjugate",
-    "quat_from_euler_xyz",
-    "quat_from_euler_xyz_tensor",
-    "quat_inverse",
-    "quat_mul",
-    "quat_rotate",
-    "quat_rotate_inverse",
-    "quat_to_rotation_matrix",
-    "quat_unit",
-    "ssa",
-    "tensor_clamp",
-    "to_torch",
-    "torch_interpolate_ratio",
-    "torch_rand_float",
-    "torch_rand_float_tensor",
-    "vehicle_frame_quat_from_quat",
-]
+    "compute_vee_map", "copysign", "exponential_penalty_function", "exponential_reward_function", "get_euler_xyz",
+    "get_euler_xyz_tensor", "matrix_to_euler_zyx", "normalize", "pd_control", "quat_apply", "quat_apply_inverse",
+    "quat_axis", "quat_conjugate", "quat_from_euler_xyz", "quat_from_euler_xyz_tensor", "quat_inverse", "quat_mul",
+    "quat_rotate", "quat_rotate_inverse", "quat_to_rotation_matrix", "quat_unit", "ssa", "tensor_clamp", "to_torch",
+    "torch_interpolate_ratio", "torch_rand_float", "torch_rand_float_tensor", "vehicle_frame_quat_from_quat",
+]  # fmt: skip
 
 quat_mul = quat_multiply
 quat_inverse = quat_conjugate

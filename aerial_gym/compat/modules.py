@@ -37,7 +37,7 @@ MODULES: dict[str, dict[str, str]] = {
     "utils.helpers": {"parse_arguments": "helpers:parse_arguments", "get_args": "helpers:get_args"},
     "robots.base_multirotor": {"BaseMultirotor": "registries:BaseMultirotor"},
     "robots.BaseMultirotor": {"": "registries:BaseMultirotor"},
-    "task.base_task": {"BaseTask": "base_task:BaseTask"},
+    "task.base_task": {"BaseTask": "native_task:BaseTask"},
     "task.position_setpoint_task.position_setpoint_task": {"PositionSetpointTask": "native_task:PositionSetpointTask"},
     "task.navigation_task.navigation_task": {"NavigationTask": "native_task:NavigationTask"},
     **{

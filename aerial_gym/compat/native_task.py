@@ -1,10 +1,12 @@
 """Tasks of this package with the interface of the Aerial Gym Simulator's. Letters: E environments, U entries of an action."""
 
+import random
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,6 +15,50 @@ from aerial_gym.compat.config.tasks import TABLE, translate_task
 from aerial_gym.compat.sim_builder import SimBuilder
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.task import Task, task_registry
+
+
+class BaseTask(gymnasium.Env):
+    """Base of a script's task class, which builds its simulation in its own constructor.
+
+    ``reset`` and ``step`` return observations, rewards, terminations, truncations, infos. It is a Gymnasium environment by its
+    class only, so that wrappers of scripts take it.
+    """
+
+    def __init__(self, task_config: Any) -> None:
+        """Keep the configuration, and seed Python's, NumPy's and torch's generators if it has a seed of at least 0."""
+        self.task_config = task_config
+        seed = getattr(task_config, "seed", None)
+        if seed is not None and seed >= 0:
+            self.seed(seed)
+
+    def seed(self, seed: int) -> None:
+        """Seed Python's, NumPy's and torch's own generators."""
+        random.seed(seed)
+        np.random.seed(seed % 2**32)
+        torch.manual_seed(seed)
+
+    def render(self, mode: str = "human") -> Any:
+        """Show the environments; subclasses must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.render: the task class must define it")
+
+    def reset(self) -> Any:
+        """Reset every environment; subclasses must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.reset: the task class must define it")
+
+    def reset_idx(self, env_ids: Any) -> Any:
+        """Reset some environments; subclasses must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.reset_idx: the task class must define it")
+
+    def step(self, actions: Any) -> Any:
+        """Advance by one action; subclasses must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.step: the task class must define it")
+
+    def close(self) -> None:
+        """Release the device memory of ``sim_env``, if there is one."""
+        env = getattr(self, "sim_env", None)
+        if env is not None:
+            env.delete_env()
+
 
 FiveTuple = tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observations, rewards, terminations, truncations, infos."""
@@ -43,14 +89,9 @@ class NativeTask(gymnasium.Env):
             )
 
     def __init__(
-        self,
-        task_config: Any,
-        seed: int | None = None,
-        num_envs: int | None = None,
-        headless: bool | None = None,
-        device: str | torch.device | None = None,
-        use_warp: bool | None = None,
-    ) -> None:
+        self, task_config: Any, seed: int | None = None, num_envs: int | None = None, headless: bool | None = None,
+        device: str | torch.device | None = None, use_warp: bool | None = None,
+    ) -> None:  # fmt: skip
         """Build the simulation that a configuration class names, and the task in it; arguments go before the class.
 
         ``task_config`` is then a subclass of the given one, with the given arguments.
@@ -105,11 +146,9 @@ class NativeTask(gymnasium.Env):
     ) -> FiveTuple:
         more = {
             "priviliged_obs": torch.zeros(self.num_envs, 0, device=self.device),
-            "collisions": terminated.unsqueeze(-1).float(),
-            "rewards": reward,
-            "terminations": terminated,
+            "collisions": terminated.unsqueeze(-1).float(), "rewards": reward, "terminations": terminated,
             "truncations": truncated,
-        }
+        }  # fmt: skip
         return obs | more, reward, terminated, truncated, info
 
 

@@ -245,14 +245,9 @@ class TaskRegistry(ScriptRegistry):
         return [self.get_task_config(name) for name in self.names()]
 
     def make_task(
-        self,
-        task_name: str,
-        seed: int | None = None,
-        num_envs: int | None = None,
-        headless: bool | None = None,
-        use_warp: bool | None = None,
-        **more: Any,
-    ) -> Any:
+        self, task_name: str, seed: int | None = None, num_envs: int | None = None, headless: bool | None = None,
+        use_warp: bool | None = None, **more: Any,
+    ) -> Any:  # fmt: skip
         """Return a task; ``device`` and other arguments of its class may follow.
 
         The class gets a configuration of its own, so that its writes, usual in that simulator, reach no other task.

@@ -114,25 +114,20 @@ def without_isaacgym(source: str) -> str:
     """Return Python source without its ``isaacgym`` imports; line numbers stay."""
     lines = source.splitlines(keepends=True)
     for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, (ast.Import, ast.ImportFrom)) or not _imports_isaacgym(node):
+        if isinstance(node, ast.Import):
+            remaining = [alias for alias in node.names if not _is_isaacgym(alias.name)]
+            imports_it = len(remaining) < len(node.names)
+        else:
+            remaining = []
+            imports_it = isinstance(node, ast.ImportFrom) and node.level == 0 and _is_isaacgym(node.module or "")
+        if not imports_it:
             continue
+        statement = ast.unparse(ast.Import(names=remaining)) if remaining else "pass"
         first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
         before, after = lines[first][: node.col_offset], lines[last][node.end_col_offset :]
-        lines[first : last + 1] = [f"{before}{_import_without_isaacgym(node)}{after}", *["\n"] * (last - first)]
+        lines[first : last + 1] = [f"{before}{statement}{after}", *["\n"] * (last - first)]
     return "".join(lines)
-
-
-def _imports_isaacgym(node: ast.Import | ast.ImportFrom) -> bool:
-    if isinstance(node, ast.ImportFrom):
-        return node.level == 0 and _is_isaacgym(node.module or "")
-    return any(_is_isaacgym(alias.name) for alias in node.names)
 
 
 def _is_isaacgym(module: str) -> bool:
     return module.split(".")[0] == "isaacgym"
-
-
-def _import_without_isaacgym(node: ast.Import | ast.ImportFrom) -> str:
-    """Return an import statement without ``isaacgym``: the other modules of its line, or ``pass``."""
-    remaining = [alias for alias in node.names if not _is_isaacgym(alias.name)] if isinstance(node, ast.Import) else []
-    return ast.unparse(ast.Import(names=remaining)) if remaining else "pass"

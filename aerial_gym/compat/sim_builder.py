@@ -23,20 +23,11 @@ class SimBuilder:
         self._manager: EnvManager | None = None
 
     def build_env(
-        self,
-        sim_name: str,
-        env_name: str,
-        robot_name: str,
-        controller_name: str,
-        device: str | torch.device = "auto",
-        args: object = None,
-        num_envs: int | None = None,
-        use_warp: bool | None = None,
-        headless: bool | None = None,
-        *,
-        seed: int | None = None,
+        self, sim_name: str, env_name: str, robot_name: str, controller_name: str,
+        device: str | torch.device = "auto", args: object = None, num_envs: int | None = None,
+        use_warp: bool | None = None, headless: bool | None = None, *, seed: int | None = None,
         randomize: Randomize | None = None,
-    ) -> EnvManager:
+    ) -> EnvManager:  # fmt: skip
         """Return a simulation, built and not yet reset.
 
         Args:
@@ -58,22 +49,18 @@ class SimBuilder:
         if has_no_gravity(robot_class):
             sim = replace(sim if isinstance(sim, SimCfg) else SIMS.get(sim), gravity=0.0)
         env = Builder().build_env(
-            sim_name=sim,
-            env_name=env_config_registry.native_config(env_name),
+            sim_name=sim, env_name=env_config_registry.native_config(env_name),
             robot_name=robot_registry.native_config(robot_name),
             controller_name=controller_registry.native_controller(controller_name),
             randomize={**controller_registry.gain_randomization(controller_name), **(randomize or {})},
-            num_envs=default_envs if num_envs is None else num_envs,
-            device=device,
+            num_envs=default_envs if num_envs is None else num_envs, device=device,
             seed=torch.initial_seed() % 2**31 if seed is None else seed,
-        )
+        )  # fmt: skip
         self._manager = EnvManager(
-            env,
-            cfg=_class_with_num_envs(env_class, env.num_envs),
-            sim_config=sim_config_registry.config_class(sim_name),
-            robot_config=robot_class,
+            env, cfg=_class_with_num_envs(env_class, env.num_envs),
+            sim_config=sim_config_registry.config_class(sim_name), robot_config=robot_class,
             reset_on_collision=reset_on_collision,
-        )
+        )  # fmt: skip
         return self._manager
 
     def delete_env(self) -> None:

@@ -9,7 +9,7 @@ For each output, on the same inputs:
 - ``span``: range of the output in float64; ``2**-23`` of it is one unit in the last place of float32.
 
 So the limit has the unit of the output and follows its conditioning. Inputs that are not finite must give NaN
-(``aerial_gym.export.finite``); a number there is an infinite error.
+(``aerial_gym.export.module``); a number there is an infinite error.
 Letters: B rows, N outputs.
 """
 

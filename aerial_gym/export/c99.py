@@ -21,9 +21,8 @@ from aerial_gym.export.c99_images import (
     join_code,
     layer_code,
 )
-from aerial_gym.export.finite import C_FINITE
 from aerial_gym.export.layout import Layout
-from aerial_gym.export.module import DeployablePolicy, action_transform
+from aerial_gym.export.module import C_FINITE, DeployablePolicy, action_transform
 from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.task.terms import actions
 
@@ -301,11 +300,9 @@ def _four_places_code(params: Mapping[str, Any]) -> str:
 
 
 _TRANSFORMS: dict[Callable[..., Tensor], Callable[[Mapping[str, Any]], str] | None] = {
-    actions.direct: None,
-    actions.forward_flight: _forward_flight_code,
-    actions.affine: _affine_code,
+    actions.direct: None, actions.forward_flight: _forward_flight_code, actions.affine: _affine_code,
     actions.four_places: _four_places_code,
-}
+}  # fmt: skip
 """The transforms of actions, in C; None: the command is the action."""
 
 

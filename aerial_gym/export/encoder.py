@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.export import c99
 from aerial_gym.export.agreement import Comparison, inputs_not_finite
-from aerial_gym.export.finite import finite_rows, nan_unless
-from aerial_gym.export.formats import onnx_bytes, onnx_session, torchscript_bytes
+from aerial_gym.export.module import finite_rows, nan_unless, onnx_bytes, onnx_session, torchscript_bytes
 from aerial_gym.export.pilot import compile_library
 from aerial_gym.sensors.encoder.file import Encoder, load_encoder
 

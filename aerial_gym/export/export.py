@@ -1,4 +1,4 @@
-"""Writing a policy, and comparing the written files with it.
+"""Writing a policy as ONNX, TorchScript or C99, and comparing the written files with it.
 
 Letters: O entries of an observation, M numbers of memory.
 """
@@ -16,9 +16,8 @@ from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
 from aerial_gym.export.agreement import Agreement, Comparison, inputs_not_finite
 from aerial_gym.export.encoder import compare_encoder, write_encoder
-from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
-from aerial_gym.export.module import DeployablePolicy
+from aerial_gym.export.module import DeployablePolicy, onnx_bytes, torchscript_bytes
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
@@ -57,14 +56,9 @@ class Exported:
 
 @usual_settings
 def export_policy(
-    source: str | Path,
-    out: str | Path,
-    to: Iterable[str],
-    *,
-    robot: str | None = None,
-    name: str | None = None,
+    source: str | Path, out: str | Path, to: Iterable[str], *, robot: str | None = None, name: str | None = None,
     check: bool = True,
-) -> list[Exported]:
+) -> list[Exported]:  # fmt: skip
     """Write the policy of a run folder or checkpoint in some formats, with ``policy.json`` beside it.
 
     Args:

@@ -1,21 +1,53 @@
 """A policy from measurements to commands as one torch module: scaling, normaliser, network, limits and transform.
 
+ReLU, limits and dead weights can each turn NaN into an ordinary number. Files in torch and in C99 therefore test the numbers
+themselves, and make no command from NaN or infinity.
 Letters: B rows, O entries of an observation, C x H x W an image, V entries of an action, U of a command, M numbers of memory.
 """
 
 from collections.abc import Callable
+from math import nan
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.export.finite import finite_rows, nan_unless
+from aerial_gym.errors import CapabilityError
 from aerial_gym.export.layout import Layout
-from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.body import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
 from aerial_gym.task.images import TYPES
 from aerial_gym.task.terms.term import check_params
+
+
+def finite_rows(*parts: Tensor) -> Tensor:
+    """Return whether all numbers of a row are finite, bool (B, 1); ``parts`` are (B, ...), integers are finite."""
+    floats = [part for part in parts if part.is_floating_point()]
+    return torch.stack([part.float().flatten(1).isfinite().all(-1) for part in floats]).all(0).unsqueeze(-1)
+
+
+def nan_unless(finite: Tensor, numbers: Tensor) -> Tensor:
+    """Return numbers (B, N), NaN in the rows that are not ``finite``, (B, 1)."""
+    return torch.where(finite, numbers, nan)
+
+
+C_FINITE = """/* Reads the bits: with -ffast-math, comparisons and isnan() do not see NaN. */
+static int is_finite(const float *numbers, int count) {
+    union { float number; uint32_t bits; } each;
+    for (int i = 0; i < count; ++i) {
+        each.number = numbers[i];
+        if ((each.bits & 0x7f800000u) == 0x7f800000u) return 0;
+    }
+    return 1;
+}
+static void set_nan(float *numbers, int count) {
+    const union { uint32_t bits; float number; } made = { 0x7fc00000u };
+    for (int i = 0; i < count; ++i) numbers[i] = made.number;
+}
+"""
+"""Functions that a C file uses for this; they need ``stdint.h``."""
 
 
 def action_transform(layout: Layout) -> tuple[Callable[..., Tensor], dict[str, Any]]:
@@ -91,3 +123,34 @@ class DeployablePolicy(nn.Module):
         made = self._layout
         counted = [("action", made.num_actions), ("memory", made.memory)]
         return [*made.command, *(f"{name} {i}" for name, count in counted for i in range(count))]
+
+
+def onnx_bytes(
+    module: nn.Module, given: tuple[Tensor, ...], inputs: list[str], outputs: list[str], dynamic: tuple[Any, ...]
+) -> bytes:
+    """Return a module as ONNX with ``dynamic`` dimensions (``torch.export``); raise ``CapabilityError`` without its package."""
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise CapabilityError(f"{error.name} is not installed. Run: pip install 'aerial-gym[export]'") from None
+    program = torch.onnx.export(
+        module, given, input_names=inputs, output_names=outputs, dynamic_shapes=dynamic, dynamo=True, verbose=False
+    )
+    assert program is not None
+    return program.model_proto.SerializeToString()
+
+
+def onnx_session(file: Path) -> Any:
+    """Return the session of an ONNX file on the CPU; raise ``CapabilityError`` without onnxruntime."""
+    try:
+        import onnxruntime
+    except ImportError:
+        raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
+    return onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+
+
+def torchscript_bytes(module: nn.Module, given: tuple[Tensor, ...]) -> bytes:
+    """Return a module as TorchScript, traced with inputs of the right shapes."""
+    traced = torch.jit.trace(module, given)
+    return traced.save_to_buffer()  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]

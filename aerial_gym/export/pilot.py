@@ -18,8 +18,8 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export.c99_images import PIXELS
-from aerial_gym.export.formats import onnx_session
 from aerial_gym.export.layout import Layout
+from aerial_gym.export.module import onnx_session
 from aerial_gym.interop import usual_settings
 
 Step = Callable[..., tuple[Tensor, Tensor, Tensor]]

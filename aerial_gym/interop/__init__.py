@@ -5,28 +5,15 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.devices import plain_device, resolve_device
     from aerial_gym.interop.launches import ReusableLaunch, compile_ahead, make_struct, on_torch_stream, wait_for_kernel
-    from aerial_gym.interop.settings import usual_settings, with_usual_settings
+    from aerial_gym.interop.settings import plain_device, resolve_device, usual_settings, with_usual_settings
     from aerial_gym.interop.streams import on_device, record_graph, start_warp
     from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
 __all__ = [
-    "ReusableLaunch",
-    "compile_ahead",
-    "launch_side_by_side",
-    "make_struct",
-    "on_device",
-    "on_torch_stream",
-    "one_thread",
-    "plain_device",
-    "record_graph",
-    "resolve_device",
-    "split",
-    "start_warp",
-    "usual_settings",
-    "wait_for_kernel",
-    "with_usual_settings",
-]
+    "ReusableLaunch", "compile_ahead", "launch_side_by_side", "make_struct", "on_device", "on_torch_stream",
+    "one_thread", "plain_device", "record_graph", "resolve_device", "split", "start_warp", "usual_settings",
+    "wait_for_kernel", "with_usual_settings",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -102,16 +102,9 @@ class ReusableLaunch:
     """
 
     def __init__(
-        self,
-        kernel: wp.Kernel,
-        *,
-        dim: int | Sequence[int],
-        inputs: Sequence[object],
-        outputs: Sequence[object] = (),
-        device: wp.Device | torch.device,
-        block_dim: int = 256,
-        tiled: bool = False,
-    ) -> None:
+        self, kernel: wp.Kernel, *, dim: int | Sequence[int], inputs: Sequence[object],
+        outputs: Sequence[object] = (), device: wp.Device | torch.device, block_dim: int = 256, tiled: bool = False,
+    ) -> None:  # fmt: skip
         """Store the arguments of ``warp.launch``, or of ``warp.launch_tiled`` if ``tiled``.
 
         Tensors become arrays of the types that the kernel declares. All arguments are kept alive.

@@ -16,20 +16,8 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.training import TrainingResult, train
 
 __all__ = [
-    "TRAINERS",
-    "ApgCfg",
-    "Evaluation",
-    "GymnasiumVectorEnv",
-    "Policy",
-    "PpoCfg",
-    "Trainer",
-    "TrainingCfg",
-    "TrainingResult",
-    "evaluate",
-    "load_policy",
-    "load_settings",
-    "settings_for",
-    "train",
-]
+    "TRAINERS", "ApgCfg", "Evaluation", "GymnasiumVectorEnv", "Policy", "PpoCfg", "Trainer", "TrainingCfg",
+    "TrainingResult", "evaluate", "load_policy", "load_settings", "settings_for", "train",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

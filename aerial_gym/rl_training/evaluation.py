@@ -119,22 +119,17 @@ def evaluate(
         (outside_until * dt)[~crashed & (outside_until < steps)],
     )
     return Evaluation(
-        num_starts=task.num_envs,
-        episode_s=steps * dt,
-        success_rate=float(succeeded.sum()) / task.num_envs,
+        num_starts=task.num_envs, episode_s=steps * dt, success_rate=float(succeeded.sum()) / task.num_envs,
         crash_rate=float(crashed.sum()) / task.num_envs,
-        timeout_rate=float((~succeeded & ~crashed).sum()) / task.num_envs,
-        final_error_mean_m=_mean_or_none(error),
+        timeout_rate=float((~succeeded & ~crashed).sum()) / task.num_envs, final_error_mean_m=_mean_or_none(error),
         final_error_p95_m=_percentile95_or_none(error),
         final_error_max_m=float(error.max()) if error.numel() else None,
-        settled_rate=settling.numel() / task.num_envs,
-        settling_time_mean_s=_mean_or_none(settling),
+        settled_rate=settling.numel() / task.num_envs, settling_time_mean_s=_mean_or_none(settling),
         settling_time_p95_s=_percentile95_or_none(settling),
         success_time_mean_s=_mean_or_none((ended_at * dt)[succeeded]),
-        gates_passed_mean=None if no_gates else float(passed.mean()),
-        return_mean=float(total.mean()),
+        gates_passed_mean=None if no_gates else float(passed.mean()), return_mean=float(total.mean()),
         success_radius_m=radius,
-    )
+    )  # fmt: skip
 
 
 def _mean_or_none(values: Tensor) -> float | None:

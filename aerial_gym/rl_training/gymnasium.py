@@ -80,12 +80,9 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         """Return tensors over all rows, valid only within the masks. Nothing is copied to the host."""
         episode = {"r": info["episode_return"], "l": info["episode_length"]}
         return {
-            FINAL: info["final_observation"],
-            f"_{FINAL}": done,
-            "final_info": {"episode": episode},
-            "_final_info": done,
-            "time_outs": info["time_outs"],
-        }
+            FINAL: info["final_observation"], f"_{FINAL}": done, "final_info": {"episode": episode},
+            "_final_info": done, "time_outs": info["time_outs"],
+        }  # fmt: skip
 
     def _numpy_info(self, info: dict[str, Tensor], done: Tensor) -> dict[str, Any]:
         """Return Gymnasium's object arrays: None in the rows of unfinished episodes."""

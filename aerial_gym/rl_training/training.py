@@ -52,15 +52,9 @@ class TrainingResult:
 
 @usual_settings
 def train(
-    cfg: TrainingCfg,
-    out: str | Path,
-    *,
-    resume: bool = False,
-    show_progress: bool = True,
-    watch: bool = False,
-    wandb: str | None = None,
-    started: float | None = None,
-) -> TrainingResult:
+    cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progress: bool = True, watch: bool = False,
+    wandb: str | None = None, started: float | None = None,
+) -> TrainingResult:  # fmt: skip
     """Train a policy into a run folder. The global random generators are seeded meanwhile.
 
     Args:
@@ -91,15 +85,9 @@ def train(
             )
         with contextlib.nullcontext() if resume else _new_run_folder(cfg, folder, ranks):
             return _train_session(
-                cfg,
-                folder,
-                ranks,
-                started=started,
-                resume=resume,
-                show_progress=show_progress,
-                watch=watch,
+                cfg, folder, ranks, started=started, resume=resume, show_progress=show_progress, watch=watch,
                 wandb=wandb,
-            )
+            )  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -127,16 +115,9 @@ def _leader_or_temporary_folder(ranks: Ranks, out: str | Path) -> Iterator[RunFo
 
 
 def _train_session(
-    cfg: TrainingCfg,
-    folder: RunFolder,
-    ranks: Ranks,
-    *,
-    started: float,
-    resume: bool,
-    show_progress: bool,
-    watch: bool,
-    wandb: str | None,
-) -> TrainingResult:
+    cfg: TrainingCfg, folder: RunFolder, ranks: Ranks, *, started: float, resume: bool, show_progress: bool,
+    watch: bool, wandb: str | None,
+) -> TrainingResult:  # fmt: skip
     resumed = ranks.broadcast(folder.newest_readable_checkpoint() if resume and ranks.is_leader else None)
     if resume and resumed is None and ranks.is_leader:
         _log.warning(
@@ -158,16 +139,11 @@ def _train_session(
             interrupted = True
     last, checkpoints = progress.last, folder.checkpoints()
     result = TrainingResult(
-        trainer=cfg.trainer,
-        checkpoint=str(checkpoints[-1]) if checkpoints else None,
-        env_steps=max(progress.env_steps, steps),
-        time_s=progress.session_time_s(),
-        env_steps_per_s=progress.steps_per_s,
-        episode_return=last.episode_return if last else None,
-        episode_length=last.episode_length if last else None,
-        interrupted=interrupted,
-        non_finite=progress.non_finite,
-    )
+        trainer=cfg.trainer, checkpoint=str(checkpoints[-1]) if checkpoints else None,
+        env_steps=max(progress.env_steps, steps), time_s=progress.session_time_s(),
+        env_steps_per_s=progress.steps_per_s, episode_return=last.episode_return if last else None,
+        episode_length=last.episode_length if last else None, interrupted=interrupted, non_finite=progress.non_finite,
+    )  # fmt: skip
     write_atomic(folder.result_file, json.dumps(asdict(result), indent=1) + "\n")
     return result
 
@@ -189,15 +165,9 @@ def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
 
 
 def _run_trainer(
-    cfg: TrainingCfg,
-    folder: RunFolder,
-    progress: Progress,
-    resumed: tuple[Path, dict[str, Any]] | None,
-    interruption: Interruption,
-    ranks: Ranks,
-    *,
-    watch: bool,
-) -> bool:
+    cfg: TrainingCfg, folder: RunFolder, progress: Progress, resumed: tuple[Path, dict[str, Any]] | None,
+    interruption: Interruption, ranks: Ranks, *, watch: bool,
+) -> bool:  # fmt: skip
     trainer = TRAINERS.get(cfg.trainer)
     trainer.prepare(resolve_device(process_device(cfg.device)))
     interruption.check()  # an import may have swallowed it
@@ -241,10 +211,8 @@ def _restore_globals(cfg: TrainingCfg) -> Iterator[None]:
     threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
     cudnn = torch.backends.cudnn.benchmark, torch.backends.cudnn.allow_tf32, torch.backends.cuda.matmul.allow_tf32
     sharing, numpy_state, python_state = (
-        torch.multiprocessing.get_sharing_strategy(),
-        np.random.get_state(),
-        random.getstate(),
-    )
+        torch.multiprocessing.get_sharing_strategy(), np.random.get_state(), random.getstate(),
+    )  # fmt: skip
     devices = range(torch.cuda.device_count()) if torch.cuda.is_available() else ()
     if cfg.torch_threads is not None:
         torch.set_num_threads(cfg.torch_threads)

@@ -14,16 +14,8 @@ if TYPE_CHECKING:
     from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 
 __all__ = [
-    "ACTIONS",
-    "BUFFERS",
-    "COMMANDS",
-    "OBSERVATIONS",
-    "REWARDS",
-    "TERMINATIONS",
-    "Command",
-    "Task",
-    "TaskRegistry",
+    "ACTIONS", "BUFFERS", "COMMANDS", "OBSERVATIONS", "REWARDS", "TERMINATIONS", "Command", "Task", "TaskRegistry",
     "task_registry",
-]
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

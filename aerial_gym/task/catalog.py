@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import family_files, read_summary
 from aerial_gym.config.extends import load_extended
-from aerial_gym.config.task import CurriculumCfg, TaskCfg
+from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
@@ -27,25 +27,12 @@ class TaskRegistry(Registry[TaskCfg]):
     """Tasks by name; ``make_task`` builds one."""
 
     def make_task(
-        self,
-        name: str,
-        *,
-        num_envs: int | None = None,
-        device: "str | torch.device" = "auto",
-        seed: int = 0,
-        robot: str | None = None,
-        controller: str | None = None,
-        sim: str | None = None,
-        env: str | None = None,
-        level: int | None = None,
-        capture: bool | None = None,
-        first_env: int = 0,
-        first_episode: int = 0,
-        backend: str | None = None,
-        differentiable: bool = False,
-        dtype: "torch.dtype | None" = None,
+        self, name: str, *, num_envs: int | None = None, device: "str | torch.device" = "auto", seed: int = 0,
+        robot: str | None = None, controller: str | None = None, sim: str | None = None, env: str | None = None,
+        level: int | None = None, capture: bool | None = None, first_env: int = 0, first_episode: int = 0,
+        backend: str | None = None, differentiable: bool = False, dtype: "torch.dtype | None" = None,
         encoder: str | None = None,
-    ) -> "Task":
+    ) -> "Task":  # fmt: skip
         """Return a task, built and not yet reset.
 
         Args:
@@ -87,27 +74,21 @@ class TaskRegistry(Registry[TaskCfg]):
         if encoder is not None:
             cfg = with_encoder(cfg, encoder)
         if level is not None:
-            cfg = replace(cfg, curriculum=_curriculum_at_level(cfg, name, level))
+            if cfg.curriculum is None:
+                raise ConfigError(f"level = {level}: task {name} has no curriculum")
+            cfg = replace(cfg, curriculum=replace(cfg.curriculum, start_level=level, raise_by=0, lower_by=0))
         elif first_episode and cfg.curriculum is not None:
             raise ConfigError(
                 f"first_episode = {first_episode}: seed, environment and episode do not say which level of its curriculum "
                 f'task {name} had then. Give level, which stood in gtd["curriculum_level"] when the episode began'
             )
         built = SimBuilder().build_env(
-            sim_name=cfg.sim,
-            env_name=cfg.env,
+            sim_name=cfg.sim, env_name=cfg.env,
             robot_name=cfg.robot if cfg.start is None else replace(robot_by_name(cfg.robot), initial_state=cfg.start),
-            controller_name=cfg.controller,
-            num_envs=cfg.num_envs,
-            device=device,
-            seed=seed,
-            first_env=first_env,
-            first_episode=first_episode,
-            backend=backend,
-            randomize=cfg.randomize,
-            differentiable=differentiable,
+            controller_name=cfg.controller, num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env,
+            first_episode=first_episode, backend=backend, randomize=cfg.randomize, differentiable=differentiable,
             dtype=dtype or torch.float32,
-        )
+        )  # fmt: skip
         make = import_object(name) if ":" in name else None
         made = make if isinstance(make, type) else Task
         return usual_settings(lambda: made(cfg, built, capture=capture))()  # also for a user's class
@@ -208,13 +189,6 @@ def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
             "observations. Choose one that has, such as navigation_task"
         )
     return replace(cfg, observations=groups, encoder=encoder)
-
-
-def _curriculum_at_level(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
-    """Return the task's curriculum, held at a level."""
-    if cfg.curriculum is None:
-        raise ConfigError(f"level = {level}: task {name} has no curriculum")
-    return replace(cfg.curriculum, start_level=level, raise_by=0, lower_by=0)
 
 
 task_registry = TaskRegistry("task")

@@ -22,10 +22,8 @@ from aerial_gym.task.terms.observations import CELLS, LARGEST, LATENTS
 from aerial_gym.task.values import Values
 
 TYPES = {
-    "uint8": (torch.uint8, wp.uint8),
-    "float16": (torch.float16, wp.float16),
-    "float32": (torch.float32, wp.float32),
-}
+    "uint8": (torch.uint8, wp.uint8), "float16": (torch.float16, wp.float16), "float32": (torch.float32, wp.float32),
+}  # fmt: skip
 """Of torch and of Warp, by the name in a configuration."""
 
 
@@ -57,13 +55,10 @@ class TaskImages:
             for launches, mask, new in ((self._of_step, all_rows, none), (self._of_reset, begun, begun)):
                 launches.append(
                     ReusableLaunch(
-                        make_image_history_kernel(source, warp_kind, cfg.history),
-                        dim=tuple(flat.shape),
-                        inputs=[flat, mask, new, *scale],
-                        outputs=[target],
-                        device=image.device,
+                        make_image_history_kernel(source, warp_kind, cfg.history), dim=tuple(flat.shape),
+                        inputs=[flat, mask, new, *scale], outputs=[target], device=image.device,
                     )
-                )
+                )  # fmt: skip
 
     def write_frames(self, *, begun: bool) -> None:
         """Write the present images; launched on torch's current stream, not waited for.

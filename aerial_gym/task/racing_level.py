@@ -57,16 +57,12 @@ def _make_task(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name
         raise ConfigError("env.track: more obstacles than gates cannot be drawn")
     where = _make_environment(level, spread, name=name)
     return replace(
-        base,
-        summary=f"{name} of lsy_drone_racing",
-        sim=_make_sim(sim["freq"]),
-        env=where,
+        base, summary=f"{name} of lsy_drone_racing", sim=_make_sim(sim["freq"]), env=where,
         start=_make_start(env["track"], spread, where),
         randomize=_make_randomize(spread, robot) | _force_ranges(disturbances, sim["freq"]),
         action=replace(base.action, noise_std=_command_noise(disturbances)),
-        command=_make_command(base, env["sensor_range"]),
-        source=f"{name}.toml; the rest: {base.source}",
-    )
+        command=_make_command(base, env["sensor_range"]), source=f"{name}.toml; the rest: {base.source}",
+    )  # fmt: skip
 
 
 class _OffsetRanges:
@@ -90,10 +86,6 @@ class _OffsetRanges:
         given = self._given[name]["kwargs"]
         return _as_vec3(given["minval"]), _as_vec3(given["maxval"])
 
-    def scalar_range(self, name: str) -> tuple[float, float]:
-        given = self._given[name]["kwargs"]
-        return float(given["minval"]), float(given["maxval"])
-
 
 def _as_vec3(numbers: Sequence[float]) -> Vec3:
     x, y, z = (float(number) for number in numbers)
@@ -114,33 +106,26 @@ def _make_environment(level: Mapping[str, Any], spread: _OffsetRanges, *, name: 
     if steps != int(steps):
         raise ConfigError(f"env.freq = {env['freq']!r}: must divide sim.freq = {level['sim']['freq']!r}")
     given = env["track"]
+    layout = None
+    if given.get("randomize", False):
+        limits = given["safety_limits"]
+        (x0, y0, _), (x1, y1, _) = _as_vec3(limits["pos_limit_low"]), _as_vec3(limits["pos_limit_high"])
+        layout = LayoutCfg(lower=(x0 + BORDER, y0 + BORDER), upper=(x1 - BORDER, y1 - BORDER))
+    (gate_low, gate_high), (euler_low, euler_high) = spread["gate_pos"], spread["gate_rpy"]
+    pole_low, pole_high = spread["obstacle_pos"]
     track = TrackCfg(
         gates=tuple(GatePlaceCfg(position=_as_vec3(g["pos"]), euler=_as_vec3(g["rpy"])) for g in given["gates"]),
         poles=tuple(_as_vec3(pole["pos"]) for pole in given["obstacles"]),
-        gate_position_low=spread["gate_pos"][0],
-        gate_position_high=spread["gate_pos"][1],
-        gate_euler_low=spread["gate_rpy"][0],
-        gate_euler_high=spread["gate_rpy"][1],
-        pole_low=spread["obstacle_pos"][0],
-        pole_high=spread["obstacle_pos"][1],
-        layout=_make_layout(given["safety_limits"]) if given.get("randomize", False) else None,
-    )
+        gate_position_low=gate_low, gate_position_high=gate_high, gate_euler_low=euler_low, gate_euler_high=euler_high,
+        pole_low=pole_low, pole_high=pole_high, layout=layout,
+    )  # fmt: skip
     counts = track.counts
     assets = tuple(replace(asset, count=counts[asset.name]) for asset in base.assets if asset.name in counts)
     assert {GATES, POLES} == {asset.name for asset in base.assets}
     return replace(
-        base,
-        summary=f"track of {name} of lsy_drone_racing",
-        physics_steps_per_env_step=int(steps),
-        track=track,
-        assets=assets,
-        source=f"{name}.toml; the rest: {base.source}",
-    )
-
-
-def _make_layout(limits: Mapping[str, Sequence[float]]) -> LayoutCfg:
-    (x0, y0, _), (x1, y1, _) = _as_vec3(limits["pos_limit_low"]), _as_vec3(limits["pos_limit_high"])
-    return LayoutCfg(lower=(x0 + BORDER, y0 + BORDER), upper=(x1 - BORDER, y1 - BORDER))
+        base, summary=f"track of {name} of lsy_drone_racing", physics_steps_per_env_step=int(steps), track=track,
+        assets=assets, source=f"{name}.toml; the rest: {base.source}",
+    )  # fmt: skip
 
 
 def _make_start(track: Mapping[str, Any], spread: _OffsetRanges, env: EnvironmentCfg) -> InitialStateCfg:
@@ -155,15 +140,11 @@ def _make_start(track: Mapping[str, Any], spread: _OffsetRanges, env: Environmen
         high = (*_as_vec3(ends["pos_limit_high"])[:2], high[2])
     turn = tuple(tuple(a + b for a, b in zip(_as_vec3(drone["rpy"]), end, strict=True)) for end in spread["drone_rpy"])
     return InitialStateCfg(
-        position_ratio_low=_share_of_bounds(low, env),
-        position_ratio_high=_share_of_bounds(high, env),
-        euler_low=_as_vec3(turn[0]),
-        euler_high=_as_vec3(turn[1]),
-        lin_vel_low=_as_vec3(drone["vel"]),
-        lin_vel_high=_as_vec3(drone["vel"]),
-        ang_vel_low=_as_vec3(drone["ang_vel"]),
+        position_ratio_low=_share_of_bounds(low, env), position_ratio_high=_share_of_bounds(high, env),
+        euler_low=_as_vec3(turn[0]), euler_high=_as_vec3(turn[1]), lin_vel_low=_as_vec3(drone["vel"]),
+        lin_vel_high=_as_vec3(drone["vel"]), ang_vel_low=_as_vec3(drone["ang_vel"]),
         ang_vel_high=_as_vec3(drone["ang_vel"]),
-    )
+    )  # fmt: skip
 
 
 def _share_of_bounds(point: Sequence[float], env: EnvironmentCfg) -> Vec3:

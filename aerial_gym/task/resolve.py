@@ -80,13 +80,9 @@ def resolve_terminations(
 
 
 def _resolve_term(
-    registry: TermRegistry,
-    label: str,
-    cfg: RewardCfg | TerminationCfg,
-    task: TaskCfg,
-    values: Values,
+    registry: TermRegistry, label: str, cfg: RewardCfg | TerminationCfg, task: TaskCfg, values: Values,
     command: tuple[str, ...],
-) -> BoundTerm:
+) -> BoundTerm:  # fmt: skip
     """Return a term with one result for each environment: a truth value of a termination, a number of a reward."""
     entry = registry.get(cfg.term)
     _check_command(f"{label}: term {cfg.term} is about", entry.command, task, command)

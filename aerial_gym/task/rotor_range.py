@@ -60,7 +60,9 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
         ranges.append((low, high))
     low, high = zip(*ranges, strict=True)
     order = rotor_order([mount.position for mount in robot.mounts.layout])
-    if cfg.action.params and not _is_standard_quadrotor(robot, order):
+    spins = [spin for _, spin in sorted(zip(order, (mount.spin for mount in robot.mounts.layout), strict=True))]
+    standard = spins == [1, -1, 1, -1] and all(rotor.mode == "speed" for rotor in robot.rotor_types)
+    if cfg.action.params and not standard:
         rotors = zip(command, robot.rotor_types, strict=True)
         speeds = tuple(name.startswith("speed") and rotor.mode == "speed" for name, rotor in rotors)
         params = {"low": low, "high": high, "mix": quadrotor_to_rotors_matrix(robot), "speeds": speeds}
@@ -91,12 +93,6 @@ def quadrotor_to_rotors_matrix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]
     shares = thrusts / most.unsqueeze(1)
     shares = shares / torch.cat((shares[:, :1].abs().amax(0), shares[:, 1:].square().mean(0).sqrt()))
     return _as_rows(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
-
-
-def _is_standard_quadrotor(robot: RobotCfg, order: Sequence[int]) -> bool:
-    """Return whether a robot is a quadrotor with speed commands and the usual spins."""
-    spins = [spin for _, spin in sorted(zip(order, (mount.spin for mount in robot.mounts.layout), strict=True))]
-    return spins == [1, -1, 1, -1] and all(rotor.mode == "speed" for rotor in robot.rotor_types)
 
 
 def _as_rows(matrix: Tensor) -> tuple[tuple[float, ...], ...]:

@@ -20,13 +20,9 @@ class Values(Mapping[str, Tensor]):
     """Tensors by name, with buffers made at their first use; ``print(values.own)`` shows those of the task."""
 
     def __init__(
-        self,
-        gtd: GlobalTensorDictionary,
-        *,
-        sizes: Mapping[str, int],
-        makers: Mapping[str, Callable[..., Tensor]],
+        self, gtd: GlobalTensorDictionary, *, sizes: Mapping[str, int], makers: Mapping[str, Callable[..., Tensor]],
         graph: GradientGraph | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the simulation's dictionary, and the ``graph`` of values with gradients, if any.
 
         ``makers`` declare buffers on demand, by their name, in which whole numbers may stand as ``{rows}``. They are called
@@ -39,17 +35,9 @@ class Values(Mapping[str, Tensor]):
         """Buffers with a row for each environment that makers gave: kernels measure what they hold."""
 
     def declare(
-        self,
-        key: str,
-        shape: tuple[int | str, ...] = (),
-        *,
-        dtype: torch.dtype = torch.float32,
-        unit: str = "-",
-        frame: str = "-",
-        meaning: str,
-        view: Tensor | None = None,
-        rows: bool = True,
-    ) -> Tensor:
+        self, key: str, shape: tuple[int | str, ...] = (), *, dtype: torch.dtype = torch.float32, unit: str = "-",
+        frame: str = "-", meaning: str, view: Tensor | None = None, rows: bool = True,
+    ) -> Tensor:  # fmt: skip
         """Declare a buffer of the task, with a row of ``shape`` for each environment (``rows``); return it."""
         if key in self.gtd:
             raise DuplicateNameError(f"task buffer {key!r}: the GTD has a key of that name. Choose another one")

@@ -178,14 +178,15 @@ def fly_robot(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names:
         env.step(actions)
         acceleration = (gtd["robot_linvel"] - before) / SAMPLE
         before = gtd["robot_linvel"].clone()
-        response = _response(law, gtd, acceleration)
+        response = acceleration if law == "acceleration" else gtd[RESPONSES[law]]
         controlled = response[:, :2] if law == "attitude" else response
         controlled = controlled * torch.tensor(can_turn) if law == "rates" else controlled
         wanted = torch.zeros_like(controlled)
         wanted[[STEP, AT_LIMITS], axis] = STEPS[law]
         errors.append((controlled - wanted).norm(dim=-1))
         responses.append(response[:, axis] / STEPS[law])
-        tilts.append(float(_tilt_angles(gtd["robot_orientation"][DRAWN]).max()))
+        x, y, *_ = gtd["robot_orientation"][DRAWN].unbind(-1)
+        tilts.append(float(torch.acos((1.0 - 2.0 * (x**2 + y**2)).clamp(-1.0, 1.0)).max()))
         margin = NEAR_LIMIT * (high - low)
         speed = gtd["rotor_speed"][AT_LIMITS]
         at_limit.append(bool(((speed < low + margin) | (speed > high - margin)).any()))
@@ -250,15 +251,6 @@ def _rotor_limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
     vehicle = vehicle_from_config(robot, num_envs=1)
     allocation = Allocation(vehicle, GRAVITY)
     return state_for_thrust(vehicle, allocation.low)[0], state_for_thrust(vehicle, allocation.high)[0]
-
-
-def _response(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Tensor:
-    """Return the response to a law's command, (E, 3)."""
-    return acceleration if law == "acceleration" else gtd[RESPONSES[law]]
-
-
-def _tilt_angles(attitude: Tensor) -> Tensor:
-    return torch.acos((1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)).clamp(-1.0, 1.0))
 
 
 def time_to_settle_and_overshoot(response: list[float]) -> tuple[float, float]:

@@ -97,11 +97,6 @@ def flights_with_own_gains(flights: list[ControlFlight]) -> list[ControlFlight]:
     return [f for f in flights if f.controller not in named or target_robot(f.controller) == f.robot]
 
 
-def _json_number(value: str | float) -> str | float | None:
-    """Return a value for JSON: null if it is infinite or NaN."""
-    return value if isinstance(value, str) or isfinite(value) else None
-
-
 def _error_text(error: float) -> str:
     return f"< {NEGLIGIBLE:g}" if error < NEGLIGIBLE else f"{error:.2g}"
 
@@ -315,7 +310,8 @@ class ControlTableCmd:
         text = control_page(flights, refusals, bent)
         if self.json:
             for row in (*flights, *refusals, *bent[0], *bent[1]):
-                print(json.dumps({key: _json_number(value) for key, value in asdict(row).items() if key != "response"}))
+                values = ((key, value) for key, value in asdict(row).items() if key != "response")
+                print(json.dumps({k: v if isinstance(v, str) or isfinite(v) else None for k, v in values}))
         elif self.write is None:
             print(text)
         if self.write is not None:

@@ -217,12 +217,9 @@ def _hover_with_disturbances(allocation: Allocation, robot: RobotCfg) -> BodySta
         return size * (2.0 * torch.rand(rows, 3, generator=generator) - 1.0)
 
     return BodyState(
-        position=random_vectors() + torch.tensor([0.0, 0.0, HEIGHT]),
-        attitude=quat_exp(random_vectors()),
-        lin_vel=random_vectors(),
-        ang_vel=random_vectors(),
-        rotor_speed=allocation.speed_for_wrench(weight),
-    )
+        position=random_vectors() + torch.tensor([0.0, 0.0, HEIGHT]), attitude=quat_exp(random_vectors()),
+        lin_vel=random_vectors(), ang_vel=random_vectors(), rotor_speed=allocation.speed_for_wrench(weight),
+    )  # fmt: skip
 
 
 def cases(seed: int, count: int) -> Iterator[Case]:

@@ -58,15 +58,11 @@ class BenchRacing:
                 complete = round(result.success_rate * runs)
                 interval = binomtest(complete, runs).proportion_ci()  # Clopper and Pearson, 95 %
                 yield {
-                    "level": Path(level).stem,
-                    "runs": runs,
-                    "complete": complete,
-                    "complete_low": float(interval.low),
-                    "complete_high": float(interval.high),
-                    "gates_passed_mean": result.gates_passed_mean,
-                    "crash_rate": result.crash_rate,
+                    "level": Path(level).stem, "runs": runs, "complete": complete,
+                    "complete_low": float(interval.low), "complete_high": float(interval.high),
+                    "gates_passed_mean": result.gates_passed_mean, "crash_rate": result.crash_rate,
                     "lap_time_mean_s": result.success_time_mean_s,
-                }
+                }  # fmt: skip
 
 
 def _line(row: dict[str, float | str | None]) -> str:

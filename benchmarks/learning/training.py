@@ -87,17 +87,12 @@ class BenchTraining:
             success = [row["success_rate"] for row in rows]
             self._print_row(
                 {
-                    "training_s": mark,
-                    "seeds": len(rows),
-                    "final_error_median_m": median(errors),
-                    "final_error_worst_m": max(errors),
-                    "success_rate_median": median(success),
-                    "success_rate_worst": min(success),
-                    "crash_rate_worst": max(row["crash_rate"] for row in rows),
-                    "since_process_start_median_s": median(since),
-                    "since_process_start_worst_s": max(since),
+                    "training_s": mark, "seeds": len(rows), "final_error_median_m": median(errors),
+                    "final_error_worst_m": max(errors), "success_rate_median": median(success),
+                    "success_rate_worst": min(success), "crash_rate_worst": max(row["crash_rate"] for row in rows),
+                    "since_process_start_median_s": median(since), "since_process_start_worst_s": max(since),
                 }
-            )
+            )  # fmt: skip
         return 0
 
     def _run_once(self) -> int:
@@ -162,18 +157,14 @@ class BenchTraining:
             wait()
             self._print_row(
                 {
-                    "steps_per_s": (training.env_steps - first) / (clock() - begun),
-                    "before_training_s": started_s,
-                    "recording_s": max(recording_s - warm * iteration_s, 0.0),
-                    "iteration_s": iteration_s,
-                    "num_envs": cfg.num_envs,
-                    "horizon": cfg.learner.horizon,
-                    "learner": type(training.learner).__name__,
-                    "seed": cfg.seed,
+                    "steps_per_s": (training.env_steps - first) / (clock() - begun), "before_training_s": started_s,
+                    "recording_s": max(recording_s - warm * iteration_s, 0.0), "iteration_s": iteration_s,
+                    "num_envs": cfg.num_envs, "horizon": cfg.learner.horizon,
+                    "learner": type(training.learner).__name__, "seed": cfg.seed,
                     "device": torch.cuda.get_device_name() if cuda else platform.processor() or platform.machine(),
                     "torch": torch.__version__,
                 }
-            )
+            )  # fmt: skip
         return 0
 
     def _settings(self) -> "TrainingCfg":

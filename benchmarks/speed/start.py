@@ -82,9 +82,9 @@ def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dic
         import torch
 
         note("torch")
-        from aerial_gym.interop.devices import resolve_device
+        from aerial_gym.interop.settings import resolve_device
         from aerial_gym.rl_training import TRAINERS, evaluate, load_settings, settings_for
-        from aerial_gym.rl_training.trainers.ppo import PpoTrainer
+        from aerial_gym.rl_training.trainers.learners import PpoTrainer
         from aerial_gym.task import task_registry
     note("imports")
     cfg = load_settings(settings_for("ppo", asked.task, device=asked.device))

@@ -102,7 +102,7 @@ METHODS: dict[str, dict[str, tuple[str, str]]] = {
         "render": ("env.render()", "shows nothing"),
         "close": ("task.close()", "works"),
     },
-    "base_task:BaseTask": {
+    "native_task:BaseTask": {
         "seed": ("make_task(seed=...)", "seeds Python, NumPy and torch, because such tasks draw from them"),
         "close": ("task.close()", ""),
     },

@@ -18,6 +18,7 @@ from aerial_gym.workloads.scene_meshes import SceneMeshes
 from aerial_gym.workloads.scenes import make_scene
 from tests.integration.commands import run
 from tests.physics.vehicles import ON_RIGID
+from tests.refusals import assert_refused
 from tests.repetitions import frequent_values
 
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
@@ -43,8 +44,7 @@ def test_physics_gives_one_object_with_every_key(backend: str, capsys: pytest.Ca
     result = json.loads(line)
     own = {"backend", "substeps", "integrator", "controller", "robot", "effects", "dt_s"}
     assert set(result) == SHARED_KEYS | own | {"steps_per_s", "steps_per_s_min", "steps_per_s_max", "launch_us"}
-    assert result["backend"] == backend
-    assert result["threads"] == 1
+    assert (result["backend"], result["threads"]) == (backend, 1)
     assert set(result["versions"]) == {"torch", "warp", "python", "aerial_gym"}
     assert 0.0 < result["steps_per_s_min"] <= result["steps_per_s"] <= result["steps_per_s_max"]
 
@@ -56,21 +56,14 @@ def test_the_rate_is_that_of_the_launches(capsys: pytest.CaptureFixture[str]) ->
     assert rate_figures("r", [0.5, 0.25, 1.0], 2.0) == {"r": 4.0, "r_min": 2.0, "r_max": 8.0}
 
 
-def test_task_gives_one_object_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--json", *QUICK)
-    assert status == 0
-    result = json.loads(out)
-    rates = {"env_steps_per_s", "env_steps_per_s_min", "env_steps_per_s_max", "step_us"}
-    assert set(result) == SHARED_KEYS | rates | {"task", "captured", "backend"}
-    assert isinstance(result["captured"], bool)
-
-
 def test_task_tells_its_parts_apart(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--parts", "--json", *QUICK)
     assert status == 0
     result = json.loads(out)
     parts = {"physics_us", "collision_us", "reset_us"}
-    assert parts <= set(result)
+    rates = {"env_steps_per_s", "env_steps_per_s_min", "env_steps_per_s_max", "step_us"}
+    assert SHARED_KEYS | rates | parts | {"task", "captured", "backend"} <= set(result)
+    assert isinstance(result["captured"], bool)
     assert "rendering_us" not in result
     assert all(0.0 < result[part] < 10.0 * result["step_us"] for part in parts)
 
@@ -99,8 +92,7 @@ def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -
 def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
     device = () if "--device" in argv else ("--device", "cpu")
     status, out, err = run(capsys, "bench", *argv, *device)
-    assert status == 2
-    assert out == ""
+    assert (status, out) == (2, "")
     assert message in err
     assert "Traceback" not in err
 
@@ -131,18 +123,20 @@ def test_all_effects_together_keep_flying_for_a_stretch() -> None:
 
 
 def test_effects_that_lack_something_are_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match="effect battery_sag: the robot file must give battery"):
-        small_flight(effects=("battery_sag",))
-    with pytest.raises(ConfigError, match="effect ceiling_effect: there is no ceiling"):
-        small_flight(robot="tinyprop", effects=("ceiling_effect",))
+    assert_refused(ConfigError, "effect battery_sag: the robot file must give", small_flight, effects=("battery_sag",))
+    assert_refused(ConfigError, "effect ceiling_effect", small_flight, robot="tinyprop", effects=("ceiling_effect",))
 
 
-def test_a_stretch_begins_where_it_was_put_back() -> None:
+def test_threads_and_a_stretch_are_put_back() -> None:
     flight = small_flight()
     start = [tensor.clone() for tensor in flight.state.tensors()]
     flight.run_batch()
     flight.restore()
     assert all(torch.equal(a, b) for a, b in zip(start, flight.state.tensors(), strict=True))
+    before = torch.get_num_threads()
+    with torch_threads(1) as threads:
+        assert threads == torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before
 
 
 @pytest.mark.parametrize(("name", "value", "message"), [
@@ -156,58 +150,37 @@ def test_a_broken_state_gives_no_figure(name: str, value: float, message: str) -
     state = hover_state()
     check_flying(state)
     getattr(state, name)[1] = value
-    with pytest.raises(WorkloadError, match=message):
-        check_flying(state)
+    assert_refused(WorkloadError, message, check_flying, state)
 
 
-def test_a_state_that_stays_gives_no_figure() -> None:
+def test_a_workload_that_stays_or_breaks_gives_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     before, after = hover_state(), hover_state()
     after.position[:2, 2] = 1.0
-    with pytest.raises(WorkloadError, match="1 of 3 environments did not move"):
-        check_moved(before, after)
+    assert_refused(WorkloadError, "1 of 3 environments did not move", check_moved, before, after)
     check_moved(before, replace(after, position=after.position + 1.0))
-
-
-def test_a_workload_that_breaks_while_timed_gives_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = small_flight()
     monkeypatch.setattr(flight, "run_batch", lambda: flight.state.position.fill_(float("nan")))
-    with pytest.raises(WorkloadError, match="position is not finite in 8 environments"):
-        time_launches(flight, repeats=1, repeat_time_s=0.001)
+    assert_refused(WorkloadError, "position is not finite in 8", time_launches, flight, repeats=1, repeat_time_s=0.001)
+    check_step(torch.zeros(2, 13), torch.zeros(2))
+    assert_refused(WorkloadError, "rewards", check_step, torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
+    assert_refused(WorkloadError, "observations", check_step, torch.full((2, 13), float("inf")), torch.zeros(2))
+    check_crashes(0.01)
+    for share in (0.05, 1.0, float("nan")):
+        assert_refused(WorkloadError, "of the steps ended in a crash", check_crashes, share)
 
 
 def test_a_failed_check_ends_with_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("aerial_gym.workloads.flight.MAX_SPEED", 1e-6)
     status, out, err = run(capsys, "bench", "physics", "--num-envs", "8", "--json", *QUICK)
-    assert status == 1
-    assert out == ""
+    assert (status, out) == (1, "")
     assert "speed reached" in err
-
-
-def test_episodes_that_break_give_no_figure() -> None:
-    check_step(torch.zeros(2, 13), torch.zeros(2))
-    with pytest.raises(WorkloadError, match="rewards are not finite"):
-        check_step(torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
-    with pytest.raises(WorkloadError, match="observations are not finite"):
-        check_step(torch.full((2, 13), float("inf")), torch.zeros(2))
-    check_crashes(0.01)
-    for share in (0.05, 1.0, float("nan")):
-        with pytest.raises(WorkloadError, match="of the steps ended in a crash"):
-            check_crashes(share)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 @pytest.mark.parametrize("options", [("physics", "--backend", "warp"), ("physics", "--backend", "torch"), ("task",)])
 def test_a_gpu_is_measured_too(options: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "bench", *options, *QUICK, "--num-envs", "64", "--device", "cuda", "--json")
-    assert status == 0
-    assert json.loads(out)["device"] == torch.cuda.get_device_name(0)
-
-
-def test_the_number_of_threads_is_put_back() -> None:
-    before = torch.get_num_threads()
-    with torch_threads(1) as threads:
-        assert threads == torch.get_num_threads() == 1
-    assert torch.get_num_threads() == before
+    assert (status, json.loads(out)["device"]) == (0, torch.cuda.get_device_name(0))
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,7 @@ def test_memory_is_counted_once_however_many_views_there_are() -> None:
     wide, own = torch.zeros(10, 10), wp.zeros(40, dtype=float, device="cpu")
     held = {"a": wide, "part": wide[2:, 1:], "as_warp": wp.from_torch(wide[:, 3:6], dtype=wp.vec3), "again": [own, own]}
     assert array_bytes(held, CPU) == {"a": 400, "again.0": 160}
-    assert sum(array_bytes(lambda: held, CPU).values()) == 560
-    assert array_bytes(held, torch.device("cuda")) == {}
+    assert (sum(array_bytes(lambda: held, CPU).values()), array_bytes(held, torch.device("cuda"))) == (560, {})
 
 
 def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,8 +29,7 @@ def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys:
     assert total["arrays_bytes"] == pytest.approx(8 * (total["images_bytes_per_env"] + total["others_bytes_per_env"]))
     assert total["device_bytes"] is None
     sizes = {row["name"]: row["bytes_per_env"] for row in arrays}
-    assert len(sizes) == 4
-    assert sizes["gtd.depth_range_pixels"] == 240 * 135 * 4
+    assert (len(sizes), sizes["gtd.depth_range_pixels"]) == (4, 240 * 135 * 4)
     argv = ("memory", "--num-envs", "8", "--device", "cpu", "--json", "--largest", "99")
     _, *arrays = map(json.loads, run(capsys, *argv)[1].splitlines())
     sizes = {row["name"]: row["bytes_per_env"] for row in arrays}

@@ -19,6 +19,7 @@ from aerial_gym.workloads.renderers import runs
 from aerial_gym.workloads.renderers.runs import RENDER_PEERS, mismatch_share, run_peer, scene_arrays
 from aerial_gym.workloads.scenes import RenderScene, make_scene
 from tests.integration.commands import run_bench as run
+from tests.refusals import assert_refused
 
 CPU = torch.device("cpu")
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.01", "--width", "32", "--height", "24")
@@ -31,9 +32,7 @@ def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) 
     status, out, err = run(capsys, "render", *QUICK, *argv)
     assert status == 0, err
     actual, *rest = map(json.loads, out.splitlines())
-    assert actual["name"] == "aerial_gym"
-    assert actual["threads"] == 1
-    assert tuple(row["name"] for row in rest) == names
+    assert (actual["name"], actual["threads"], tuple(row["name"] for row in rest)) == ("aerial_gym", 1, names)
     for row in rest:
         assert row["ratio"] == pytest.approx(actual["frames_per_s"] / row["frames_per_s"])
         assert row["image_s"] == pytest.approx(2 / row["frames_per_s"])
@@ -53,8 +52,7 @@ def test_mujoco_sees_the_same_depths_and_ids(scene: str, capsys: pytest.CaptureF
 def test_what_cannot_be_measured_is_skipped_with_the_way_out(capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("--scene", "boxes", "--num-envs", "2", "--json", "--against", "all", "--peer-python", "/bin/false")
     status, out, err = run(capsys, "render", *QUICK, *argv)
-    assert status == 0
-    assert [json.loads(line)["name"] for line in out.splitlines()] == ["aerial_gym", "merged"]
+    assert (status, [json.loads(line)["name"] for line in out.splitlines()]) == (0, ["aerial_gym", "merged"])
     assert "shared_mesh is skipped: the environments of this scene differ. Use --scene boxes_aligned." in err
     assert "newton is skipped: /bin/false does not have it." in err
     assert "VENV/bin/pip install newton, then --peer-python newton=VENV/bin/python" in err
@@ -75,14 +73,11 @@ def test_wrong_requests_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert status == 2
     assert "--threads 2 with --against: others draw with one thread. Use --threads 1" in err
     chosen = partial(interpreters, peers=RENDER_PEERS, default="python", flag="--peer-python")
-    with pytest.raises(ConfigError, match="must be PYTHON or NAME=PYTHON"):
-        chosen(("newton=",))
-    with pytest.raises(UnknownNameError, match="no render peer 'newtn'. Did you mean 'newton'"):
-        chosen(("newtn=python",))
+    assert_refused(ConfigError, "must be PYTHON or NAME=PYTHON", chosen, ("newton=",))
+    assert_refused(UnknownNameError, "no render peer 'newtn'. Did you mean 'newton'", chosen, ("newtn=python",))
     assert renderer_names(("all",)) == ["merged", "shared_mesh", *RENDER_PEERS]
     result = chosen(("venv/bin/python", "newton=python3"))
-    assert result["newton"] == "python3"
-    assert result["mujoco"] == str(Path.cwd() / "venv/bin/python")
+    assert (result["newton"], result["mujoco"]) == ("python3", str(Path.cwd() / "venv/bin/python"))
 
 
 def test_other_images_give_no_figure() -> None:
@@ -98,16 +93,14 @@ def test_other_images_give_no_figure() -> None:
     with pytest.raises(WorkloadError, match=r"peer shows something else in 0.30% of the pixels"):
         mismatch_share("peer", depth, other, identity=ids, other_identity=seen)
     other[3] = float("nan")
-    with pytest.raises(WorkloadError, match=r"peer shows something else in 0.30% of the pixels"):
-        mismatch_share("peer", depth, other)
+    assert_refused(WorkloadError, r"peer shows something else in 0.30%", mismatch_share, "peer", depth, other)
 
 
 def test_a_run_with_other_images_ends_with_status_1(monkeypatch, capsys) -> None:
     monkeypatch.setattr(runs, "_is_floor", lambda *_: True)  # every box becomes a rectangle
     argv = ("--scene", "boxes", "--num-envs", "2", "--json", "--against", "mujoco")
     status, out, err = run(capsys, "render", *QUICK, *argv)
-    assert status == 1
-    assert len(out.splitlines()) == 1
+    assert (status, len(out.splitlines())) == (1, 1)
     assert "mujoco shows something else in" in err
 
 
@@ -130,14 +123,11 @@ def test_only_a_level_box_below_every_camera_is_a_floor() -> None:
         changed = RenderScene(shapes=shapes, state=state, max_range=50.0, **places)
         result = scene_arrays(changed, direction, vfov_deg=87.0, segmentation=False)
         height = 0.0 if result["kind"][20] == "floor" else -0.1
-        assert result["position"][:, 20, 2] == pytest.approx(height)
-        assert set(result["kind"][:20]) == {"box"}
+        assert (result["position"][:, 20, 2], set(result["kind"][:20])) == (pytest.approx(height), {"box"})
         return result["kind"][20]
 
-    assert kinds((0.0, 0.0, 0.5)) == "floor"
-    assert kinds((0.0, 0.0, -0.05)) == "box"
-    assert kinds((0.0, 21.0, 1.0)) == "box"
-    assert kinds((0.0, 0.0, 1.0), turn=0.01) == "box"
+    assert (kinds((0.0, 0.0, 0.5)), kinds((0.0, 0.0, -0.05))) == ("floor", "box")
+    assert (kinds((0.0, 21.0, 1.0)), kinds((0.0, 0.0, 1.0), turn=0.01)) == ("box", "box")
 
 
 def test_what_runs_in_the_interpreter_of_a_peer_imports_nothing_of_ours() -> None:

@@ -52,13 +52,17 @@ def test_one_that_cannot_hover_ends_with_status_1(capsys: pytest.CaptureFixture[
     assert "problem: to hover, rotor 1 must give 22.1 N" in " ".join(capsys.readouterr().out.split())
 
 
-def test_one_that_cannot_be_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wrong_files_and_requests_end_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "impossible.yaml"
     path.write_text(dump_yaml(ROBOTS.get("lmf1")).replace("0.013804", "0.1"), encoding="utf-8")
     assert main(["robot", "check", str(path)]) == 2
     assert "check digits and units" in capsys.readouterr().err
     assert main(["robot", "check", "lmf1", "x500", "--picture", "both.png"]) == 2
     assert "--picture takes one robot" in capsys.readouterr().err
+    path = tmp_path / "page.xml"
+    path.write_text("<html/>", encoding="utf-8")
+    assert main(["robot", "import", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+    assert "must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)" in capsys.readouterr().err
 
 
 def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(capsys, tmp_path) -> None:
@@ -71,13 +75,6 @@ def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(capsys, tmp_path) 
     report = json.loads(capsys.readouterr().out)
     assert report["summary"] == "mine"
     assert report["thrust_to_weight"] == pytest.approx(4.0 * 8.54858 / (2.0643076923 * 9.81))
-
-
-def test_a_file_that_is_no_vehicle_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "page.xml"
-    path.write_text("<html/>", encoding="utf-8")
-    assert main(["robot", "import", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
-    assert "must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)" in capsys.readouterr().err
 
 
 def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid(capsys: pytest.CaptureFixture[str]) -> None:

@@ -157,17 +157,7 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
     compile_for_gpu(make_pool(lanes=lanes, rows=rows).module)
 
 
-MODULES = (
-    secondary_states,
-    initial_state,
-    imu,
-    draws,
-    sensor_poses,
-    placement,
-    practice,
-    track,
-    obstacle_motion,
-)
+MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, practice, track, obstacle_motion)
 MODULES += (clearance, sensor_view, flow)
 
 

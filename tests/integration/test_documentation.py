@@ -135,16 +135,13 @@ def test_every_block_names_its_language(page: Path) -> None:
     assert all(block.language for block in page_blocks(page))
 
 
-def test_names_of_the_glossary_are_in_the_code() -> None:
+def test_names_and_pages_that_pages_and_code_name_exist() -> None:
     files = (path for path in (ROOT / "aerial_gym").rglob("*.*") if path.suffix in (".py", ".yaml"))
     words = set(re.findall(r"\w+", " ".join(path.read_text(encoding="utf-8") for path in files)))
     definitions = re.findall(r"Code:(.*?)(?:\n\n|\Z)", (DOCS / "glossary.md").read_text(encoding="utf-8"), re.DOTALL)
     names = {name for text in definitions for name in re.findall(r"`([^`]+)`", text)}
     parts = {name: re.findall(r"\w+", name) for name in names - COMMANDS}
     assert not [name for name, pieces in parts.items() if not words.issuperset(pieces)]
-
-
-def test_pages_that_the_code_names_exist() -> None:
     files = [path for folder in ("aerial_gym", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.*")]
     texts = (path.read_text(encoding="utf-8") for path in files if path.suffix in (".py", ".yaml"))
     named = {page for text in texts for page in re.findall(r"\bdocs/[\w/]+\.md", text)}

@@ -56,12 +56,10 @@ class DemoCmd:
             loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
         )
         page = environment.get_template("demo.html.j2").render(
-            seen=seen,
-            learned=learned,
-            measured=measured,
+            seen=seen, learned=learned, measured=measured,
             machine=f"{platform.platform()}, Python {platform.python_version()}, torch {metadata.version('torch')}",
             time_s=time.perf_counter() - started,
-        )
+        )  # fmt: skip
         (self.out / "index.html").write_text(page, encoding="utf-8", errors="surrogateescape")
         announce("done")
         print(self.out / "index.html")

@@ -97,22 +97,15 @@ TABLE = ConfigTable(
 """Translation of the attributes of an asset class."""
 
 _BOX = AssetCfg(
-    name="asset",
-    shapes=(ShapeCfg(kind="box", size=(0.4, 0.4, 0.4)),),
-    count=1,
-    position_ratio_low=(0.5, 0.5, 0.5),
+    name="asset", shapes=(ShapeCfg(kind="box", size=(0.4, 0.4, 0.4)),), count=1, position_ratio_low=(0.5, 0.5, 0.5),
     position_ratio_high=(0.5, 0.5, 0.5),
-)
+)  # fmt: skip
 
 _THIN = AssetCfg(
-    name="thin",
-    family=FamilyCfg(name="thin_rods", variants=100),
-    count=10,
-    position_ratio_low=(0.3, 0.05, 0.05),
-    position_ratio_high=(0.85, 0.95, 0.95),
-    euler_low=(-3.1415927, -3.1415927, -3.1415927),
+    name="thin", family=FamilyCfg(name="thin_rods", variants=100), count=10, position_ratio_low=(0.3, 0.05, 0.05),
+    position_ratio_high=(0.85, 0.95, 0.95), euler_low=(-3.1415927, -3.1415927, -3.1415927),
     euler_high=(3.1415927, 3.1415927, 3.1415927),
-)
+)  # fmt: skip
 
 _made: list[tuple[AssetCfg, type]] = []
 

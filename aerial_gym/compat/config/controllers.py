@@ -25,11 +25,9 @@ class GainRanges:
 
 
 _GAINS = {
-    "position": ("K_pos_tensor", (0.5, 0.5, 0.5)),
-    "velocity": ("K_vel_tensor", (0.5, 0.5, 0.5)),
-    "attitude": ("K_rot_tensor", (0.2, 0.2, 0.1)),
-    "rate": ("K_angvel_tensor", (0.05, 0.05, 0.05)),
-}
+    "position": ("K_pos_tensor", (0.5, 0.5, 0.5)), "velocity": ("K_vel_tensor", (0.5, 0.5, 0.5)),
+    "attitude": ("K_rot_tensor", (0.2, 0.2, 0.1)), "rate": ("K_angvel_tensor", (0.05, 0.05, 0.05)),
+}  # fmt: skip
 """Name there, and half width of the range around ``AERIAL_GYM_GAINS``. Source: Aerial Gym Simulator 2.0.1,
 lee_controller_config."""
 
@@ -87,14 +85,11 @@ class _Law:
 LAWS: dict[str, type[_Law]] = {
     cls: type(cls, (_Law,), {"name": name, "__doc__": f"The law of ``{name}``."})
     for cls, name in (
-        ("NoControl", "no_control"),
-        ("LeePositionController", "lee_position_control"),
-        ("LeeVelocityController", "lee_velocity_control"),
-        ("LeeAttitudeController", "lee_attitude_control"),
-        ("LeeRatesController", "lee_rates_control"),
-        ("LeeAccelerationController", "lee_acceleration_control"),
+        ("NoControl", "no_control"), ("LeePositionController", "lee_position_control"),
+        ("LeeVelocityController", "lee_velocity_control"), ("LeeAttitudeController", "lee_attitude_control"),
+        ("LeeRatesController", "lee_rates_control"), ("LeeAccelerationController", "lee_acceleration_control"),
     )
-}
+}  # fmt: skip
 """Controller classes of that simulator that have the same law here, by class name."""
 
 
@@ -112,11 +107,9 @@ def translate_controller(law: Any, config: Any) -> ControllerCfg:
         name: tuple(0.5 * (a + b) for a, b in zip(*ends, strict=True)) for name, ends in ranges.gains.items()
     }
     gains = LeeGainsCfg(
-        **middle,
-        max_yaw_rate=ranges.max_yaw_rate,
-        max_inclination=ranges.max_inclination,
+        **middle, max_yaw_rate=ranges.max_yaw_rate, max_inclination=ranges.max_inclination,
         source=f"class {config.__name__}",
-    )
+    )  # fmt: skip
     return replace(native, gains=gains, if_unstable="warn")  # as it flies there
 
 

@@ -91,11 +91,9 @@ EmptyEnvCfg = TABLE.make_class("EmptyEnvCfg", ENVIRONMENTS.get("empty_env"))
 CLASSES: dict[str, type] = {"empty_env": EmptyEnvCfg} | {
     env: TABLE.make_class(name, ENVIRONMENTS.get(env))
     for name, env in (
-        ("EnvCfg2Ms", "empty_env_2ms"),
-        ("EnvWithObstaclesCfg", "env_with_obstacles"),
-        ("EnvWithLidarNavObstaclesCfg", "env_with_lidar_nav_obstacles"),
-        ("ForestEnvCfg", "forest_env"),
+        ("EnvCfg2Ms", "empty_env_2ms"), ("EnvWithObstaclesCfg", "env_with_obstacles"),
+        ("EnvWithLidarNavObstaclesCfg", "env_with_lidar_nav_obstacles"), ("ForestEnvCfg", "forest_env"),
         ("DynamicEnvironmentCfg", "dynamic_env"),
     )
-}
+}  # fmt: skip
 """Classes by the names under which that simulator registers them."""

@@ -41,12 +41,9 @@ class ConfigField:
 
 
 def native_field(
-    script_name: str,
-    native: str,
-    read: Callable[[Any], object],
-    write: Callable[[Values], Changes] | None = None,
+    script_name: str, native: str, read: Callable[[Any], object], write: Callable[[Values], Changes] | None = None,
     remark: str = "",
-) -> ConfigField:
+) -> ConfigField:  # fmt: skip
     """Return a field with the same meaning in both; ``write`` converts the value if it differs."""
     write = write or (lambda v: {native: v[script_name]})
     return ConfigField(script_name=script_name, native=native, remark=remark, read=read, write=write)

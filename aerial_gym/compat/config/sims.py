@@ -21,10 +21,7 @@ TABLE = ConfigTable(
     fields=(
         native_field("sim.dt", "dt", lambda cfg: cfg.dt),
         native_field(
-            "sim.gravity",
-            "gravity",
-            lambda cfg: [0.0, 0.0, -cfg.gravity],
-            _gravity_changes,
+            "sim.gravity", "gravity", lambda cfg: [0.0, 0.0, -cfg.gravity], _gravity_changes,
             "here the amount, downwards",
         ),
         unchangeable_field(
@@ -37,7 +34,7 @@ TABLE = ConfigTable(
         "sim.physx": "there is no PhysX: contacts are `contact:` of an environment file",
         "viewer": "there is no viewer window",
     },
-)
+)  # fmt: skip
 """Translation of the attributes of a sim class."""
 
 
@@ -57,9 +54,7 @@ SimCfg2Ms = TABLE.make_class("SimCfg2Ms", SIMS.get("base_sim_2ms"), parent=BaseS
 SimCfg4Ms = TABLE.make_class("SimCfg4Ms", SIMS.get("base_sim_4ms"), parent=BaseSimConfig)
 
 CLASSES: dict[str, type] = {
-    "base_sim": BaseSimConfig,
-    "base_sim_headless": BaseSimHeadlessConfig,
-    "base_sim_2ms": SimCfg2Ms,
+    "base_sim": BaseSimConfig, "base_sim_headless": BaseSimHeadlessConfig, "base_sim_2ms": SimCfg2Ms,
     "base_sim_4ms": SimCfg4Ms,
-}
+}  # fmt: skip
 """Classes by the names under which that simulator registers them."""

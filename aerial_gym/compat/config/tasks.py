@@ -79,14 +79,10 @@ def _target_changes(values: Values) -> Changes:
 
 
 _CURRICULUM = (
-    ("min_level", "min_level"),
-    ("max_level", "max_level"),
-    ("check_after", "check_after_log_instances"),
-    ("raise_by", "increase_step"),
-    ("lower_by", "decrease_step"),
-    ("raise_above", "success_rate_for_increase"),
+    ("min_level", "min_level"), ("max_level", "max_level"), ("check_after", "check_after_log_instances"),
+    ("raise_by", "increase_step"), ("lower_by", "decrease_step"), ("raise_above", "success_rate_for_increase"),
     ("lower_below", "success_rate_for_decrease"),
-)
+)  # fmt: skip
 assert {name for name, _ in _CURRICULUM} | {"start_level"} == set(CurriculumCfg.__dataclass_fields__)
 
 TABLE = ConfigTable(

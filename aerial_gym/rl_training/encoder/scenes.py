@@ -24,11 +24,9 @@ from aerial_gym.sensors.encoder.file import normalize_image
 SIDE_BY_SIDE = 512  # Environments that are rendered at once
 
 POSES = InitialStateCfg(
-    position_ratio_low=(0.03, 0.05, 0.05),
-    position_ratio_high=(0.97, 0.95, 0.95),
-    euler_low=(-0.35, -0.35, -pi),
+    position_ratio_low=(0.03, 0.05, 0.05), position_ratio_high=(0.97, 0.95, 0.95), euler_low=(-0.35, -0.35, -pi),
     euler_high=(0.35, 0.35, pi),
-)
+)  # fmt: skip
 """Anywhere in the bounds, any heading, tilted by up to 20 degrees; the environment keeps its clearance about it."""
 
 ProgressReport = Callable[[str, float], None]  # Receives a description of the work and the share that is done
@@ -114,11 +112,6 @@ def _build_simulation(
     cfg: EncoderTrainingCfg, env: str, *, num_envs: int, seed: int, device: torch.device | str
 ) -> EnvManager:
     return SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name=env,
-        robot_name=replace(robot_by_name(cfg.robot), initial_state=POSES),
-        controller_name="lee_velocity_control",
-        num_envs=num_envs,
-        device=device,
-        seed=seed,
-    )
+        sim_name="base_sim", env_name=env, robot_name=replace(robot_by_name(cfg.robot), initial_state=POSES),
+        controller_name="lee_velocity_control", num_envs=num_envs, device=device, seed=seed,
+    )  # fmt: skip

@@ -82,7 +82,8 @@ class EncoderFit:
         parts = order.to(device).split(cfg.batch)
         total = torch.zeros((), device=device)
         for number, rows in enumerate(parts):
-            self._set_learning_rate((self.epochs + number / len(parts)) / cfg.epochs)
+            share = (self.epochs + number / len(parts)) / cfg.epochs
+            self.optimizer.param_groups[0]["lr"] = cfg.learning_rate * (1.0 - (1.0 - END_SHARE) * share)
             seen, target = self._images.seen[rows], self._images.target[rows]
             mean, log_variance = self.network.encode(seen)
             drawn = torch.randn(mean.shape, generator=noise, device=device)
@@ -95,10 +96,6 @@ class EncoderFit:
             total += loss.detach() * len(rows)
         self.epochs += 1
         return float(total) / len(self._images)
-
-    def _set_learning_rate(self, share: float) -> None:
-        for group in self.optimizer.param_groups:
-            group["lr"] = self._cfg.learning_rate * (1.0 - (1.0 - END_SHARE) * share)
 
 
 SAVE_EVERY_S = 5.0  # Time between checkpoints [s]

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 from aerial_gym.errors import CapabilityError
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import ApgCfg
-from aerial_gym.rl_training.learning.adam import FlatAdam
 from aerial_gym.rl_training.learning.learner import (
+    FlatAdam,
     Learner,
     bound_excess,
     clamp_action,
@@ -32,7 +32,7 @@ from aerial_gym.rl_training.learning.learner import (
     last_observations,
 )
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
-from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.policies.policy import Gaussian
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
@@ -145,14 +145,10 @@ class Apg(Learner):
         return Window(
             observation={key: torch.stack([each[key] for each in observed]) for key in keys},
             final={key: torch.stack([each[key] for each in finals]) for key in keys},
-            last={key: value.detach() for key, value in seen.items()},
-            mean=mean,
-            reward=self._apg.reward_scale * reward,
-            terminated=terminated,
-            ended=ended,
-            episode_return=total,
+            last={key: value.detach() for key, value in seen.items()}, mean=mean,
+            reward=self._apg.reward_scale * reward, terminated=terminated, ended=ended, episode_return=total,
             episode_length=length,
-        )
+        )  # fmt: skip
 
     def _policy_loss(self, window: Window) -> tuple[Tensor, Tensor]:
         """Return the negative return of a window per step, and the values (T, E) of the last observations."""
@@ -176,14 +172,9 @@ class Apg(Learner):
         apg, network, shown = self._apg, self.network, window.observation
         value = self._target_critic_values(shown)
         advantage = generalized_advantages(
-            window.reward.detach(),
-            value,
-            next_value,
-            window.terminated,
-            window.ended,
-            discount=apg.discount,
+            window.reward.detach(), value, next_value, window.terminated, window.ended, discount=apg.discount,
             decay=apg.gae_lambda,
-        )
+        )  # fmt: skip
         worth = (advantage + value).flatten()
         if apg.normalize_value:
             network.scale.update(worth)

@@ -19,8 +19,7 @@ from torch import Tensor
 
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import DistillCfg
-from aerial_gym.rl_training.learning.adam import FlatAdam, low_precision
-from aerial_gym.rl_training.learning.learner import Learner
+from aerial_gym.rl_training.learning.learner import FlatAdam, Learner, low_precision
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg

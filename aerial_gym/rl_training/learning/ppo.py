@@ -19,10 +19,16 @@ from torch import Tensor
 
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import PpoCfg
-from aerial_gym.rl_training.learning.adam import FlatAdam, low_precision
-from aerial_gym.rl_training.learning.learner import Learner, bound_excess, generalized_advantages, last_observations
+from aerial_gym.rl_training.learning.learner import (
+    FlatAdam,
+    Learner,
+    bound_excess,
+    generalized_advantages,
+    last_observations,
+    low_precision,
+)
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
-from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.policies.policy import Gaussian
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
@@ -117,7 +123,8 @@ class Ppo(Learner):
         with torch.no_grad():
             flown = self._simulate_segment()
             samples = self._segment_samples(flown)
-            old_log_std, highest = self.network.actor.log_std.clone(), self._highest_rate()
+            old_log_std = self.network.actor.log_std.clone()
+            highest = self._linear_schedule(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
         for _ in range(self._ppo.num_epochs):
             self._run_epoch(samples, old_log_std, highest)
         self.network.update_normalizers({key: value[:-1] for key, value in flown.observation.items()}, self.ranks)
@@ -141,17 +148,10 @@ class Ppo(Learner):
         action, mean, reward, terminated, total, length = (torch.stack(column) for column in zip(*steps, strict=True))
         flown = RolloutSegment(
             observation={key: torch.stack([each[key] for each in seen]) for key in keys},
-            final={key: torch.stack([each[key] for each in finals]) for key in finals[0]},
-            begins=torch.stack(begins),
-            memory=memory,
-            acting=acting,
-            action=action,
-            mean=mean,
-            reward=reward,
-            terminated=terminated,
-            episode_return=total,
-            episode_length=length,
-        )
+            final={key: torch.stack([each[key] for each in finals]) for key in finals[0]}, begins=torch.stack(begins),
+            memory=memory, acting=acting, action=action, mean=mean, reward=reward, terminated=terminated,
+            episode_return=total, episode_length=length,
+        )  # fmt: skip
         for key, value in self._observation.items():
             value.copy_(seen[-1][key])
         self._begins.copy_(begins[-1])
@@ -173,14 +173,9 @@ class Ppo(Learner):
         before = {key: value[:-1] for key, value in prepared.items()}
         values, final, remembered = self._segment_values(prepared, before | network.network_inputs(flown.final), flown)
         advantage = generalized_advantages(
-            ppo.reward_scale * flown.reward,
-            values[:-1],
-            torch.where(ended, final, values[1:]),
-            flown.terminated,
-            ended,
-            discount=ppo.discount,
-            decay=ppo.gae_lambda,
-        )
+            ppo.reward_scale * flown.reward, values[:-1], torch.where(ended, final, values[1:]), flown.terminated,
+            ended, discount=ppo.discount, decay=ppo.gae_lambda,
+        )  # fmt: skip
         value = values[:-1]
         if ppo.normalize_value:
             network.scale.update((advantage + value).flatten(), self.ranks)
@@ -191,15 +186,12 @@ class Ppo(Learner):
             memory=flown.memory,
             prepared=before,
             in_time={
-                "begins": flown.begins[:-1],
-                "action": flown.action,
-                "mean": flown.mean,
+                "begins": flown.begins[:-1], "action": flown.action, "mean": flown.mean,
                 "log_prob": Gaussian(flown.mean, network.actor.log_std).log_prob(flown.action),
-                "advantage": (advantage - mean) / (var.sqrt() + TINY),
-                "value": network.scale(value),
+                "advantage": (advantage - mean) / (var.sqrt() + TINY), "value": network.scale(value),
                 "target": network.scale(advantage + value),
             },
-        )
+        )  # fmt: skip
 
     def _segment_values(
         self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: RolloutSegment
@@ -207,10 +199,6 @@ class Ppo(Learner):
         """Return values of observations (T + 1, E) and of final ones (T, E), and the critic's memory after each."""
         values, remembered = self.network.values(prepared, flown.memory, flown.begins)
         return values, self.network.next_values(final, remembered[:-1]), remembered
-
-    def _highest_rate(self) -> Tensor:
-        """Return the largest learning rate at this share of the training."""
-        return self._linear_schedule(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
 
     def _run_epoch(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
         """Run one epoch over all samples, in random order of environments, and adapt the learning rate."""

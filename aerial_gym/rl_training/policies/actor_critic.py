@@ -10,10 +10,8 @@ from functools import cache
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
-from aerial_gym.rl_training.policies.distribution import Gaussian
-from aerial_gym.rl_training.policies.normalizer import OUTLIER, RunningNormalizer
-from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.policies.body import OUTLIER, NetworkBody, NetworkBodyCfg, RunningNormalizer
+from aerial_gym.rl_training.policies.policy import Gaussian, Policy
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 
 

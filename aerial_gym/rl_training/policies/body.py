@@ -1,4 +1,4 @@
-"""Body of all networks: one encoder per observation key, dense layers, and a memory on request.
+"""Body of all networks: a normaliser and an encoder per observation key, dense layers, and a memory on request.
 
 Letters: T steps, E environments, O entries of a vector, C x H x W an image, F features, M numbers of memory.
 """
@@ -6,15 +6,82 @@ Letters: T steps, E environments, O entries of a vector, C x H x W an image, F f
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from math import prod
+from math import inf, isfinite, prod
 
 import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.recurrent import unroll_memory
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.sensors.encoder.file import ACTIVATIONS, convolutions
+
+EPSILON = 1e-5  # Added to the variance, as rl-games and Sample Factory do (`RunningMeanStd`, `RunningMeanStdInPlace`)
+LIMIT = 5.0  # Normalised numbers are clamped to this, as both libraries do
+
+OUTLIER = 100.0
+"""Standard deviations beyond which a return is taken for a fault. Where returns really grow so far at once, the spread follows
+them within a few updates."""
+
+
+class RunningNormalizer(nn.Module):
+    """``clamp((x - mean) / sqrt(var + epsilon), +-limit)`` with the mean and variance of all samples so far."""
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+    std: Tensor
+
+    def __init__(self, shape: tuple[int, ...] = (), *, limit: float = LIMIT, outlier: float = inf) -> None:
+        """Take the shape of a sample; before the first update nothing is changed but clamped.
+
+        Samples are clipped to ``outlier`` standard deviations from the running mean before they count. Statistics never
+        decay, so that one impossible reward would otherwise spoil all later values.
+        """
+        super().__init__()
+        self.limit, self.outlier = limit, outlier
+        self.register_buffer("mean", torch.zeros(shape))
+        self.register_buffer("var", torch.ones(shape))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("std", torch.ones(shape), persistent=False)
+        self.register_load_state_dict_post_hook(lambda module, _: module._update_std())
+
+    def forward(self, samples: Tensor) -> Tensor:
+        """Return samples (..., O) normalised and clamped."""
+        return ((samples - self.mean) / self.std).clamp(-self.limit, self.limit)
+
+    def inverse(self, normal: Tensor) -> Tensor:
+        """Return ``x std + mean``, the inverse of ``forward`` within its limit."""
+        return normal * self.std + self.mean
+
+    @torch.no_grad()
+    def update(self, samples: Tensor, ranks: Ranks = ALONE) -> None:
+        """Update mean and variance by samples, (N, O), of all processes, without waiting.
+
+        Source:
+            Chan, Golub, LeVeque (1979), Updating formulae and a pairwise algorithm for computing sample variances, eq. 2.1.
+        """
+        if isfinite(self.outlier):
+            reach = torch.where(self.count > 0.0, self.outlier * self.std, inf)
+            samples = samples.clamp(self.mean - reach, self.mean + reach)
+        (var, mean), number = ranks.var_mean(samples), samples.shape[0] * ranks.size
+        total = self.count + number
+        share = (number / total).to(mean.dtype)
+        delta = mean - self.mean
+        self.var.copy_((1.0 - share) * self.var + share * var + share * (1.0 - share) * delta * delta)
+        self.mean.add_(share * delta)
+        self.count.copy_(total)
+        self._update_std()
+
+    def set_statistics(self, mean: Tensor, var: Tensor) -> None:
+        """Take the mean and variance that another library counted."""
+        self.mean.copy_(mean)
+        self.var.copy_(var)
+        self._update_std()
+
+    def _update_std(self) -> None:
+        self.std.copy_((self.var + EPSILON).sqrt())
+
 
 IMAGE_CHANNELS = (16, 32, 64, 64)  # Channels of the image convolutions, each with stride 2
 IMAGE_FEATURES = 128  # Number of features of an image

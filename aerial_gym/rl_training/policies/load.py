@@ -15,8 +15,7 @@ from aerial_gym.config.storage import read_archive
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
-from aerial_gym.rl_training.policies.body import NetworkBodyCfg
-from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of_checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -100,12 +99,9 @@ def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> Network
     """Return the settings of a policy's body for observations of these shapes."""
     learner = cfg.learner
     return NetworkBodyCfg(
-        shapes=shapes,
-        hidden_layers=learner.hidden_layers,
-        activation=learner.activation,
-        memory=learner.memory,
+        shapes=shapes, hidden_layers=learner.hidden_layers, activation=learner.activation, memory=learner.memory,
         normalize=learner.normalize_observation,
-    )
+    )  # fmt: skip
 
 
 def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:

@@ -1,10 +1,11 @@
-"""Interface and implementation of policies: observations to actions, with a memory that is reset by mask.
+"""Policies: observations to actions, with a memory that is reset by mask, and the normal distribution of actions.
 
 Letters: E environments, U entries of an action, F features, M numbers of memory.
 """
 
 from collections.abc import Mapping
-from math import log
+from dataclasses import dataclass
+from math import log, pi
 from typing import Protocol
 
 import torch
@@ -76,3 +77,30 @@ class Policy(nn.Module):
             self._memory = None
         else:
             self._memory = self._memory.masked_fill(mask.unsqueeze(-1), 0.0)
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """``N(mean, exp(log_std)²)`` of every entry."""
+
+    mean: Tensor  # (..., U)
+    log_std: Tensor  # (U,)
+
+    def sample(self, noise: Tensor) -> Tensor:
+        """Return actions (..., U) made of standard normal noise."""
+        return torch.addcmul(self.mean, noise, self.log_std.exp())
+
+    def log_prob(self, action: Tensor) -> Tensor:
+        """Return the log density of actions (..., U), (...)."""
+        normal = (action - self.mean) * (-self.log_std).exp()
+        return -0.5 * (normal * normal).sum(-1) - (self.log_std.sum() + 0.5 * log(2.0 * pi) * self.log_std.shape[0])
+
+    def entropy(self) -> Tensor:
+        """Return the differential entropy [nat], ()."""
+        return self.log_std.sum() + 0.5 * (1.0 + log(2.0 * pi)) * self.log_std.shape[0]
+
+    def divergence(self, mean: Tensor, log_std: Tensor) -> Tensor:
+        """Return ``KL(N(mean, exp(log_std)²) || self)`` [nat], (...)."""
+        change = self.log_std - log_std
+        apart = (mean - self.mean) * (-self.log_std).exp()
+        return (change + 0.5 * ((-2.0 * change).exp() + apart * apart) - 0.5).sum(-1)

@@ -31,14 +31,9 @@ class CheckpointKeeper:
     """
 
     def __init__(
-        self,
-        cfg: TrainingCfg,
-        folder: RunFolder,
-        task: Task,
-        *,
-        resumed: tuple[Path, dict[str, Any]] | None,
+        self, cfg: TrainingCfg, folder: RunFolder, task: Task, *, resumed: tuple[Path, dict[str, Any]] | None,
         ranks: Ranks = ALONE,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the other parts of a checkpoint, the checkpoint to resume from, if any, and all processes."""
         self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
         self.ready = resumed is None  # Whether there is a state to save: not before a resumed state is restored
@@ -107,13 +102,10 @@ class CheckpointKeeper:
     def _run_state(self, env_steps: int) -> dict[str, object]:
         curriculum = self._task.curriculum
         return {
-            "trainer": self._cfg.trainer,
-            "env_steps": env_steps,
-            "settings": to_mapping(self._cfg),
-            "curriculum": None if curriculum is None else curriculum.state(),
-            "random": random_state(),
+            "trainer": self._cfg.trainer, "env_steps": env_steps, "settings": to_mapping(self._cfg),
+            "curriculum": None if curriculum is None else curriculum.state(), "random": random_state(),
             "task_random": {name: tensor.clone() for name, tensor in self._task.env.random.state_tensors().items()},
-        }
+        }  # fmt: skip
 
     def _restore_run(self, state: dict[str, Any]) -> None:
         curriculum = self._task.curriculum

@@ -39,15 +39,9 @@ class Progress:
     """Bar, curve and limits of one session; a context manager."""
 
     def __init__(
-        self,
-        cfg: TrainingCfg,
-        curve_file: Path,
-        *,
-        started: float,
-        show: bool,
-        resumed_steps: int = 0,
+        self, cfg: TrainingCfg, curve_file: Path, *, started: float, show: bool, resumed_steps: int = 0,
         ranks: Ranks = ALONE,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start, all processes.
 
         Lines of the curve beyond ``resumed_steps`` environment steps, which no checkpoint holds, are dropped.
@@ -68,15 +62,10 @@ class Progress:
         self._curve = csv.writer(self._file)
         shown = "{task.description} return {task.fields[reward]} {task.fields[rate]} steps/s {task.fields[left]} left"
         self._bar = Bar(
-            TextColumn("{task.fields[name]}"),
-            BarColumn(),
-            TextColumn(shown),
-            console=Console(file=sys.stderr),
-            disable=not show or not sys.stderr.isatty(),
-            redirect_stdout=False,
-            redirect_stderr=False,
+            TextColumn("{task.fields[name]}"), BarColumn(), TextColumn(shown), console=Console(file=sys.stderr),
+            disable=not show or not sys.stderr.isatty(), redirect_stdout=False, redirect_stderr=False,
             refresh_per_second=2,
-        )
+        )  # fmt: skip
         self._lines = sys.stderr if show and not sys.stderr.isatty() else None
         self._last_shown = -LINE_INTERVAL_S
         self._task = self._bar.add_task("", total=1.0, name=cfg.trainer, reward="-", rate="-", left="-")

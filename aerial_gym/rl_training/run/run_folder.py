@@ -164,13 +164,11 @@ def append_session(folder: Path, *, seed: int, device: str) -> None:
     sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
     sessions.append(
         {
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "seed": seed,
-            "device": device,
+            "started": datetime.now(UTC).isoformat(timespec="seconds"), "seed": seed, "device": device,
             "versions": {"python": platform.python_version(), **_package_versions()},
             "machine": f"{platform.platform()}, {os.cpu_count()} CPU cores",
         }
-    )
+    )  # fmt: skip
     write_atomic(file, json.dumps(sessions, indent=1) + "\n")
 
 

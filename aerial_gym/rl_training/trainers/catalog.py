@@ -1,6 +1,6 @@
-"""Every trainer that comes with the package, in one table. A new trainer is one module and one line here.
+"""Every trainer that comes with the package, in one table. A new trainer is one class and one line here.
 
-The module is imported when the trainer is first used. It imports its library only in ``prepare`` and ``run``.
+Its module is imported when the trainer is first used. It imports its library only in ``prepare`` and ``run``.
 """
 
 from typing import TYPE_CHECKING
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 TRAINERS: "Registry[Trainer]" = Registry("trainer")
 
 for _name, _class in (
-    ("ppo", "PpoTrainer"),
-    ("apg", "ApgTrainer"),
-    ("distill", "DistillTrainer"),
-    ("rl_games", "RlGamesTrainer"),
-    ("sample_factory", "SampleFactoryTrainer"),
+    ("ppo", "learners:PpoTrainer"),
+    ("apg", "learners:ApgTrainer"),
+    ("distill", "learners:DistillTrainer"),
+    ("rl_games", "libraries:RlGamesTrainer"),
+    ("sample_factory", "libraries:SampleFactoryTrainer"),
 ):
-    _home = ImportPath(f"aerial_gym.rl_training.trainers.{_name}:{_class}")
+    _home = ImportPath(f"aerial_gym.rl_training.trainers.{_class}")
     TRAINERS.register_later(_name, _home.make, summary=_home.summary)
 
 

@@ -29,14 +29,9 @@ class IterationGraph:
     """Repeated calls of a function without waits on fixed tensors; on CUDA a recorded graph."""
 
     def __init__(
-        self,
-        iterate: Callable[[], None],
-        device: torch.device,
-        *,
-        generator: torch.Generator,
-        joined: bool = False,
+        self, iterate: Callable[[], None], device: torch.device, *, generator: torch.Generator, joined: bool = False,
         capture: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the function, the generator that it draws from, whether it talks to other processes, whether to record it."""
         self._iterate, self._device, self._generator = iterate, device, generator
         # NCCL has a thread that polls events: a recording that forbids this to all threads would fail.
@@ -100,12 +95,9 @@ class NativeTraining(Generic[AnyLearner]):
         learner.restart_episodes()
         learner.copy_tensors_from_leader()
         self._repeat = IterationGraph(
-            learner.iterate,
-            task.device,
-            generator=learner.generator,
-            joined=self._ranks.joined,
+            learner.iterate, task.device, generator=learner.generator, joined=self._ranks.joined,
             capture=learner.captures,
-        )
+        )  # fmt: skip
         self.env_steps = 0  # Environment steps in all sessions and processes; the host counts them by itself
         self.iterations = 0  # Iterations of this session
         self.known: dict[str, float] = {}  # Gauges of the learner at the last read

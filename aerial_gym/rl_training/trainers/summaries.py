@@ -142,14 +142,9 @@ def send_scalars(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator[
     known = json.loads(file.read_text(encoding="utf-8"))["id"] if file.exists() else uuid.uuid4().hex[:8]
     write_atomic(file, json.dumps({"project": project, "id": known}) + "\n")
     run = wandb.init(
-        project=project,
-        id=known,
-        name=folder.path.resolve().name,
-        dir=str(folder.path),
-        config=to_mapping(cfg),
-        resume="allow",
-        settings=wandb.Settings(console="off", silent=True),
-    )
+        project=project, id=known, name=folder.path.resolve().name, dir=str(folder.path), config=to_mapping(cfg),
+        resume="allow", settings=wandb.Settings(console="off", silent=True),
+    )  # fmt: skip
     run.define_metric("*", step_metric=STEP)
     try:
         with attach_listener(lambda scalars, step: run.log({**scalars, STEP: step})):

@@ -73,16 +73,9 @@ class Trainer(ABC):
 
     @abstractmethod
     def run(
-        self,
-        cfg: TrainingCfg,
-        task: "Task",
-        folder: "RunFolder",
-        progress: "Progress",
-        *,
-        keeper: "CheckpointKeeper",
-        interruption: "Interruption",
-        ranks: "Ranks",
-    ) -> bool:
+        self, cfg: TrainingCfg, task: "Task", folder: "RunFolder", progress: "Progress", *,
+        keeper: "CheckpointKeeper", interruption: "Interruption", ranks: "Ranks",
+    ) -> bool:  # fmt: skip
         """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
 
         Args:

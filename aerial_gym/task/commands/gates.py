@@ -93,19 +93,10 @@ class Gates(GateCommand):
     """
 
     def __init__(
-        self,
-        values: Values,
-        env: EnvManager,
-        *,
-        centers: tuple[Vec3, ...],
-        yaws: tuple[float, ...],
-        width: float = 1.0,
-        height: float = 1.0,
-        loop: bool = False,
-        practice_share: float = 0.0,
-        practice_speed: float = 0.0,
-        practice_offset: Vec3 = (0.0, 0.0, 0.0),
-    ) -> None:
+        self, values: Values, env: EnvManager, *, centers: tuple[Vec3, ...], yaws: tuple[float, ...],
+        width: float = 1.0, height: float = 1.0, loop: bool = False, practice_share: float = 0.0,
+        practice_speed: float = 0.0, practice_offset: Vec3 = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
         """Take the gates.
 
         Args:

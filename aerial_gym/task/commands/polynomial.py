@@ -90,16 +90,9 @@ class Polynomial(Command):
     follows_reset = True
 
     def __init__(
-        self,
-        values: Values,
-        env: EnvManager,
-        *,
-        size: Vec3,
-        max_speed: float,
-        max_acceleration: float,
-        points: int = 5,
-        center: Vec3 = (0.0, 0.0, 0.0),
-    ) -> None:
+        self, values: Values, env: EnvManager, *, size: Vec3, max_speed: float, max_acceleration: float,
+        points: int = 5, center: Vec3 = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
         """Take the random points and the limits.
 
         Args:

@@ -38,17 +38,9 @@ class TrackGates(GateCommand):
     """
 
     def __init__(
-        self,
-        values: Values,
-        env: EnvManager,
-        *,
-        width: float,
-        height: float,
-        sensor_range: float,
-        practice_share: float = 0.0,
-        practice_speed: float = 0.0,
-        practice_offset: Vec3 = (0.0, 0.0, 0.0),
-    ) -> None:
+        self, values: Values, env: EnvManager, *, width: float, height: float, sensor_range: float,
+        practice_share: float = 0.0, practice_speed: float = 0.0, practice_offset: Vec3 = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
         """Take the gates of the environment.
 
         Args:

@@ -49,16 +49,9 @@ class TrajectoryCommand(Command):
     follows_reset = True
 
     def __init__(
-        self,
-        values: Values,
-        env: EnvManager,
-        *,
-        curve: str,
-        size: Vec3,
-        period: float,
-        center: Vec3 = (0.0, 0.0, 0.0),
-        random_phase: bool = False,
-    ) -> None:
+        self, values: Values, env: EnvManager, *, curve: str, size: Vec3, period: float,
+        center: Vec3 = (0.0, 0.0, 0.0), random_phase: bool = False,
+    ) -> None:  # fmt: skip
         """Take the curve.
 
         Args:

@@ -20,13 +20,9 @@ class MaskLaunch:
     """A kernel over environments whose first input is the mask; all views are made at construction."""
 
     def __init__(
-        self,
-        kernel: wp.Kernel,
-        dim: int | tuple[int, ...],
-        inputs: list[object],
-        outputs: list[object],
+        self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list[object], outputs: list[object],
         random: Randomness,
-    ) -> None:
+    ) -> None:  # fmt: skip
         start_warp()
         self._mask = random.mask
         block = {"block_dim": BLOCK_DIM} if isinstance(dim, int) else {}
@@ -99,14 +95,9 @@ class UniformDraws(MaskLaunch):
     """Draws numbers of masked environments."""
 
     def __init__(
-        self,
-        drawn: Tensor,
-        ranges: Sequence[tuple[float, float]],
-        *,
-        purpose: Purpose,
-        random: Randomness,
+        self, drawn: Tensor, ranges: Sequence[tuple[float, float]], *, purpose: Purpose, random: Randomness,
         whole: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the tensor to write, (E, N), and the range of each number; ``whole`` ones include the highest."""
         low, high = (torch.tensor([each[i] for each in ranges], device=drawn.device).float() for i in (0, 1))
         inputs = [random_arrays(random), int(purpose), low, high, int(whole)]
@@ -136,13 +127,9 @@ class WhiteNoise:
     """Draws normal noise, and which are dropped, for the entries that ask for it; all views made at once."""
 
     def __init__(
-        self,
-        kinds: Mapping[int, tuple[float, float]],
-        step: Tensor,
-        random: Randomness,
-        *,
+        self, kinds: Mapping[int, tuple[float, float]], step: Tensor, random: Randomness, *,
         purpose: Purpose = Purpose.OBSERVATION,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take standard deviation and dropout probability of each entry with either, by its number, and the step, int32 (E,).
 
         The purpose is that of draws for all but a last observation.

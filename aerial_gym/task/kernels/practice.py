@@ -67,16 +67,9 @@ class PracticeStarts(MaskLaunch):
     """Draws of start positions of masked environments; attitudes stay."""
 
     def __init__(
-        self,
-        robot: RobotTensors,
-        gates: tuple[Tensor, ...],
-        *,
-        share: Tensor,
-        speed: float,
-        offset: Vec3,
-        first_out: Tensor,
-        random: Randomness,
-    ) -> None:
+        self, robot: RobotTensors, gates: tuple[Tensor, ...], *, share: Tensor, speed: float, offset: Vec3,
+        first_out: Tensor, random: Randomness,
+    ) -> None:  # fmt: skip
         """Take the robot's motion, positions (E, G, 3) [m] and attitudes (E, G, 4) of the gates, and the inputs of the draws.
 
         ``share`` is that of the episodes, (1,), ``speed`` the largest one along the gate's x [m/s]. ``offset`` has the largest

@@ -34,17 +34,9 @@ class ActionConverter:
     """Conversion of a policy's actions to commands; the identity without transform, delay, filter and noise."""
 
     def __init__(
-        self,
-        cfg: ActionCfg,
-        action: Action,
-        params: Mapping[str, Any],
-        values: Values,
-        *,
-        num_actions: int,
-        num_commands: int,
-        dt: float,
-        random: Randomness,
-    ) -> None:
+        self, cfg: ActionCfg, action: Action, params: Mapping[str, Any], values: Values, *, num_actions: int,
+        num_commands: int, dt: float, random: Randomness,
+    ) -> None:  # fmt: skip
         """Take the conversion and the time ``dt`` of a step [s]; declare its buffers, after all inputs are declared."""
         self.transform, self.params = action.value, params
         low, high = steps_range(cfg.delay_steps)

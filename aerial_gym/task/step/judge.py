@@ -44,16 +44,10 @@ class Judge:
     """Computes the rewards of a step and the episodes that end."""
 
     def __init__(
-        self,
-        cfg: TaskCfg,
-        rewards: Mapping[str, tuple[BoundTerm, RewardCfg]],
-        terminations: Mapping[str, tuple[BoundTerm, TerminationCfg]],
-        values: Values,
-        *,
-        command: Command,
-        observer: Observer,
-        random: Randomness,
-    ) -> None:
+        self, cfg: TaskCfg, rewards: Mapping[str, tuple[BoundTerm, RewardCfg]],
+        terminations: Mapping[str, tuple[BoundTerm, TerminationCfg]], values: Values, *, command: Command,
+        observer: Observer, random: Randomness,
+    ) -> None:  # fmt: skip
         """Take the terms and their inputs; ``random`` receives which episodes end, and the number of the next one."""
         self._cfg, self._rewards, self._terminations = cfg, dict(rewards), dict(terminations)
         self._command, self._observer = command, observer
@@ -78,23 +72,13 @@ class Judge:
         moved = {name: values[name] for name in command.current_values(values)}
         gtd, own = values.gtd, values.own
         writes = {
-            "non_finite": gtd["non_finite"],
-            "crashes": gtd["crashes"],
-            "truncations": gtd["truncations"],
-            "ended": random.mask,
-            "episodes": random.episode,
-            **{name: own[name] for name in kept},
-            **moved,
-        }
+            "non_finite": gtd["non_finite"], "crashes": gtd["crashes"], "truncations": gtd["truncations"],
+            "ended": random.mask, "episodes": random.episode, **{name: own[name] for name in kept}, **moved,
+        }  # fmt: skip
         self.rows = StepKernel(
-            self._step_outcome,
-            "the judgement of a step",
-            reads=reads,
-            writes=writes,
-            terms=[*terms, *observer.terms],
-            graph=values.graph,
-            keeps=tuple(moved),
-        )
+            self._step_outcome, "the judgement of a step", reads=reads, writes=writes,
+            terms=[*terms, *observer.terms], graph=values.graph, keeps=tuple(moved),
+        )  # fmt: skip
         """The kernel."""
         self._early: StepKernel | None = None
         if any(name in moved for term in self.rows.apart for name in term.reads):  # they run before the kernel
@@ -112,15 +96,11 @@ class Judge:
     def info(self, judged: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the ``info`` of a step: ends, episode sums and last observations; only the latter keep gradients."""
         info = {
-            "time_outs": judged["truncated"],
-            "successes": judged["success"],
-            "crashes": judged["crash"],
-            "timeouts": judged["timeout"],
-            "episode_return": judged["total"].detach(),
-            "episode_length": judged["length"],
-            "reward_terms": judged["reward_terms"].detach(),
+            "time_outs": judged["truncated"], "successes": judged["success"], "crashes": judged["crash"],
+            "timeouts": judged["timeout"], "episode_return": judged["total"].detach(),
+            "episode_length": judged["length"], "reward_terms": judged["reward_terms"].detach(),
             "non_finite": judged["bad"],
-        }
+        }  # fmt: skip
         if GATE_PASSED in judged:
             info[GATE_PASSED] = judged[GATE_PASSED]
         if "distance" in judged:
@@ -157,20 +137,13 @@ class Judge:
         tallies = torch.cat([torch.where(ended.unsqueeze(-1), sums[:, 1:], 0.0), counts], dim=-1)
         timeout = ended & ~ends.crash & ~ends.success
         result = {
-            "non_finite": bits,
-            "crashes": ends.crash,
-            "truncations": ended & ~ends.crash,
-            "ended": ended,
-            "episodes": values["episodes"] + ended,
-            SUMS: torch.where(ended.unsqueeze(-1), 0.0, sums),
-            TALLIES: values[TALLIES] + tallies,
-            **moved,
-            **{f"{FINAL}{group}": value for group, value in observed.items()},
-            "reward": reward,
-            "sums": sums,
+            "non_finite": bits, "crashes": ends.crash, "truncations": ended & ~ends.crash, "ended": ended,
+            "episodes": values["episodes"] + ended, SUMS: torch.where(ended.unsqueeze(-1), 0.0, sums),
+            TALLIES: values[TALLIES] + tallies, **moved,
+            **{f"{FINAL}{group}": value for group, value in observed.items()}, "reward": reward, "sums": sums,
             "length": values["sim_steps"],
             "flags": torch.stack([ends.terminated, ends.truncated, ends.crash, ends.success, timeout, bad], dim=-1),
-        }
+        }  # fmt: skip
         if ARRIVED in values:
             result[ARRIVED] = ends.arrived & ~ended
         if TARGET in values:
@@ -202,13 +175,9 @@ class Judge:
         success = (any_end("success", "now") | (ended & arrived) | at_end) & ~crash
         causes = [flags[name] if cfg.when == "now" else flags[name] & success for name, cfg in entries.items()]
         return EpisodeEnds(
-            crash=crash,
-            success=success,
-            terminated=terminated,
-            truncated=ended & ~terminated,
-            arrived=arrived,
+            crash=crash, success=success, terminated=terminated, truncated=ended & ~terminated, arrived=arrived,
             causes=[*causes, time_up & ~now],
-        )
+        )  # fmt: skip
 
     @staticmethod
     def _crash_non_finite(ends: EpisodeEnds, bad: Tensor) -> EpisodeEnds:

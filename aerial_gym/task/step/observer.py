@@ -26,12 +26,9 @@ class SensorFaults:
     """Sensor faults of a task: draws at reset and their effect on a term."""
 
     def __init__(
-        self,
-        terms: Iterable[tuple[object, ObservationCfg, int]],
-        cfgs: Mapping[str, FaultCfg],
-        values: Values,
+        self, terms: Iterable[tuple[object, ObservationCfg, int]], cfgs: Mapping[str, FaultCfg], values: Values,
         random: Randomness,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Declare the draws of the faults of observation terms, each with its width."""
         widths: dict[str, int] = {}  # of the widest term with each fault
         for _, cfg, width in terms:
@@ -134,12 +131,9 @@ class Observer:
     """Observations by group: those of a step in one kernel, those before a reset in that of the judge."""
 
     def __init__(
-        self,
-        groups: Mapping[str, list[tuple[BoundTerm, ObservationCfg, int]]],
-        values: Values,
-        random: Randomness,
+        self, groups: Mapping[str, list[tuple[BoundTerm, ObservationCfg, int]]], values: Values, random: Randomness,
         faults: Mapping[str, FaultCfg] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the terms of each group in order with their widths; ``values`` receives their delay lines."""
         self._faults = SensorFaults([term for terms in groups.values() for term in terms], faults or {}, values, random)
         self.groups: dict[str, list[ObservationEntry]] = {}  # Entries in order
@@ -184,13 +178,9 @@ class Observer:
         """Inputs of ``observe``."""
         begun = {"begun": values.find("begun", "the observation")}
         self.rows = StepKernel(
-            self._observation_and_buffers,
-            "the observation",
-            reads=begun | self.reads,
-            writes=self.writes,
-            terms=self.terms,
-            graph=values.graph,
-        )
+            self._observation_and_buffers, "the observation", reads=begun | self.reads, writes=self.writes,
+            terms=self.terms, graph=values.graph,
+        )  # fmt: skip
         """The kernel of a step's observation."""
 
     def width(self, group: str) -> int:

@@ -35,8 +35,9 @@ class RowKernel(Generic[Result]):
 
     def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
         """Return the function's results; the first are also written into ``out``, which may be inputs."""
-        if self._rows is None and self.reason is None:
-            self._trace(tensors)
+        if self._rows is None and self.reason is None and (reason := self.trace_kernel(tensors)):
+            self.reason = reason
+            _log.warning("%s runs as many small torch operations: %s", self._what, reason)
         if self._rows is None:
             whole = make_batch_invariant(self._function, tensors[0].shape[0], tensors[0].device)(*tensors)
             for target, result in zip(out, (whole,) if isinstance(whole, Tensor) else whole, strict=False):
@@ -58,12 +59,6 @@ class RowKernel(Generic[Result]):
         except UntraceableError as error:
             return str(error) or "it cannot be traced"
         return ""
-
-    def _trace(self, tensors: Sequence[Tensor]) -> None:
-        reason = self.trace_kernel(tensors)
-        if reason:
-            self.reason = reason
-            _log.warning("%s runs as many small torch operations: %s", self._what, reason)
 
 
 class GradientGraph:
@@ -107,16 +102,10 @@ class StepKernel:
     """A pure function from named tensors to named tensors, run as one kernel; some results are written in place."""
 
     def __init__(
-        self,
-        function: Callable[[Mapping[str, Tensor]], dict[str, Tensor]],
-        label: str,
-        *,
-        reads: Mapping[str, Tensor],
-        writes: Mapping[str, Tensor],
-        terms: Sequence[BoundTerm] = (),
-        graph: GradientGraph | None = None,
-        keeps: Collection[str] | None = None,
-    ) -> None:
+        self, function: Callable[[Mapping[str, Tensor]], dict[str, Tensor]], label: str, *,
+        reads: Mapping[str, Tensor], writes: Mapping[str, Tensor], terms: Sequence[BoundTerm] = (),
+        graph: GradientGraph | None = None, keeps: Collection[str] | None = None,
+    ) -> None:  # fmt: skip
         """Take the function and fixed tensors.
 
         Args:

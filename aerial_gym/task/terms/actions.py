@@ -98,13 +98,9 @@ def affine(
 
 @ACTIONS.transform(width=4)
 def four_places(
-    actions: Tensor,
-    *,
-    mix: tuple[tuple[float, ...], ...],
-    low: tuple[float, ...],
-    high: tuple[float, ...],
+    actions: Tensor, *, mix: tuple[tuple[float, ...], ...], low: tuple[float, ...], high: tuple[float, ...],
     speeds: tuple[bool, ...],
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return commands (E, U) of any rotor layout from four quadrotor commands, by lift and torque.
 
     Args:

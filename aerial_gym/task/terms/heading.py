@@ -32,15 +32,9 @@ def heading_error(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
 
 @REWARDS.term()
 def aligned_distance_bell(
-    target_position: Tensor,
-    robot_position: Tensor,
-    target_yaw: Tensor,
-    robot_orientation: Tensor,
-    *,
-    height: float,
-    width: float,
-    yaw_width: float,
-) -> Tensor:
+    target_position: Tensor, robot_position: Tensor, target_yaw: Tensor, robot_orientation: Tensor, *, height: float,
+    width: float, yaw_width: float,
+) -> Tensor:  # fmt: skip
     """Return ``height exp(-width d² - yaw_width e²)``, d the distance [m] and e the heading error [rad], (E,)."""
     aligned = bell(heading_difference(target_yaw, robot_orientation), 1.0, yaw_width)
     return aligned * bell((target_position - robot_position).norm(dim=-1), height, width)
@@ -48,16 +42,9 @@ def aligned_distance_bell(
 
 @REWARDS.term()
 def flight_to_target(
-    target_position: Tensor,
-    robot_position: Tensor,
-    robot_linvel: Tensor,
-    *,
-    speed: float,
-    height: float,
-    width: float,
-    away: float,
-    near: float,
-) -> Tensor:
+    target_position: Tensor, robot_position: Tensor, robot_linvel: Tensor, *, speed: float, height: float,
+    width: float, away: float, near: float,
+) -> Tensor:  # fmt: skip
     """Return a reward for velocity v [m/s] toward the target, near a desired ``speed``, (E,).
 
     ``cos a height exp(-width (|v| - speed)²)`` where the cosine of the angle a between v and the direction to the target is
@@ -80,15 +67,9 @@ def slow_at_target(
 
 @REWARDS.term()
 def heading_at_target(
-    target_position: Tensor,
-    robot_position: Tensor,
-    target_yaw: Tensor,
-    robot_orientation: Tensor,
-    *,
-    radius: float,
-    height: float,
-    width: float,
-) -> Tensor:
+    target_position: Tensor, robot_position: Tensor, target_yaw: Tensor, robot_orientation: Tensor, *, radius: float,
+    height: float, width: float,
+) -> Tensor:  # fmt: skip
     """Return ``height exp(-width e²)``, e the heading error [rad], closer to the target than a radius [m], else 0, (E,)."""
     worth = bell(heading_difference(target_yaw, robot_orientation), height, width)
     return _reward_near_target(target_position, robot_position, radius, worth)
@@ -96,17 +77,9 @@ def heading_at_target(
 
 @REWARDS.term()
 def aligned_rest_at_target(
-    target_position: Tensor,
-    robot_position: Tensor,
-    target_yaw: Tensor,
-    robot_orientation: Tensor,
-    robot_body_angvel: Tensor,
-    *,
-    radius: float,
-    height: float,
-    width: float,
-    yaw_width: float,
-) -> Tensor:
+    target_position: Tensor, robot_position: Tensor, target_yaw: Tensor, robot_orientation: Tensor,
+    robot_body_angvel: Tensor, *, radius: float, height: float, width: float, yaw_width: float,
+) -> Tensor:  # fmt: skip
     """Return ``height exp(-width r² - yaw_width e²)`` closer to the target than a radius [m], else 0, (E,).
 
     r is the angular velocity about body z [rad/s], e the heading error [rad].
@@ -125,16 +98,9 @@ def speeding(robot_linvel: Tensor, *, speed: float, height: float, width: float)
 
 @REWARDS.term()
 def unseen_flight(
-    target_position: Tensor,
-    robot_position: Tensor,
-    robot_linvel: Tensor,
-    robot_orientation: Tensor,
-    *,
-    looks: float,
-    height: float,
-    width: float,
-    near_width: float,
-) -> Tensor:
+    target_position: Tensor, robot_position: Tensor, robot_linvel: Tensor, robot_orientation: Tensor, *, looks: float,
+    height: float, width: float, near_width: float,
+) -> Tensor:  # fmt: skip
     """Return ``height (exp(-width u²) - 1) (1 - exp(-near_width d²))``, (E,), for a robot that looks ahead (1) or back (-1).
 
     u is the velocity to where it does not look [m/s], vehicle frame, 0 to where it does; d the distance to the target [m].

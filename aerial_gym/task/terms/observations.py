@@ -158,17 +158,10 @@ def image_latents(image_latents: Tensor) -> Tensor:
 
 @OBSERVATIONS.term()
 def next_gates(
-    target_index: Tensor,
-    gates_seen: Tensor,
-    gate_position: Tensor,
-    gate_orientation: Tensor,
-    gate_nominal_position: Tensor,
-    gate_nominal_orientation: Tensor,
-    robot_position: Tensor,
-    robot_vehicle_orientation: Tensor,
-    *,
-    count: int,
-) -> Tensor:
+    target_index: Tensor, gates_seen: Tensor, gate_position: Tensor, gate_orientation: Tensor,
+    gate_nominal_position: Tensor, gate_nominal_orientation: Tensor, robot_position: Tensor,
+    robot_vehicle_orientation: Tensor, *, count: int,
+) -> Tensor:  # fmt: skip
     """Return offset [m] and direction of the next gates at their known poses, vehicle frame, (E, 6 count).
 
     A gate already seen counts at its true pose, others at their nominal one. The first gate follows the last, as passed
@@ -190,15 +183,10 @@ def next_gates(
 
 @OBSERVATIONS.term(width=6)
 def way_ahead(
-    target_index: Tensor,
-    gates_seen: Tensor,
-    gate_position: Tensor,
-    gate_orientation: Tensor,
-    gate_nominal_position: Tensor,
-    gate_nominal_orientation: Tensor,
-    robot_position: Tensor,
+    target_index: Tensor, gates_seen: Tensor, gate_position: Tensor, gate_orientation: Tensor,
+    gate_nominal_position: Tensor, gate_nominal_orientation: Tensor, robot_position: Tensor,
     robot_vehicle_orientation: Tensor,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return the path direction through the next gate (vehicle frame) and the robot's position in the gate's frame [m], (E, 6).
 
     The direction is ``gate_path_direction``. A gate not yet seen counts at its nominal pose.
@@ -213,14 +201,9 @@ def way_ahead(
 
 @OBSERVATIONS.term()
 def nearest_poles(
-    poles_seen: Tensor,
-    pole_position: Tensor,
-    pole_nominal_position: Tensor,
-    robot_position: Tensor,
-    robot_vehicle_orientation: Tensor,
-    *,
-    count: int,
-) -> Tensor:
+    poles_seen: Tensor, pole_position: Tensor, pole_nominal_position: Tensor, robot_position: Tensor,
+    robot_vehicle_orientation: Tensor, *, count: int,
+) -> Tensor:  # fmt: skip
     """Return horizontal offsets [m] of the nearest poles at known positions, vehicle frame, nearest first, (E, 2 count)."""
     known = torch.where(poles_seen.unsqueeze(-1), pole_position, pole_nominal_position) - robot_position.unsqueeze(1)
     rows = [quat_rotate_inverse(robot_vehicle_orientation, away)[:, :2] for away in known.unbind(1)]

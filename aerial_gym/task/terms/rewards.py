@@ -65,13 +65,9 @@ def distance_cusp(target_position: Tensor, robot_position: Tensor, *, height: fl
 
 @REWARDS.term()
 def position_bells(
-    target_position: Tensor,
-    robot_position: Tensor,
-    *,
-    height: float,
-    width: float,
+    target_position: Tensor, robot_position: Tensor, *, height: float, width: float,
     stretch: tuple[float, float, float] = (1.0, 1.0, 1.0),
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return the sum over axes of ``height exp(-width (s e)²)``, e the position error [m], world, s the stretch, (E,)."""
     errors = (target_position - robot_position).unbind(-1)
     x, y, z = (bell(factor * error, height, width) for factor, error in zip(stretch, errors, strict=True))
@@ -283,12 +279,9 @@ def gate_passed(gate_passed: Tensor, *, value: float = 1.0) -> Tensor:
 
 @REWARDS.term()
 def way_gained(
-    target_position: Tensor,
-    target_orientation: Tensor,
-    robot_position: Tensor,
-    previous_way: Tensor,
+    target_position: Tensor, target_orientation: Tensor, robot_position: Tensor, previous_way: Tensor,
     gate_passed: Tensor,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return the decrease of the path length through the next gate in this step [m], (E,)."""
     way = gate_path_length(target_position, target_orientation, robot_position)
     return previous_way - torch.where(gate_passed, 0.0, way)

@@ -96,13 +96,9 @@ class TermRegistry(Registry[Term]):
     """Terms of one kind by name."""
 
     def term(
-        self,
-        name: str | None = None,
-        *,
-        width: int | None = None,
-        command: Sequence[str] | None = None,
+        self, name: str | None = None, *, width: int | None = None, command: Sequence[str] | None = None,
         named: Mapping[str, str] | None = None,
-    ) -> Callable[[Function], Function]:
+    ) -> Callable[[Function], Function]:  # fmt: skip
         """Register the function below under its own name, or another one.
 
         Args:

@@ -53,14 +53,9 @@ def load_at_rest(
 
 @TERMINATIONS.term()
 def touchdown(
-    robot_contact_force: Tensor,
-    target_position: Tensor,
-    robot_position: Tensor,
-    previous_relative_velocity: Tensor,
-    *,
-    radius: float,
-    speed: float,
-) -> Tensor:
+    robot_contact_force: Tensor, target_position: Tensor, robot_position: Tensor, previous_relative_velocity: Tensor,
+    *, radius: float, speed: float,
+) -> Tensor:  # fmt: skip
     """Return whether the robot has contact within a radius [m] of its target, after an approach below a speed [m/s].
 
     The speed [m/s] is that relative to the target one step before: the push has changed the present one.
@@ -71,14 +66,9 @@ def touchdown(
 
 @TERMINATIONS.term()
 def missed_touchdown(
-    robot_contact_force: Tensor,
-    target_position: Tensor,
-    robot_position: Tensor,
-    previous_relative_velocity: Tensor,
-    *,
-    radius: float,
-    speed: float,
-) -> Tensor:
+    robot_contact_force: Tensor, target_position: Tensor, robot_position: Tensor, previous_relative_velocity: Tensor,
+    *, radius: float, speed: float,
+) -> Tensor:  # fmt: skip
     """Return whether the robot has a contact that is no ``touchdown``, (E,)."""
     landed = touchdown(
         robot_contact_force, target_position, robot_position, previous_relative_velocity, radius=radius, speed=speed

@@ -15,8 +15,8 @@ from aerial_gym.cli.main import main
 from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for, train
 from aerial_gym.rl_training.ranks import Ranks, join_ranks
 from aerial_gym.rl_training.run.progress import Progress, Report
+from aerial_gym.rl_training.trainers.learners import PpoTrainer
 from aerial_gym.rl_training.trainers.native import NativeTraining
-from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry
 
 ENVS = 64  # Environments of all processes together
@@ -35,11 +35,8 @@ def train_ranks(ranks: Ranks, *, iterations: int, like_one: bool) -> dict[str, A
     cfg = settings(ranks.size, **({"num_minibatches": 1} if like_one else {}))
     first = ranks.rank * cfg.num_envs
     with task_registry.make_task(cfg.task, num_envs=cfg.num_envs, device="cpu", seed=0, first_env=first) as task:
-        training, draw, noise = (
-            PpoTrainer().make_training(cfg, task, ranks=ranks),
-            torch.randn,
-            torch.Generator().manual_seed(5),
-        )
+        training = PpoTrainer().make_training(cfg, task, ranks=ranks)
+        draw, noise = torch.randn, torch.Generator().manual_seed(5)
         if like_one:
             torch.randn = lambda size, **_: draw(size[0], ENVS, size[2], generator=noise)[:, first : first + size[1]]
         try:

@@ -61,8 +61,7 @@ def reference_steps() -> Iterator[tuple[Tensor, dict[str, Tensor], Tensor, Tenso
 def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
     env = library("skrl", "skrl").SkrlEnv(as_captured(make()), state="observations")
     script = reference_steps()
-    assert env.num_envs == ENVS
-    assert env.observation_space == env.state_space
+    assert (env.num_envs, env.observation_space) == (ENVS, env.state_space)
     observation, _ = env.reset()
     assert torch.equal(observation, next(script)[1]["observations"])
     ended = torch.zeros(2)
@@ -122,8 +121,7 @@ def test_stable_baselines3_gets_the_last_observation_of_an_episode() -> None:
                 assert told["episode"] == episode
                 ended += told["TimeLimit.truncated"]
     assert ended > 0
-    assert env.env_is_wrapped(object) == [False] * ENVS
-    assert env.get_attr("num_envs", [0, 1]) == [ENVS] * 2
+    assert (env.env_is_wrapped(object), env.get_attr("num_envs", [0, 1])) == ([False] * ENVS, [ENVS] * 2)
 
 
 @pytest.mark.parametrize(("name", "extra"), EXTRAS.items())

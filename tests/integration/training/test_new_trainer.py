@@ -15,6 +15,7 @@ from aerial_gym.rl_training.learner_settings import LearnerCfg
 from aerial_gym.rl_training.policies.load import body_cfg, native_policy
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
+from tests.refusals import assert_refused
 
 SETTINGS = """
 task: position_setpoint_task
@@ -119,16 +120,14 @@ def test_a_library_call_trains_it_as_well(settings: Path, tmp_path: Path) -> Non
     assert (result.env_steps, policy.num_actions, cfg.learner.horizon) == (640, 4, 10)
 
 
-def test_its_own_settings_are_checked(settings: Path) -> None:
+def test_wrong_settings_and_a_missing_library_are_named(
+    settings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     settings.write_text(SETTINGS.replace("sigma: 0.05", "sigma: -1.0"), encoding="utf-8")
-    with pytest.raises(ConfigError, match="SearchCfg.sigma = -1.0"):
-        load_settings(settings)
+    assert_refused(ConfigError, "SearchCfg.sigma = -1.0", load_settings, settings)
     settings.write_text(SETTINGS.replace("sigma: 0.05", "sgma: 0.05"), encoding="utf-8")
-    with pytest.raises(ConfigError, match="unknown field 'sgma'. Did you mean 'sigma'"):
-        load_settings(settings)
-
-
-def test_a_missing_library_is_named(settings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert_refused(ConfigError, "unknown field 'sgma'. Did you mean 'sigma'", load_settings, settings)
+    settings.write_text(SETTINGS, encoding="utf-8")
     monkeypatch.setattr(RandomSearch, "package", "no_such_search")
     with pytest.raises(MissingDependencyError, match="'random_search' needs the package 'no_such_search'"):
         train(load_settings(settings), tmp_path / "run", show_progress=False)

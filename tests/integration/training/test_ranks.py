@@ -33,11 +33,8 @@ def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
     """Run two processes to their ends; return exit status and stderr of each."""
     actual = free_ports(ports)
     shared = os.environ | {
-        "WORLD_SIZE": "2",
-        "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": actual[-1],
-        "OMP_NUM_THREADS": "1",
-    }
+        "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": actual[-1], "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
     command = [sys.executable, "-m", "tests.integration.training.ranks_worker", act, str(out), *actual]
     own = ({"RANK": str(rank), "LOCAL_RANK": str(rank)} for rank in range(2))
     processes = [subprocess.Popen(command, env=shared | each, stderr=subprocess.PIPE, text=True) for each in own]

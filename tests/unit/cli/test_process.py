@@ -24,13 +24,13 @@ def installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return package
 
 
-def test_code_is_kept_in_the_cache_folder_where_the_installation_gets_none(installation: Path, tmp_path: Path) -> None:
+def test_code_is_kept_where_the_installation_gets_none_or_cannot_be_written(
+    installation, tmp_path, monkeypatch
+) -> None:
     process.cache_bytecode()
     assert (sys.pycache_prefix, sys.dont_write_bytecode) == (str(tmp_path / "caches/aerial_gym/bytecode"), False)
-
-
-def test_code_is_kept_where_the_installation_cannot_be_written(installation, monkeypatch) -> None:
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(sys, "pycache_prefix", None)
     monkeypatch.setattr(process.os, "access", lambda *_: False)
     process.cache_bytecode()
     assert sys.pycache_prefix is not None

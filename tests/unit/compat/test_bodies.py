@@ -14,6 +14,7 @@ from aerial_gym.compat.config.robots import allocation_matrix
 from aerial_gym.compat.registries import BaseMultirotor
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
+from tests.refusals import assert_refused
 
 pytest.importorskip("yourdfpy")
 
@@ -91,8 +92,7 @@ def test_allocation_matrix_of_the_quadrotor_is_that_of_the_class() -> None:
     ({"allocation_matrix": np.zeros((6, 6))}, "motor 0: force .* has the size 0, not 1"),
 ])  # fmt: skip
 def test_what_contradicts_itself_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        robots.translate_robot(hexarotor(tmp_path, **changes))
+    assert_refused(ConfigError, message, robots.translate_robot, hexarotor(tmp_path, **changes))
 
 
 def test_a_robot_without_gravity_floats() -> None:

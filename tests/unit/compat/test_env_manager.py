@@ -9,6 +9,7 @@ import torch
 from aerial_gym.compat import BaseTask, EnvManager, SimBuilder
 from aerial_gym.compat.registries import env_config_registry
 from aerial_gym.errors import ConfigError, ShapeError
+from tests.refusals import assert_refused
 
 
 def build(env_name: str = "empty_env", **more: object) -> EnvManager:
@@ -29,8 +30,7 @@ def test_reset_idx_leaves_other_rows_alone(env_ids: object) -> None:
     assert torch.equal(before[[0, 2]], after[[0, 2]])
     assert not (before == after)[[1, 3]].all(dim=1).any()
     assert env.sim_steps.tolist() == [3, 0, 3, 0]
-    with pytest.raises(ShapeError, match=r"env_ids is a mask of shape \(2,\), expected \(E,\) = \(4,\)"):
-        env.reset_idx(torch.tensor([True, False]))
+    assert_refused(ShapeError, r"env_ids is a mask of shape \(2,\)", env.reset_idx, torch.tensor([True, False]))
 
 
 def test_flags_outlive_the_reset_until_the_next_step() -> None:
@@ -90,14 +90,12 @@ def test_the_seed_is_that_of_torch_unless_given() -> None:
 def test_the_number_of_environments_is_the_class_s_unless_given() -> None:
     env = SimBuilder().build_env("base_sim", "empty_env", "base_quadrotor", "lee_velocity_control", "cpu")
     assert env.num_envs == env.cfg.env.num_envs == 64
-    assert build().cfg.env.num_envs == 4
-    assert env_config_registry.get_env_config("empty_env").env.num_envs == 64
+    assert (build().cfg.env.num_envs, env_config_registry.get_env_config("empty_env").env.num_envs) == (4, 64)
 
 
 def test_what_is_gone_says_what_to_do() -> None:
     env = build()
-    with pytest.raises(ConfigError, match="render_components = 'sensor': must be one of sensors, viewer"):
-        env.render(render_components="sensor")
+    assert_refused(ConfigError, "render_components = 'sensor': must be one", env.render, render_components="sensor")
     env.render(render_components="viewer")
     with pytest.raises(AttributeError, match="has no 'warp_env'. The simulation itself is .env"):
         env.warp_env  # noqa: B018

@@ -11,6 +11,7 @@ from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
 from docs.generate.aerial_gym_names import TABLES
+from tests.refusals import assert_refused
 
 URDF = '<robot name="post"><link name="post"><collision><geometry><box size="0.2 0.2 1"/></geometry></collision></link></robot>'
 
@@ -136,8 +137,7 @@ def test_every_attribute_does_what_the_table_says(title, table, field, tmp_path,
         before = table.translate(make_subclass(parent, values), stands_for)
     cls = make_subclass(parent, values | {field.script_name: new})
     if field.refused:
-        with pytest.raises(ConfigError, match=f"Mine.{field.script_name} = "):
-            table.translate(cls, stands_for)
+        assert_refused(ConfigError, f"Mine.{field.script_name} = ", table.translate, cls, stands_for)
         assert field.remark
         return
     with caplog.at_level(logging.INFO, logger="aerial_gym"):
@@ -158,7 +158,13 @@ def test_a_class_stands_for_its_configuration(title: str, table: ConfigTable) ->
     assert table.translate(make_subclass(parent, {}), stands_for) == stands_for
 
 
-def test_the_sections_that_mean_nothing_take_anything() -> None:
+def test_an_unknown_attribute_is_refused_and_a_section_that_means_nothing_is_not() -> None:
+    cls = make_subclass(CLASSES["Environments"], {"env.lower_bound_mim": [0, 0, 0]})
+    words = r"Mine.env.lower_bound_mim = \[0, 0, 0\]: no such field \(environment\). Did you mean 'env.lower_bound_min'"
+    assert_refused(ConfigError, words, environments.translate_environment, cls)
+    cls = make_subclass(CLASSES["Environments"], {"env._my_own_note": 3})
+    assert environments.translate_environment(cls) == environments.translate_environment(CLASSES["Environments"])
+
     class Sim(sims.BaseSimConfig):
         class viewer:
             camera_position = [-5, -5, 4]
@@ -168,15 +174,6 @@ def test_the_sections_that_mean_nothing_take_anything() -> None:
                 num_threads = 10
 
     assert sims.translate_sim(Sim) == sims.translate_sim(sims.BaseSimConfig)
-
-
-def test_an_unknown_attribute_is_refused_by_name() -> None:
-    cls = make_subclass(CLASSES["Environments"], {"env.lower_bound_mim": [0, 0, 0]})
-    words = r"Mine.env.lower_bound_mim = \[0, 0, 0\]: no such field \(environment\). Did you mean 'env.lower_bound_min'"
-    with pytest.raises(ConfigError, match=words):
-        environments.translate_environment(cls)
-    cls = make_subclass(CLASSES["Environments"], {"env._my_own_note": 3})
-    assert environments.translate_environment(cls) == environments.translate_environment(CLASSES["Environments"])
 
 
 def test_changes_are_made_all_at_once() -> None:
@@ -209,39 +206,33 @@ def test_folders_of_that_simulator_have_shapes_here() -> None:
         asset_folder = "/nowhere/aerial_gym/resources/models/environment_assets/trees"
 
     cfg = assets.translate_asset("wood", TreeAssets)
-    assert cfg.name == "wood"
-    assert cfg.family.name == "trees"
+    assert (cfg.name, cfg.family.name) == ("wood", "trees")
 
     class EmptyAssets(assets.BaseAssetParams):
         asset_folder = "/nowhere/houses"
 
     words = "asset_folder = '/nowhere/houses', file = None: no such URDF file. Folders of that"
-    with pytest.raises(ConfigError, match=words):
-        assets.translate_asset("houses", EmptyAssets)
+    assert_refused(ConfigError, words, assets.translate_asset, "houses", EmptyAssets)
 
     class Bare(assets.BaseAssetParams):
         num_assets = 2
 
-    with pytest.raises(ConfigError, match="Bare.asset_folder: must be given"):
-        assets.translate_asset("bare", Bare)
+    assert_refused(ConfigError, "Bare.asset_folder: must be given", assets.translate_asset, "bare", Bare)
 
 
-def test_units_of_the_motor_model() -> None:
+def test_units_and_modes_of_the_motor_model() -> None:
     """1.376e-5 N per (rev/s)² is that over (2 pi)² per (rad/s)²; the middle of a range counts."""
     ends = {"motor_thrust_constant_min": 1.0e-5, "motor_thrust_constant_max": 1.752e-5}
     assert make_rotor(**ends).thrust_map == pytest.approx((0.0, 0.0, 1.376e-5 / 39.47841760435743))
+    rotor = make_rotor(use_rps=False, min_thrust=-5.0, max_thrust=5.0, max_thrust_rate=200.0)
+    assert (rotor.mode, rotor.thrust_map) == ("force", (0.0,) * 3)
+    assert (rotor.thrust_range, rotor.slew_rate) == ((-5.0, 5.0), 200.0)
 
 
 def make_rotor(**values: object) -> RotorCfg:
     motor = "control_allocator_config.motor_model_config"
     cls = make_subclass(robots.BaseQuadCfg, {f"{motor}.{name}": value for name, value in values.items()})
     return robots.translate_robot(cls).rotor
-
-
-def test_force_mode_has_no_thrust_map() -> None:
-    rotor = make_rotor(use_rps=False, min_thrust=-5.0, max_thrust=5.0, max_thrust_rate=200.0)
-    assert (rotor.mode, rotor.thrust_map) == ("force", (0.0,) * 3)
-    assert (rotor.thrust_range, rotor.slew_rate) == ((-5.0, 5.0), 200.0)
 
 
 def test_depth_of_cameras_there_is_divided_by_the_range() -> None:
@@ -264,8 +255,7 @@ def test_an_imu_of_one_s_own() -> None:
     assert (cfg.accel_noise_density, cfg.gyro_noise_density) == ((0.1, 0.1, 0.2), (0.01, 0.01, 0.02))
     assert cfg.accel_bias_walk == cfg.gyro_bias_walk == cfg.gyro_initial_bias == (0.0,) * 3
     name = imus.imu_catalog_name(Noisy)
-    assert name == "noisy"
-    assert imus.imu_catalog_name(Noisy) == name
+    assert (name, imus.imu_catalog_name(Noisy)) == ("noisy", name)
     turned = {"randomize_placement": True}
     turned |= {"min_euler_rotation_deg": [-1.0, -2.0, 0.0], "max_euler_rotation_deg": [1.0, 2.0, 0.0]}
     assert imus.translate_imu(make_subclass(Noisy, turned)).misalignment_deg == (1.0, 2.0, 0.0)
@@ -280,15 +270,13 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
         randomize_params = True
 
     cfg = controllers.translate_controller(controllers.LAWS["LeeAttitudeController"], Quick)
-    assert cfg.gains.attitude == pytest.approx((1.55, 1.65, 0.45))
-    assert cfg.if_unstable == "warn"
+    assert (cfg.gains.attitude, cfg.if_unstable) == (pytest.approx((1.55, 1.65, 0.45)), "warn")
     drawn = controllers.gain_randomization(controllers.LAWS["LeeAttitudeController"], Quick)
     assert drawn["gains.attitude"] == RandomizeCfg(how="value", low=(1.5, 1.6, 0.4), high=(1.6, 1.7, 0.5))
     assert drawn["gains.position"] == RandomizeCfg(how="value", low=(2.0, 2.0, 1.0), high=(3.0, 3.0, 2.0))
     assert drawn.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
     assert not controllers.gain_randomization(controllers.LAWS["NoControl"], Quick)
-    with pytest.raises(ConfigError, match="controller class MyLaw: its own law cannot be run here"):
-        controllers.translate_controller(type("MyLaw", (), {}), Quick)
+    assert_refused(ConfigError, "controller class", controllers.translate_controller, type("MyLaw", (), {}), Quick)
 
 
 def test_same_compares_numbers_to_a_millionth() -> None:

@@ -15,6 +15,7 @@ from aerial_gym.compat.modules import GONE, MODULES
 from aerial_gym.compat.script import run_script, without_isaacgym
 from aerial_gym.math.quaternion import quat_multiply
 from docs.generate.aerial_gym_names import METHODS
+from tests.refusals import assert_refused
 
 
 @pytest.mark.parametrize("path", [path for path, names in MODULES.items() if "" not in names])
@@ -30,19 +31,15 @@ def test_every_path_gives_its_names(path: str) -> None:
 @pytest.mark.parametrize("path", GONE)
 def test_what_is_gone_says_what_to_do(path: str) -> None:
     words = "has no counterpart here: .+ See docs/guides/coming_from_aerial_gym.md"
-    with pytest.raises(ModuleNotFoundError, match=words):
-        import_module(f"aerial_gym.{path}.anything_at_all")
+    assert_refused(ModuleNotFoundError, words, import_module, f"aerial_gym.{path}.anything_at_all")
 
 
-def test_a_missing_name_lists_the_others() -> None:
+def test_a_missing_name_lists_the_others_and_a_missing_module_is_missing_as_ever() -> None:
     module = import_module("aerial_gym.config.robot_config.base_quad_config")
     with pytest.raises(AttributeError, match="has no 'BaseQuadCgf' here. Known: BaseQuadCfg"):
         module.BaseQuadCgf  # noqa: B018
 
-
-def test_other_missing_modules_are_missing_as_ever() -> None:
-    with pytest.raises(ModuleNotFoundError, match="No module named 'aerial_gym.config.no_such_thing'$"):
-        import_module("aerial_gym.config.no_such_thing")
+    assert_refused(ModuleNotFoundError, "No module named", import_module, "aerial_gym.config.no_such_thing")
 
 
 def test_a_package_of_ours_gives_a_class_of_theirs() -> None:
@@ -67,12 +64,6 @@ def test_every_method_is_there(path: str) -> None:
 HALF = 0.5**0.5
 
 
-def test_every_helper_is_there() -> None:
-    space: dict[str, object] = {}
-    exec("from aerial_gym.utils.math import *", space)
-    assert all(space[name] is getattr(helpers, name) for name in helpers.__all__)
-
-
 def test_euler_angles_and_axes() -> None:
     q = helpers.quat_from_euler_xyz(torch.zeros(1), torch.zeros(1), torch.full((1,), torch.pi / 2))
     torch.testing.assert_close(q, torch.tensor([[0.0, 0.0, HALF, HALF]]))
@@ -87,11 +78,14 @@ def test_euler_angles_and_axes() -> None:
     torch.testing.assert_close(yaw_only, torch.tensor([[0.0, 0.0, 1.2]], dtype=torch.float64))
 
 
-def test_vee_is_the_inverse_of_the_cross_product_matrix() -> None:
+def test_every_helper_is_there_and_vee_is_the_inverse_of_the_cross_product_matrix() -> None:
     v, w = torch.tensor([1.0, 2.0, 3.0]), torch.tensor([-0.5, 0.4, 0.7])
     matrix = torch.stack([torch.linalg.cross(v, unit) for unit in torch.eye(3)], dim=-1)
     torch.testing.assert_close(helpers.compute_vee_map(matrix), v)
     torch.testing.assert_close(matrix @ w, torch.linalg.cross(v, w))
+    space: dict[str, object] = {}
+    exec("from aerial_gym.utils.math import *", space)
+    assert all(space[name] is getattr(helpers, name) for name in helpers.__all__)
 
 
 @pytest.mark.parametrize(
@@ -160,8 +154,7 @@ def test_modules_of_a_script_may_import_what_is_not_installed(tmp_path: Path) ->
     assert (wrapped.reset(), wrapped.step(1), wrapped.task_config) == (("obs", "info"), 2, 7)
     assert "isaacgym" not in sys.modules
     assert sys.modules.get("gym") is installed
-    with pytest.raises(ModuleNotFoundError, match="No module named 'isaacgym'"):
-        import_module("isaacgym")
+    assert_refused(ModuleNotFoundError, "No module named 'isaacgym'", import_module, "isaacgym")
 
 
 def test_a_script_is_main_with_its_arguments_and_folder(tmp_path: Path) -> None:
@@ -174,16 +167,13 @@ def test_a_script_is_main_with_its_arguments_and_folder(tmp_path: Path) -> None:
     assert (sys.modules["__main__"], sys.argv, sys.path) == before
 
 
-def test_own_flags_and_devices() -> None:
+def test_flags_of_a_script_and_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     flags = [{"name": "--num_envs", "type": int, "default": 3}, {"name": "--train", "action": "store_true"}]
     argv = ["--sim_device", "cuda:1", "--headless"]
     args = parse_arguments("A script", headless=True, custom_parameters=flags, argv=argv)
     assert (args.num_envs, args.train, args.headless) == (3, False, True)
     assert (args.sim_device, args.rl_device) == ("cuda:1", "cuda:1")
     assert (args.sim_device_type, args.compute_device_id) == ("cuda", 1)
-
-
-def test_a_script_s_flag_takes_the_place_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["script.py", "--headless", "False", "--use_warp", "true"])
     args = get_args([{"name": "--num_envs", "type": int, "default": 7, "help": "how many"}])
     assert (args.num_envs, args.headless, args.use_warp) == (7, False, True)

@@ -21,6 +21,7 @@ from aerial_gym.compat.config.fields import copy_class
 from aerial_gym.compat.registries import BaseMultirotor
 from aerial_gym.config import family_files
 from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
+from tests.refusals import assert_refused
 
 GETTERS: dict[str, Callable[[str], object]] = {
     "sim": sim_config_registry.get_sim_config, "environment": env_config_registry.get_env_config,
@@ -72,18 +73,20 @@ def test_every_robot_of_ours_has_a_class(name: str) -> None:
     cls = robot_registry.get_robot_config(name)
     assert robot_registry.get_robot_class(name) is BaseMultirotor
     translated = robots.translate_robot(cls)
-    assert translated.body == ROBOTS.get(name).body
-    assert len(translated.sensors) == len(ROBOTS.get(name).sensors)
+    assert (translated.body, len(translated.sensors)) == (ROBOTS.get(name).body, len(ROBOTS.get(name).sensors))
     assert robot_registry.native_config(name) in (name, translated)
 
 
-def test_a_file_of_ours_is_a_robot() -> None:
+def test_a_file_of_ours_and_a_frozen_configuration_are_robots() -> None:
     path = str(family_files("robots")["tinyprop"])
     assert robot_registry.native_config(path) == path
     assert robot_registry.config_class(path).init_config.min_init_state[6] == 1.0
+    robot_registry.register("my_tinyprop", BaseMultirotor, ROBOTS.get("tinyprop"))
+    assert robot_registry.native_config("my_tinyprop") == ROBOTS.get("tinyprop")
+    assert robot_registry.get_robot_config("my_tinyprop").robot_asset.file == "robot.urdf"
 
 
-def test_another_class_under_a_name_is_refused() -> None:
+def test_another_class_code_of_a_robot_or_a_part_alone_is_refused() -> None:
     class Slow(sims.BaseSimConfig):
         class sim(sims.BaseSimConfig.sim):
             dt = 0.05
@@ -94,25 +97,13 @@ def test_another_class_under_a_name_is_refused() -> None:
     sim_config_registry.register("base_sim", sims.BaseSimConfig)
     assert sim_config_registry.make_sim("slow") is first
     assert sim_config_registry.native_config("slow").dt == 0.05
-    with pytest.raises(DuplicateNameError, match="sim 'slow' is registered already, as something else"):
-        sim_config_registry.register("slow", sims.BaseSimConfig)
-    with pytest.raises(DuplicateNameError, match="environment 'empty_env'"):
-        env_config_registry.register("empty_env", Slow)
-
-
-def test_a_frozen_configuration_can_be_registered_too() -> None:
-    robot_registry.register("my_tinyprop", BaseMultirotor, ROBOTS.get("tinyprop"))
-    assert robot_registry.native_config("my_tinyprop") == ROBOTS.get("tinyprop")
-    assert robot_registry.get_robot_config("my_tinyprop").robot_asset.file == "robot.urdf"
-
-
-def test_code_of_a_robot_or_a_part_alone_is_refused() -> None:
+    assert_refused(DuplicateNameError, "sim 'slow'", sim_config_registry.register, "slow", sims.BaseSimConfig)
+    assert_refused(DuplicateNameError, "environment 'empty_env'", env_config_registry.register, "empty_env", Slow)
     with pytest.raises(ConfigError, match="robot class MyRobot: robots have no code of their own here"):
         robot_registry.register("mine", type("MyRobot", (BaseMultirotor,), {}), robots.BaseQuadCfg)
     with pytest.raises(CapabilityError, match="a robot is built with its environment"):
         robot_registry.make_robot("base_quadrotor", "no_control", None, "cpu")
-    with pytest.raises(CapabilityError, match="a controller is built with its robot"):
-        controller_registry.make_controller("no_control", 4, "cpu")
+    assert_refused(CapabilityError, "a controller", controller_registry.make_controller, "no_control", 4, "cpu")
 
 
 def test_registered_gains_fly() -> None:

@@ -13,6 +13,7 @@ from aerial_gym.compat.native_task import NativeTask, PositionSetpointTask, task
 from aerial_gym.compat.tensors import KEYS
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError, OwnershipError, UnknownNameError
+from tests.refusals import assert_refused
 
 E, A = 3, 40
 
@@ -59,12 +60,10 @@ def test_every_key_is_there_or_says_what_to_do(env: EnvManager, name: str) -> No
     elif name in NUMBERS:
         assert tensors[name] == pytest.approx(NUMBERS[name])
     elif name in ELSEWHERE:
-        with pytest.raises(KeyError, match="in this simulation"):
-            tensors[name]
+        assert_refused(KeyError, "in this simulation", lambda: tensors[name])
     else:
         assert KEYS[name].remark
-        with pytest.raises(KeyError, match="has no counterpart here: "):
-            tensors[name]
+        assert_refused(KeyError, "has no counterpart here: ", lambda: tensors[name])
         assert tensors.get(name, "default") == "default"
 
 
@@ -86,7 +85,7 @@ def test_keys_are_views_and_assignments_reach_the_simulation(env: EnvManager) ->
         tensors["gravity"] = torch.zeros(3)
 
 
-def test_scripts_keep_things_of_their_own(env: EnvManager) -> None:
+def test_scripts_keep_things_of_their_own_and_an_unknown_key_names_the_nearest(env: EnvManager) -> None:
     tensors = env.get_obs()
     tensors["curriculum_level"] = 7
     assert tensors["curriculum_level"] == 7
@@ -95,6 +94,7 @@ def test_scripts_keep_things_of_their_own(env: EnvManager) -> None:
     assert "curriculum_level" not in tensors
     with pytest.raises(OwnershipError, match="only keys that the script has added"):
         del tensors["robot_position"]
+    assert_refused(UnknownNameError, "no tensor key 'robot_positon' .* mean", lambda: env.get_obs()["robot_positon"])
 
 
 def test_number_of_obstacles_counts_those_that_are_kept() -> None:
@@ -107,11 +107,6 @@ def test_number_of_obstacles_counts_those_that_are_kept() -> None:
     assert (present.sum(dim=1) <= 15).all()  # clearance around the start may park some more
     assert (present.sum(dim=1) > 9).all()
     assert env.asset_manager.num_keep_in_env == 9
-
-
-def test_an_unknown_key_names_the_nearest(env: EnvManager) -> None:
-    with pytest.raises(UnknownNameError, match="no tensor key 'robot_positon' .* mean 'robot_position'"):
-        env.get_obs()["robot_positon"]
 
 
 NAME = "position_setpoint_task"
@@ -212,11 +207,9 @@ def test_what_it_cannot_says_what_to_do() -> None:
         observation_space_dim = 14
 
     words = r"Wide.observation_space_dim = 14: follows from `observations:` of a task file"
-    with pytest.raises(ConfigError, match=words):
-        task_class(NAME)(Wide, device="cpu", num_envs=2)
+    assert_refused(ConfigError, words, task_class(NAME), Wide, device="cpu", num_envs=2)
     task = make()
-    with pytest.raises(CapabilityError, match=r"position_setpoint_task.reset_idx\(\[0\]\): step\(\) resets"):
-        task.reset_idx([0])
+    assert_refused(CapabilityError, r"position_setpoint_task.reset_idx\(\[0\]\): step\(\) resets", task.reset_idx, [0])
     task.render()
     task.close()
 
@@ -230,8 +223,7 @@ def test_numbers_of_rewards_are_those_of_the_terms() -> None:
         reward_parameters = {"near.height": 30.0, "far.weight": 0.5, "crash": -7.0}
 
     keen = task_class(NAME)(Keen, num_envs=2, device="cpu").task.cfg
-    assert keen.rewards["near"].params == {"height": 30.0, "width": 8.0}
-    assert keen.rewards["far"].weight == 0.5
+    assert (keen.rewards["near"].params, keen.rewards["far"].weight) == ({"height": 30.0, "width": 8.0}, 0.5)
     assert keen.crash_reward.value == -7.0
 
     for key, words in (
@@ -239,5 +231,4 @@ def test_numbers_of_rewards_are_those_of_the_terms() -> None:
         ("near.hight", r"reward 'near' \(distance_bell\): no parameter 'hight'. Did you mean 'height'"),
     ):
         wrong = type("Wrong", (task_registry.get_task_config(NAME),), {"reward_parameters": {key: 30.0}})
-        with pytest.raises(ConfigError, match=words):
-            task_class(NAME)(wrong, num_envs=2, device="cpu")
+        assert_refused(ConfigError, words, task_class(NAME), wrong, num_envs=2, device="cpu")

@@ -19,6 +19,7 @@ from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
+from tests.refusals import assert_refused
 from tests.repetitions import rare_values
 from tests.unit.export.policies import HOVER, TRANSFORMS, hover, hover_policy, layout, random_policy, training
 from tests.unit.task.hover import build_task
@@ -115,8 +116,7 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
         ("lin_vel_body", 3, 6, 2, 1.0, (0, 0)),
     ]
     assert [(s.noise_std, s.dropout, s.dropout_value) for s in made.observation] == [(0.02, 0.0, 0.0), (0.0, 0.1, -1.0)]
-    assert made.observation[0].meaning == "target minus position [m], world"
-    assert made.command[1] == "roll [rad]"
+    assert (made.observation[0].meaning, made.command[1]) == ("target minus position [m], world", "roll [rad]")
     seen = torch.randn(5, 9)
     command, _ = DeployablePolicy(policy, made)(seen)
     scaled = torch.cat((0.1 * seen[:, :3], seen[:, 3:]), dim=-1)
@@ -134,8 +134,7 @@ def test_a_policy_of_many_vehicles_is_written_for_one_of_them(tmp_path: Path, mo
     for robot, rotors in (("x500", 4), ("typhoon_hexarotor", 6)):
         (result,) = export_policy("nowhere", tmp_path / robot, ["torchscript"], robot=robot, check=False)
         made = Layout.read(tmp_path / robot)
-        assert made.robot == robot
-        assert len(made.command) == rotors
+        assert (made.robot, len(made.command)) == (robot, rotors)
         command, _, _ = load_exported(result.file).step(torch.zeros(1, width), torch.zeros(1, 0))
         fastest = rotor_state_for_thrust(ROBOTS.get(robot).rotor, ROBOTS.get(robot).rotor.thrust_range[1])
         assert command.max() == pytest.approx(fastest, rel=1e-5)
@@ -149,10 +148,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
         pytest.raises(ConfigError, match="name '2nd try': C allows letters, digits and _"),
     ):
         policy_layout(policy, training(), task, name="2nd try", source="")
-    with pytest.raises(ConfigError, match="format 'tflite': must be onnx, torchscript, c99"):
-        export_policy(tmp_path, tmp_path, ["tflite"])
-    with pytest.raises(ConfigError, match=r"no policy.json in it. Make it with aerial-gym export"):
-        load_exported(tmp_path / "a.onnx")
+    assert_refused(ConfigError, "format 'tflite': must be onnx", export_policy, tmp_path, tmp_path, ["tflite"])
+    assert_refused(ConfigError, r"no policy.json in it. Make it with aerial-gym", load_exported, tmp_path / "a.onnx")
     layout(policy).write(tmp_path)
-    with pytest.raises(ConfigError, match=r"is no exported policy. Give the .onnx, .pt or .c file"):
-        load_exported(tmp_path / "a.onnx")
+    assert_refused(ConfigError, r"is no exported policy. Give the .onnx, .pt or", load_exported, tmp_path / "a.onnx")

@@ -15,6 +15,7 @@ from aerial_gym.interop import ReusableLaunch, compile_ahead, launches, start_wa
 from aerial_gym.interop.rows import RowFunction
 from tests.builders import simulation
 from tests.conftest import COMPILING_THREADS
+from tests.refusals import assert_refused
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -71,18 +72,14 @@ def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, m
         assert out.tolist() == [value] * 3
 
 
-def test_an_argument_is_replaced(cpu: wp.Device) -> None:
+def test_an_argument_is_replaced_and_a_wrong_kernel_is_told_at_the_launch(cpu: wp.Device) -> None:
     out = torch.zeros(2)
     launch = ReusableLaunch(_fill, dim=2, inputs=[1.0], outputs=[wp.from_torch(out)], device=cpu)
     launch.set_param_at_index(0, 5.0)
     launch.launch()
     assert out.tolist() == [5.0, 5.0]
-
-
-def test_what_cannot_be_compiled_is_told_at_the_launch(cpu: wp.Device) -> None:
     launch = ReusableLaunch(_wrong, dim=1, inputs=[], outputs=[wp.zeros(1, dtype=float, device=cpu)], device=cpu)
-    with pytest.raises(Exception, match="length"):
-        launch.launch()
+    assert_refused(Exception, "length", launch.launch)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")

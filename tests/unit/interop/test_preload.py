@@ -18,6 +18,7 @@ from aerial_gym.errors import StorageError
 from aerial_gym.interop import one_thread, start_warp
 from aerial_gym.interop import preload as module
 from aerial_gym.interop.kernel_log import KernelLog
+from tests.refusals import assert_refused
 
 
 class Driver:
@@ -50,19 +51,16 @@ def test_the_context_is_that_of_the_device(device: str | None, index: int, monke
     assert run_preload(Driver(), monkeypatch, device) == [("init", 0), ("device", index), "context"]
 
 
-def test_each_process_of_torchrun_takes_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_context_of_a_process_is_that_of_its_own_gpu_with_a_working_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LOCAL_RANK", "1")
     assert ("device", 1) in run_preload(Driver(), monkeypatch, "cuda")
+    assert run_preload(Driver(status=100), monkeypatch, "cuda") == [("init", 0)]
+    assert run_preload(Driver(), monkeypatch, "cuda:7") == [("init", 0), ("device", 7)]
 
 
 @pytest.mark.parametrize("device", ["cpu", "cpu:0", "cuda:x", "mps"])
 def test_other_devices_have_no_context(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run_preload(Driver(), monkeypatch, device) == []
-
-
-def test_no_context_is_made_without_a_working_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run_preload(Driver(status=100), monkeypatch, "cuda") == [("init", 0)]
-    assert run_preload(Driver(), monkeypatch, "cuda:7") == [("init", 0), ("device", 7)]
 
 
 def test_a_machine_without_a_driver_is_none_the_worse() -> None:
@@ -99,8 +97,7 @@ def test_a_compilation_is_told_once_per_machine(tmp_path: Path) -> None:
     assert lines[0].startswith("compiled aerial_gym_rows_")
     assert " for cpu in " in lines[0]
     assert f"kept in {tmp_path}" in lines[0]
-    assert [each.stdout for each in said] == ["", ""]
-    assert said[1].stderr == ""
+    assert ([each.stdout for each in said], said[1].stderr) == (["", ""], "")
 
 
 def test_what_is_no_compilation_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
@@ -133,28 +130,23 @@ def test_torch_and_linear_algebra_run_on_one_thread_inside_and_as_before_after_i
     assert threads() == before
 
 
-def test_a_home_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_home_that_is_missing_or_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> None:
         raise PermissionError(13, "Permission denied", "/home/x/.cache/warp")
 
-    monkeypatch.setattr(wp, "init", refuse)
-    with pytest.raises(StorageError, match="/home/x/.cache/warp.*WARP_CACHE_PATH"):
-        start_warp()
+    with monkeypatch.context() as patch:
+        patch.setattr(wp, "init", refuse)
+        assert_refused(StorageError, "/home/x/.cache/warp.*WARP_CACHE_PATH", start_warp)
+    for name in ("WARP_CACHE_PATH", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    assert_refused(StorageError, "WARP_CACHE_PATH", start_warp)
 
 
 def test_a_cache_that_is_empty_and_read_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     start_warp()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(StorageError, match="WARP_CACHE_PATH"):
-        start_warp()
+    assert_refused(StorageError, "WARP_CACHE_PATH", start_warp)
     (tmp_path / "wm_kernels").mkdir()  # compiled before, on an image that is read-only now
     start_warp()
-
-
-def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("WARP_CACHE_PATH", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    with pytest.raises(StorageError, match="WARP_CACHE_PATH"):
-        start_warp()

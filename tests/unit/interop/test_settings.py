@@ -154,5 +154,4 @@ def test_a_graph_is_recorded_on_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> 
     second = torch.device("cuda", 1)
     with record_graph(object(), second, errors="thread_local"):
         assert current[-1] == second
-    assert seen == [(second, second, "thread_local")]
-    assert current == [torch.device("cuda", 0)]
+    assert (seen, current) == ([(second, second, "thread_local")], [torch.device("cuda", 0)])

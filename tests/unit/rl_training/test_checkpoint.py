@@ -23,6 +23,7 @@ from aerial_gym.rl_training.run.interruption import interruptible
 from aerial_gym.rl_training.run.progress import CURVE_COLUMNS, Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.trainers.summaries import SafeEvents
+from tests.refusals import assert_refused
 
 
 def payload() -> dict[str, Any]:
@@ -47,18 +48,6 @@ def test_a_checkpoint_comes_back_with_the_random_states(tmp_path: Path) -> None:
     assert draws() == expected
 
 
-def test_every_flipped_bit_of_the_tensors_is_found(tmp_path: Path) -> None:
-    """Each byte that belongs to the weights is damaged once: torch itself would load most of them."""
-    path = tmp_path / "a.pth"
-    write_archive(path, {"model": {"weight": torch.arange(8.0)}})
-    good = path.read_bytes()
-    start = good.index(torch.arange(8.0).numpy().tobytes())
-    for position in range(start, start + 32):
-        path.write_bytes(good[:position] + bytes([good[position] ^ 1]) + good[position + 1 :])
-        with pytest.raises(ConfigError, match=r"a.pth: is damaged, the check sum"):
-            read_archive(path, "checkpoint")
-
-
 def test_bad_files_are_refused_without_the_advice_of_torch(tmp_path: Path) -> None:
     path = tmp_path / "a.pth"
     write_archive(path, payload())
@@ -72,14 +61,21 @@ def test_bad_files_are_refused_without_the_advice_of_torch(tmp_path: Path) -> No
         assert str(error.value).startswith(f"checkpoint {tmp_path / name}: ")
         assert "weights_only" not in str(error.value)
         assert "\n" not in str(error.value)
+    path = tmp_path / "a.pth"
+    write_archive(path, {"model": {"weight": torch.arange(8.0)}})
+    good = path.read_bytes()
+    # Each byte that belongs to the weights is damaged once: torch itself would load most of them.
+    start = good.index(torch.arange(8.0).numpy().tobytes())
+    for position in range(start, start + 32):
+        path.write_bytes(good[:position] + bytes([good[position] ^ 1]) + good[position + 1 :])
+        assert_refused(ConfigError, r"a.pth: is damaged, the check sum", read_archive, path, "checkpoint")
 
 
 def test_a_full_disk_leaves_the_old_checkpoints_and_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = RunFolder(tmp_path)
     kept = folder.write_checkpoint(10, payload())
     monkeypatch.setattr(os, "fsync", full_disk)
-    with pytest.raises(StorageError, match=r"disk is full.*last checkpoint is .*10.pth; --resume"):
-        folder.write_checkpoint(20, payload())
+    assert_refused(StorageError, r"disk is full.*last checkpoint is .*10.pth", folder.write_checkpoint, 20, payload())
     assert list(folder.checkpoint_folder.iterdir()) == [kept]
 
 
@@ -99,8 +95,7 @@ def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one
     assert "damaged" in caplog.text
     assert third.with_name(third.name + ".damaged").exists()
     second.write_bytes(b"")
-    with pytest.raises(ConfigError, match="Start a new run in another --out"):
-        folder.newest_readable_checkpoint()
+    assert_refused(ConfigError, "Start a new run in another --out", folder.newest_readable_checkpoint)
 
 
 def test_a_resumed_curve_has_no_line_beyond_the_checkpoint_nor_a_torn_one(tmp_path: Path) -> None:
@@ -163,8 +158,7 @@ def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
     events.write_event(2)
     events.write_event(3)
     assert writer.calls == [1, 2]
-    with pytest.raises(StorageError, match="summaries: cannot be written, the disk is full"):
-        events.check()
+    assert_refused(StorageError, "summaries: cannot be written, the disk is full", events.check)
 
 
 def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.rl_training import GymnasiumVectorEnv
 from aerial_gym.rl_training.gymnasium import FINAL
 from aerial_gym.task import Task, task_registry
+from tests.refusals import assert_refused
 
 AWAY = np.array([0.0, 0.8, 0.0, 0.0], dtype=np.float32)  # Rolls: the robot flies off sideways
 
@@ -34,7 +35,8 @@ def test_it_is_a_vector_environment_with_batched_and_single_spaces() -> None:
     observation, info = env.reset(seed=1)
     assert env.observation_space.contains(observation)
     assert info == {}
-    observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    assert FINAL not in info
     assert env.observation_space.contains(observation)
     for value, dtype in ((reward, np.float32), (terminated, np.bool_), (truncated, np.bool_)):
         assert isinstance(value, np.ndarray)
@@ -49,8 +51,7 @@ def test_only_rows_that_end_have_a_final_observation_and_info() -> None:
     set_age(env, [5, last_step(env.task), 5])
     observation, _, terminated, truncated, info = env.step(np.zeros((3, 4)))
     assert not terminated.any()
-    assert truncated.tolist() == [False, True, False]
-    assert info["time_outs"].tolist() == [False, True, False]
+    assert (truncated.tolist(), info["time_outs"].tolist()) == ([False, True, False], [False, True, False])
     assert info[f"_{FINAL}"].tolist() == info["_final_info"].tolist() == [False, True, False]
     assert info[FINAL][0] is None
     assert info[FINAL][2] is None
@@ -58,14 +59,6 @@ def test_only_rows_that_end_have_a_final_observation_and_info() -> None:
     assert np.abs(observation[1, :3] - info[FINAL][1][:3]).max() > 1e-3  # the new episode starts elsewhere
     assert info["final_info"][1]["episode"]["l"] == env.task.cfg.episode_len_steps
     assert info["final_info"][0] is None
-
-
-def test_without_an_end_there_is_no_final_observation() -> None:
-    env = make()
-    env.reset()
-    info = env.step(np.zeros((3, 4)))[-1]
-    assert FINAL not in info
-    assert not info["time_outs"].any()
 
 
 def test_a_crash_is_terminated_and_no_time_out_even_at_the_last_step() -> None:
@@ -78,8 +71,7 @@ def test_a_crash_is_terminated_and_no_time_out_even_at_the_last_step() -> None:
     assert terminated.tolist() == [True, False, False]
     assert not truncated.any()
     assert not info["time_outs"].any()
-    assert reward[0] == -20.0
-    assert info[FINAL][0][0] == pytest.approx(-9.0, abs=0.05)
+    assert (reward[0], info[FINAL][0][0]) == (-20.0, pytest.approx(-9.0, abs=0.05))
 
 
 def test_torch_and_numpy_say_the_same() -> None:
@@ -103,14 +95,5 @@ def test_a_seed_given_to_reset_decides_the_starts() -> None:
 
 def test_wrong_requests_are_refused() -> None:
     env = make()
-    with pytest.raises(ConfigError, match="GymnasiumVectorEnv.output = 'jax': must be numpy or torch"):
-        GymnasiumVectorEnv(env.task, output="jax")
-    with pytest.raises(ShapeError, match=r"actions has shape \(4,\), expected \(E, U\) = \(3, 4\)"):
-        env.step(np.zeros(4))
-
-
-def test_close_releases_the_simulation_once() -> None:
-    env = make()
-    env.close()
-    env.close()
-    assert not hasattr(env.task.env, "robot_manager")
+    assert_refused(ConfigError, "GymnasiumVectorEnv.output = 'jax':", GymnasiumVectorEnv, env.task, output="jax")
+    assert_refused(ShapeError, r"actions has shape \(4,\), expected \(E, U\) = \(3, 4\)", env.step, np.zeros(4))

@@ -14,6 +14,7 @@ from aerial_gym.rl_training import TRAINERS, evaluate, load_policy, load_setting
 from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
 from aerial_gym.rl_training.settings import TRAINING_CONFIGS, TrainingCfg
 from aerial_gym.task import task_registry
+from tests.refusals import assert_refused
 
 NETWORKS = [(separate, normalize) for separate in (False, True) for normalize in (False, True)]
 
@@ -129,11 +130,9 @@ def test_evaluation_of_known_flights() -> None:
     assert pilot.forgot == [None, 0, 1, 0, 0, 0, 0]  # all at the start, then the row that crashed
     assert seen == [(i, 6) for i in range(1, 7)]
     assert (result.num_starts, result.episode_s) == (4, 3.0)
-    assert result.crash_rate == pytest.approx(1 / 4)
-    assert result.success_rate == pytest.approx(2 / 4)
+    assert (result.crash_rate, result.success_rate) == (pytest.approx(1 / 4), pytest.approx(2 / 4))
     assert result.final_error_mean_m == pytest.approx((0.03 + 0.2 + 0.01) / 3)
-    assert result.final_error_max_m == pytest.approx(0.2)
-    assert result.settled_rate == pytest.approx(2 / 4)
+    assert (result.final_error_max_m, result.settled_rate) == (pytest.approx(0.2), pytest.approx(2 / 4))
     assert result.settling_time_mean_s == pytest.approx((1.5 + 0.0) / 2)
     assert result.return_mean == pytest.approx((6 + 6 + 2 + 6) / 4)
 
@@ -168,59 +167,32 @@ def test_a_task_without_a_target_has_returns_alone() -> None:
     assert (result.final_error_mean_m, result.settling_time_mean_s) == (None, None)
     assert (result.gates_passed_mean, result.success_time_mean_s) == (None, None)
     assert (result.settled_rate, result.success_rate) == (0.0, 0.0)
-    assert result.crash_rate == pytest.approx(1 / 4)
-    assert result.return_mean == pytest.approx((3 * 6 + 2) / 4)
+    assert (result.crash_rate, result.return_mean) == (pytest.approx(1 / 4), pytest.approx((3 * 6 + 2) / 4))
 
 
-def test_a_policy_on_another_device_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"is on meta, the task on cpu. Use load_policy\(..., device=task.device\)"):
-        evaluate(torch.nn.Linear(2, 1, device="meta"), ScriptTask())
-
-
-def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="holds no checkpoint"):
-        load_policy(tmp_path)
-    with pytest.raises(ConfigError, match="no such file"):
-        load_policy(tmp_path / "policy.pth")
+def test_a_policy_that_is_not_there_or_elsewhere_is_refused(tmp_path: Path) -> None:
+    assert_refused(ConfigError, "holds no checkpoint", load_policy, tmp_path)
+    assert_refused(ConfigError, "no such file", load_policy, tmp_path / "policy.pth")
     (tmp_path / "policy.pth").write_bytes(b"no checkpoint")
-    with pytest.raises(ConfigError, match="no config.yaml in the folders above it"):
-        load_policy(tmp_path / "policy.pth")
+    assert_refused(ConfigError, "no config.yaml in the folders above it", load_policy, tmp_path / "policy.pth")
     cfg = settings("rl_games", separate=True, normalize=False)
-    with pytest.raises(ConfigError, match="is no rl_games checkpoint"):
-        policy_from_payload({"model": {}}, cfg, where="test")
+    assert_refused(ConfigError, "is no rl_games checkpoint", policy_from_payload, {"model": {}}, cfg, where="test")
+    assert_refused(ConfigError, r"is on meta, the task", evaluate, torch.nn.Linear(2, 1, device="meta"), ScriptTask())
 
 
-def test_settings_refuse_impossible_numbers_and_names() -> None:
+def test_impossible_settings_and_missing_trainers_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = settings("rl_games", separate=True, normalize=False)
-    with pytest.raises(UnknownNameError, match="'cleanrl'. Known: apg, distill, ppo, rl_games, sample_factory"):
-        settings_for("cleanrl", "position_setpoint_task")
+    assert_refused(UnknownNameError, "'cleanrl'. Known: apg", settings_for, "cleanrl", "position_setpoint_task")
     for own, changes, message in (
         (cfg, {"max_time_s": None, "max_env_steps": None}, "or the training never ends"),
         (cfg, {"ppo": replace(cfg.ppo, num_minibatches=7)}, "cannot be split into num_minibatches = 7"),
         (cfg.ppo, {"discount": 1.0}, r"PpoCfg.discount = 1.0: must be between 0 and 1"),
         (cfg.ppo, {"learning_rate": float("nan")}, r"PpoCfg.learning_rate = nan: must be > 0"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            replace(own, **changes)
-
-
-def test_a_cpu_has_settings_of_its_own_where_there_are_some() -> None:
-    tasks = ("position_setpoint_task", "navigation_task", "a_task_without")
-    for trainer in ("ppo", "rl_games"):
-        names = [settings_for(trainer, task, device="cpu").name.removeprefix(f"{trainer}_") for task in tasks]
-        assert names == ["position_setpoint_cpu.yaml", "navigation.yaml", "position_setpoint_cpu.yaml"]
-    for file in sorted(settings_for("ppo", "navigation_task").parent.glob("*.yaml")):
-        assert load_settings(file).trainer in file.name
-    for name in ("safe_navigation", "lidar_navigation"):
-        fewer = load_settings(settings_for("ppo", f"{name}_task", device="cpu")).num_envs
-        assert fewer < load_settings(TRAINING_CONFIGS / f"ppo_{name}.yaml").num_envs
-
-
-def test_a_missing_trainer_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+        assert_refused(ConfigError, message, replace, own, **changes)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     told = r"trainer 'sample_factory' needs .* pip install 'aerial-gym\[rl\]'"
-    with pytest.raises(MissingDependencyError, match=told):
-        TRAINERS.get("sample_factory").require()
+    assert_refused(MissingDependencyError, told, TRAINERS.get("sample_factory").require)
 
 
 def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> None:
@@ -233,15 +205,20 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
         check_fits(policy, task, cfg.task)
         task.observation_space["observations"] = Box(-1.0, 1.0, (78,))
         told = "takes 13 observations and gives 4 actions; this task has 78 observations and 4"
-        with pytest.raises(ConfigError, match=told):
-            check_fits(policy, task, cfg.task)
+        assert_refused(ConfigError, told, check_fits, policy, task, cfg.task)
     state["a2c_network.mu.bias"] = torch.tensor([0.0, float("nan"), 0.0, 0.0])
-    with pytest.raises(ConfigError, match="test: layer 2 holds 1 numbers that are NaN or infinite: the training div"):
-        policy_from_payload({"model": state}, cfg, where="test")
+    assert_refused(ConfigError, "test: layer 2 holds 1", policy_from_payload, {"model": state}, cfg, where="test")
 
 
-def test_every_file_of_settings_can_be_read() -> None:
+def test_every_file_of_settings_can_be_read_and_a_cpu_has_some_of_its_own() -> None:
     for path in sorted(TRAINING_CONFIGS.glob("*.yaml")):
         cfg = load_settings(path)
         assert path.stem.startswith(cfg.trainer), path.stem
         task_registry.get(cfg.task)
+    tasks = ("position_setpoint_task", "navigation_task", "a_task_without")
+    for trainer in ("ppo", "rl_games"):
+        names = [settings_for(trainer, task, device="cpu").name.removeprefix(f"{trainer}_") for task in tasks]
+        assert names == ["position_setpoint_cpu.yaml", "navigation.yaml", "position_setpoint_cpu.yaml"]
+    for name in ("safe_navigation", "lidar_navigation"):
+        fewer = load_settings(settings_for("ppo", f"{name}_task", device="cpu")).num_envs
+        assert fewer < load_settings(TRAINING_CONFIGS / f"ppo_{name}.yaml").num_envs

@@ -11,7 +11,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.rl_training import training as training_module
 from aerial_gym.rl_training.ranks import ALONE, Ranks, process_device, torchrun_rank
-from aerial_gym.rl_training.trainers.ppo import PpoTrainer
+from aerial_gym.rl_training.trainers.learners import PpoTrainer
+from tests.refusals import assert_refused
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.test_curriculum import CFG, make
 
@@ -31,11 +32,9 @@ def third_of_four(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 def test_each_process_takes_the_gpu_of_its_local_rank(third_of_four: pytest.MonkeyPatch) -> None:
     assert torchrun_rank() == 2
     assert [process_device(name) for name in ("auto", "cuda", "cpu")] == ["cuda:2", "cuda:2", "cpu"]
-    with pytest.raises(ConfigError, match="each of 4 processes takes a GPU of its own. Leave the number out"):
-        process_device("cuda:0")
+    assert_refused(ConfigError, "each of 4 processes takes a GPU of its own. Leave", process_device, "cuda:0")
     third_of_four.setattr(torch.cuda, "device_count", lambda: 2)
-    with pytest.raises(ConfigError, match="LOCAL_RANK 2: this machine shows 2 GPUs"):
-        process_device("auto")
+    assert_refused(ConfigError, "LOCAL_RANK 2: this machine shows 2 GPUs", process_device, "auto")
 
 
 def test_a_single_process_keeps_what_it_gives() -> None:
@@ -84,6 +83,5 @@ def test_a_trainer_of_one_process_refuses_several(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(training_module, "join_ranks", lambda device: nullcontext(Twins(0, 2, joined=True)))
     cfg = load_settings(settings_for("sample_factory", "position_setpoint_task"))
     told = "sample_factory learns in one process, and 2 were started. Leave torchrun out"
-    with pytest.raises(ConfigError, match=told):
-        train(cfg, tmp_path / "run")
+    assert_refused(ConfigError, told, train, cfg, tmp_path / "run")
     assert not (tmp_path / "run").exists()

@@ -1,9 +1,11 @@
-"""The position task with changed settings, for tests."""
+"""The position task with changed settings, and the reward of given states, for tests."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from aerial_gym import ROBOTS, Task, task_registry
 from aerial_gym.config.sensor_mount import SensorMountCfg
@@ -17,6 +19,7 @@ from aerial_gym.config.task_terms import (
     RewardCfg,
     TerminationCfg,
 )
+from aerial_gym.task.step.judge import EpisodeEnds
 from tests.builders import simulation
 
 
@@ -32,6 +35,13 @@ def build_task(cfg: TaskCfg, num_envs: int, *, robot=None, device="cpu", capture
     given |= {"sim": cfg.sim, "env": cfg.env, "num_envs": num_envs, "device": device, "randomize": cfg.randomize}
     given |= {"differentiable": gradients is not None, "dtype": gradients or torch.float32}
     return Task(cfg, simulation(robot or cfg.robot, cfg.controller, **given), capture=capture)
+
+
+def put(task: Task, positions: Tensor | Sequence[Sequence[float]]) -> None:
+    """Put the robots at rest somewhere; a hover of one step moves them by less than 5 mm."""
+    state = task.env.robot_manager.tensors.state
+    state.position.copy_(torch.as_tensor(positions))
+    state.lin_vel.zero_()
 
 
 def begin(name: str, num_envs: int, **given: Any) -> Task:
@@ -84,3 +94,11 @@ def rich(num_envs: int, **given: Any) -> Task:
         },
     )
     return build_task(cfg, num_envs, **given)
+
+
+def term_reward(task: Task, values: Mapping[str, Tensor], *, crash: Tensor | None = None) -> Tensor:
+    """Return the reward of a task's terms for given states, (E,), in the float type of the states."""
+    no = torch.zeros(len(values["robot_position"]), dtype=torch.bool)
+    ended = no if crash is None else crash
+    ends = EpisodeEnds(crash=ended, success=no, terminated=ended, truncated=no, arrived=no, causes=[])
+    return task._judge._reward_terms(values, ends)[1]

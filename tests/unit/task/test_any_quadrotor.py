@@ -13,6 +13,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.task.rotor_range import quadrotor_to_rotors_matrix, rotor_order, with_rotor_range
+from tests.refusals import assert_refused
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import begin
 
@@ -58,11 +59,6 @@ def test_a_vehicle_that_spins_away_is_lost_before_it_is_infinite() -> None:
             fastest = fastest.maximum(task.env.gtd["robot_body_angvel"].norm(dim=-1).max())
     assert crashed.float().mean() > 0.9
     assert 30.0 < float(fastest) <= 35.0
-
-
-def test_a_controller_that_tells_no_rotors_is_refused() -> None:
-    with pytest.raises(ConfigError, match="action rotor_range: controller lee_attitude_control tells no rotors"):
-        task_registry.make_task(NAME, num_envs=2, device="cpu", controller="lee_attitude_control")
 
 
 def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> None:
@@ -114,22 +110,20 @@ def test_other_rotors_lift_and_turn_as_a_quadrotor_would(controller: str, robot:
         assert float(rest.abs().max()) < 0.1 * abs(float(change[row, axis]))
 
 
-def test_what_cannot_turn_about_each_axis_is_refused() -> None:
+def test_what_cannot_fly_rotor_by_rotor_is_refused() -> None:
     robot = ROBOTS.get("base_quadrotor")
     places = zip(robot.mounts.layout, (0.2, 0.1, -0.1, -0.2), strict=True)
     row = tuple(replace(mount, position=(x, 0.0, 0.0)) for mount, x in places)
     with pytest.raises(ConfigError, match="cannot lift this robot and turn it about each axis by itself"):
         quadrotor_to_rotors_matrix(replace(robot, mounts=replace(robot.mounts, layout=row)))
+    with pytest.raises(ConfigError, match="action rotor_range: controller lee_attitude_control tells no rotors"):
+        task_registry.make_task(NAME, num_envs=2, device="cpu", controller="lee_attitude_control")
+    cfg = task_registry.get(NAME)
+    cfg = replace(cfg, action=replace(cfg.action, params={"places": 6}))
+    assert_refused(ConfigError, "expected {places: 4} or none", with_rotor_range, cfg, ROBOTS.get("x500"), ("speed_1",))
 
 
 @pytest.mark.parametrize(("robot", "joints"), [("snakey6", "yaw_1 velocity, .*"), ("tilt_tricopter", "[a-z_]+ p.*")])
 def test_a_robot_that_is_told_joints_as_well_is_refused(robot: str, joints: str) -> None:
     with pytest.raises(ConfigError, match=f"also takes {joints} of its .* position_setpoint_task_reconfigurable"):
         task_registry.make_task(NAME, num_envs=2, device="cpu", robot=robot)
-
-
-def test_an_unknown_number_of_places_is_refused() -> None:
-    cfg = task_registry.get(NAME)
-    cfg = replace(cfg, action=replace(cfg.action, params={"places": 6}))
-    with pytest.raises(ConfigError, match="expected {places: 4} or none"):
-        with_rotor_range(cfg, ROBOTS.get("x500"), ("speed_1",))

@@ -10,6 +10,7 @@ from aerial_gym import task_registry
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
+from tests.refusals import assert_refused
 from tests.unit.task.hover import begin
 
 MODULE = """
@@ -57,8 +58,7 @@ def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
     with begin(str(file), 2) as made:
         assert made.step(torch.zeros(2, 4))[1].tolist() == [5.0, 5.0]
     file.write_text(dump_yaml(replace(task, imports=("no_terms.py",))))
-    with pytest.raises(UnknownNameError, match=r"no_terms.py: no such file"):
-        task_registry.get(str(file))
+    assert_refused(UnknownNameError, r"no_terms.py: no such file", task_registry.get, str(file))
 
 
 @pytest.mark.parametrize(("name", "error", "message"), [
@@ -68,8 +68,7 @@ def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
     ("json:JSONDecoder", ConfigError, "must be a TaskCfg, or a subclass of Task that has one as its cfg"),
 ])  # fmt: skip
 def test_what_is_no_task_is_refused(name: str, error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
-        task_registry.get(name)
+    assert_refused(error, message, task_registry.get, name)
 
 
 def test_sim_environment_and_robot_can_be_replaced() -> None:
@@ -150,17 +149,3 @@ def test_gusts_push_a_vehicle_by_its_drag() -> None:
     push = (speeds[0] - speeds[1]).std(dim=0) / (3.0 * task.env.dt)
     assert bool((push > 0.35).all())
     assert bool((push < 0.58).all())
-
-
-def test_pixels_are_bytes_of_the_range_that_the_camera_sees() -> None:
-    """The state is that of navigation_task, and 255 is 10 m."""
-    with task_registry.make_task("pixel_navigation_task", num_envs=16, device="cpu", seed=1, level=44) as task:
-        seen, _ = task.reset()
-        ranges = task.env.gtd["depth_range_pixels"]
-        assert seen["observations"].shape == (16, 17)
-        assert seen["depth"].dtype == torch.uint8
-        assert seen["depth"].shape == ranges.shape
-        inside = (ranges > 0.0) & (ranges < 10.0)
-        assert float(inside.float().mean()) > 0.2
-        error = (seen["depth"].float() * 10.0 / 255.0 - ranges).abs()[inside]
-        assert float(error.max()) <= 0.5001 * 10.0 / 255.0

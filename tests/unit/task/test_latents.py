@@ -24,7 +24,7 @@ def encoder(tmp_path: Path) -> str:
     return str(tmp_path / "encoder.pt")
 
 
-def test_latents_stand_where_cells_stood(encoder: str) -> None:
+def test_latents_stand_where_cells_stood_also_for_the_critic(encoder: str) -> None:
     with begin("navigation_task", 6, seed=1, robot=ROBOT, encoder=encoder) as task:
         observation, _ = task.reset()
         for _ in range(3):
@@ -34,9 +34,6 @@ def test_latents_stand_where_cells_stood(encoder: str) -> None:
             before = expected
             observation, *_ = task.step(torch.tensor([[1.0, 0.0, 0.5, 0.0]]).expand(6, 4))
         assert float((observation["observations"][:, 17:] - before).abs().max()) > 1e-4
-
-
-def test_critic_sees_them_as_well(encoder: str) -> None:
     with begin("safe_navigation_task", 2, robot=ROBOT, encoder=encoder) as task:
         observation, _ = task.reset()
         torch.testing.assert_close(observation["critic"][:, 17:81], observation["observations"][:, 17:81])
@@ -87,10 +84,7 @@ def test_three_actions_are_those_of_navigation_without_its_idle_one() -> None:
     torch.testing.assert_close(three(actions[:, :3], **params), four(actions, **params), atol=0.0, rtol=0.0)
 
 
-def test_encoder_of_the_package_tells_how_far_the_robot_could_fly() -> None:
+def test_the_encoder_and_the_settings_are_those_of_navigation() -> None:
     trained = load_encoder(ENCODER).trained
     assert (trained["target"], trained["robot"]) == ("collision", "base_quadrotor_with_coarse_camera")
-
-
-def test_it_is_trained_with_the_settings_of_navigation() -> None:
     assert settings_for("ppo", NAME, device="cpu") == settings_for("ppo", "navigation_task", device="cpu")

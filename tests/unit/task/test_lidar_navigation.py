@@ -11,8 +11,8 @@ from aerial_gym import ROBOTS, Task, task_registry
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
-from tests.unit.task.hover import build_task
-from tests.unit.task.rewards import term_reward
+from tests.refusals import assert_refused
+from tests.unit.task.hover import build_task, term_reward
 from tests.unit.task.test_navigation import scene_distance
 
 NAME = "lidar_navigation_task"
@@ -38,9 +38,6 @@ def put(task: Task, position: Tensor, *, yaw: float = 0.0) -> None:
 def clear(task: Task) -> None:
     """Take away everything but the walls, which are the first rows."""
     task.env.asset_manager.scene.asset_state[:, 6:, 2] = -1000.0
-
-
-# ---------------------------------------------------------------------------------------------- what it sees
 
 
 def test_the_observation_is_laid_out_as_documented() -> None:
@@ -109,11 +106,9 @@ def test_cells_are_as_many_as_the_term_says() -> None:
     assert len([name for name in task.values.own if name.endswith("_cells")]) == 4
     with pytest.raises(UnknownNameError, match="'inverse_nearest' reads 'nearest_in_0x8_cells'"):
         make(1, observations={"policy": (ObservationCfg(term="inverse_nearest", params={"rows": 0}),)})
-    with pytest.raises(ConfigError, match="'inverse_nearest': robot base_quadrotor has no camera or lidar"):
-        make(1, robot="base_quadrotor")
-
-
-# ---------------------------------------------------------------------------------------------- reward
+    assert_refused(ConfigError, "'inverse_nearest': robot base_quadrotor has no", make, 1, robot="base_quadrotor")
+    with pytest.raises(UnknownNameError, match="reads 'target_yaw'"):
+        make(1, command=replace(CFG.command, generator="drawn_point"))
 
 
 def at_the_goal(**changes: list[float]) -> dict[str, Tensor]:
@@ -177,9 +172,6 @@ def test_a_collision_soon_is_found_in_flight() -> None:
     torch.testing.assert_close(task.values["previous_clearance"], task.env.gtd["robot_clearance"])
 
 
-# ---------------------------------------------------------------------------------------------- episodes
-
-
 def test_starts_have_any_heading_and_goals_keep_their_distance() -> None:
     task = make(250, robot="base_quadrotor", observations={"policy": (ObservationCfg(term="heading_error"),)})
     obs, _ = task.reset()
@@ -210,8 +202,7 @@ def test_the_curriculum_goes_from_25_to_70_rows_of_which_6_are_walls() -> None:
         assert (task.env.gtd["obstacle_position"][:, :6, 2] > -50.0).all()
         assert (standing <= levels[-1]).all()  # some are parked to make room for start and goal
         assert (standing > levels[-1] - 8).all()
-    assert levels == [27, 29, 28, 27, 26]
-    assert float(task.values["difficulty"]) == pytest.approx(1.0 / 45.0)
+    assert (levels, float(task.values["difficulty"])) == ([27, 29, 28, 27, 26], pytest.approx(1.0 / 45.0))
 
 
 def test_the_coarse_dome_shows_in_cells_about_what_the_full_one_shows() -> None:
@@ -224,8 +215,3 @@ def test_the_coarse_dome_shows_in_cells_about_what_the_full_one_shows() -> None:
     assert float(fine.std()) > 1.0
     assert float((fine - coarse).abs().median()) < 0.1
     assert float(((fine - coarse).abs() > 0.5).float().mean()) < 0.15
-
-
-def test_a_point_without_a_heading_is_not_enough() -> None:
-    with pytest.raises(UnknownNameError, match="reads 'target_yaw'"):
-        make(1, command=replace(CFG.command, generator="drawn_point"))

@@ -1,6 +1,5 @@
 """The navigation task: its action, reward and observation by hand, its goals and starts, and how its episodes end."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import cos, exp, pi, radians, sin, sqrt
 
@@ -14,20 +13,16 @@ from aerial_gym.assets import ENVIRONMENTS, CollisionTest
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.rl_training import evaluate
 from aerial_gym.task.terms.actions import forward_flight
 from aerial_gym.task.terms.observations import direction_vehicle
+from tests.refusals import assert_refused
 from tests.repetitions import rare_values
+from tests.unit.task.hover import term_reward
 from tests.unit.task.navigation import make
-from tests.unit.task.rewards import term_reward
 
 CFG = task_registry.get("navigation_task")
 RATIOS = (CFG.command.params["low"], CFG.command.params["high"])
 ROUNDING = 2e-6  # Of distances below 20 m in float32 [m]
-
-
-def noiseless() -> dict[str, object]:
-    return {"observations": {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}}
 
 
 def make_state(
@@ -118,7 +113,8 @@ def target_direction(state: dict[str, Tensor]) -> Tensor:
 
 
 def test_the_observation_is_laid_out_as_documented() -> None:
-    task = make(3, camera=True, **noiseless())
+    policy = tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])
+    task = make(3, camera=True, observations={"policy": policy})
     obs, _ = task.reset()
     obs, *_ = task.step(torch.tensor([0.2, -0.5, 0.3, 0.0]).expand(3, 4))
     seen, gtd = obs["observations"], task.env.gtd
@@ -223,31 +219,7 @@ def test_each_episode_ends_as_success_crash_or_timeout() -> None:
     assert info["crashes"].tolist() == terminated.tolist() == [False, True, False, False]
     assert info["timeouts"].tolist() == [False, False, False, True]
     assert truncated.tolist() == info["time_outs"].tolist() == [True, False, False, True]
-    assert reward[1] == -100.0
-    assert task.env.gtd["sim_steps"].tolist() == [0, 0, 1, 0]
-
-
-class ConstantPilot:
-    def __init__(self, action: torch.Tensor) -> None:
-        self.action = action
-
-    def __call__(self, observation: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        return self.action.expand(len(observation["observations"]), 4)
-
-    def reset(self, mask: torch.Tensor | None = None) -> None:
-        """Nothing is remembered."""
-
-
-def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
-    stay, ahead = (ConstantPilot(torch.tensor([speed, 0.0, 0.0, 0.0])) for speed in (-1.0, 1.0))
-    short = evaluate(stay, make(6, episode_len_steps=4))
-    assert (short.success_rate, short.crash_rate, short.timeout_rate) == (0.0, 0.0, 1.0)
-    assert short.success_radius_m == 1.0
-    near = evaluate(stay, make(6, episode_len_steps=4, success_radius=100.0))
-    assert (near.success_rate, near.crash_rate, near.timeout_rate) == (1.0, 0.0, 0.0)
-    long = evaluate(ahead, make(6))
-    assert long.crash_rate > 0.5
-    assert long.success_rate + long.crash_rate + long.timeout_rate == pytest.approx(1.0)
+    assert (reward[1], task.env.gtd["sim_steps"].tolist()) == (-100.0, [0, 0, 1, 0])
 
 
 def test_tasks_that_do_not_fit_together_are_refused() -> None:
@@ -259,8 +231,7 @@ def test_tasks_that_do_not_fit_together_are_refused() -> None:
         (attitude, r"forward_flight: gives vx .*; controller lee_attitude_control takes thrust"),
         (attitude | {"action": ActionCfg()}, r"reward 'forward_change': term .* is about vx .*; controller lee_att"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            make(1, **changes)
+        assert_refused(ConfigError, message, make, 1, **changes)
     low, high = RATIOS
     for wrong in (((0.95, 0.1, 0.1), high), ((-0.1, 0.1, 0.1), high), (low, (0.94, 0.88, float("nan")))):
         params = dict(zip(("low", "high"), wrong, strict=True))

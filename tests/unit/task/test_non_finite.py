@@ -19,6 +19,7 @@ from aerial_gym.rl_training import GymnasiumVectorEnv
 from aerial_gym.robots.finite_watch import KEPT_STEPS
 from aerial_gym.robots.non_finite_rows import NonFinite
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
+from tests.refusals import assert_refused
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import begin, build_task
 
@@ -104,8 +105,7 @@ def test_a_bad_reward_or_observation_ends_its_row(monkeypatch, caplog) -> None:
 
 def test_the_watch_keeps_the_last_steps_and_play_shows_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with make() as task:
-        with pytest.raises(ConfigError, match=r"Call task.watch\(\) before the first reset"):
-            task.dump(tmp_path / "dump.csv")
+        assert_refused(ConfigError, r"Call task.watch\(\) before the first reset", task.dump, tmp_path / "dump.csv")
         task.watch()
         task.reset()
         positions = []
@@ -119,11 +119,9 @@ def test_the_watch_keeps_the_last_steps_and_play_shows_them(tmp_path: Path, caps
     with (tmp_path / "dump.csv").open() as file:
         rows = list(csv.DictReader(file))
     first, second = rows[:KEPT_STEPS], rows[KEPT_STEPS:]
-    assert len(second) == 3
-    assert {row["env"] for row in rows} == {"2"}
+    assert (len(second), {row["env"] for row in rows}) == (3, {"2"})
     assert [int(row["episode_step"]) for row in first] == list(range(31, KEPT_STEPS + 31))
-    assert [int(row["episode_step"]) for row in second] == [1, 2, 3]
-    assert float(first[-1]["t"]) == 0.0
+    assert ([int(row["episode_step"]) for row in second], float(first[-1]["t"])) == ([1, 2, 3], 0.0)
     assert all(isfinite(float(row["action_4"])) for row in first[:-1])
     assert first[-1]["action_4"] == first[-1]["command_4"] == "nan"
     for row, action in ((first[0], 0.031), (second[0], 0.001 * (KEPT_STEPS + 31))):
@@ -178,11 +176,11 @@ def test_whatever_is_used_after_close_says_so() -> None:
     adapter.close()
     task.close()  # a second time does nothing
     env = task.env
+    assert not hasattr(env, "robot_manager")
     tasks = (task.reset, lambda: task.step(actions), lambda: task.reset(seed=1))
     envs = (env.reset, env.render, lambda: env.step(actions))
     for use in (*tasks, *envs, adapter.reset, lambda: adapter.step(actions)):
-        with pytest.raises(ClosedError, match="this simulation is closed. Build a new one"):
-            use()
+        assert_refused(ClosedError, "this simulation is closed. Build a new one", use)
 
 
 @pytest.mark.parametrize("width", [1, 3, 5])

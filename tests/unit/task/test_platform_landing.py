@@ -13,6 +13,7 @@ from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS, Task, task_regi
 from aerial_gym.task.terms.terminations import missed_touchdown, touchdown
 from tests.unit.task.hover import begin
 from tests.unit.task.hover import make as make_hover
+from tests.unit.task.hover import put as put_at
 
 NAME, STANDS = "platform_landing_task", 0.4
 """Height of the body origin [m] where the vehicle stands on the platform: 0.2 m, on skids of 0.2 m."""
@@ -58,20 +59,6 @@ def test_a_touchdown_is_near_and_slow(speed: float, beside: float, ended: str) -
         assert bool(info["successes"].all()) is (ended == "landed")
 
 
-def test_touchdowns_are_told_from_other_touches() -> None:
-    force = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [-1.0, 0.0, 0.0]])
-    place = torch.tensor([[0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0], [0.0, 0.0, 0.0]])
-    velocity = torch.tensor([[0.0, 0.0, -0.4], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.4, 0.4, 0.0]])
-    given = (force, torch.zeros(4, 3), place, velocity)
-    assert touchdown(*given, radius=0.3, speed=0.5).tolist() == [True, False, False, False]
-    assert missed_touchdown(*given, radius=0.3, speed=0.5).tolist() == [False, False, True, True]
-
-
-def test_an_asset_that_is_not_always_there_is_no_target() -> None:
-    with pytest.raises(ConfigError, match=r"command asset: name = 'boat': must be an asset with keep: true, of \[\]"):
-        make_hover(2, command=CommandCfg(generator="asset", params={"name": "boat"}))
-
-
 def fly(num: int, backend: str, first: int = 0) -> tuple[Tensor, Tensor]:
     """Return the robots' positions after ten steps over their platforms, (E, 3), and their ground-effect factors k, (E,)."""
     with begin(NAME, num, seed=5, backend=backend, first_env=first) as task:
@@ -112,7 +99,7 @@ def test_the_vehicle_belongs_a_link_above_the_place_of_the_load() -> None:
         assert torch.equal(before[250:], task.target_position[250:])
 
 
-def test_terms_of_the_load_are_their_formulas() -> None:
+def test_terms_of_touchdown_load_and_up_are_their_formulas() -> None:
     place, target = torch.tensor([[0.0, 0.3, 0.0], [0.0, 0.0, 0.05]]), torch.zeros(2, 3)
     velocity, own = torch.tensor([[0.0, 0.0, 0.2], [0.09, 0.0, 0.0]]), torch.tensor([[0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
     result = REWARDS.get("load_distance_bell").value(target, place, height=3.0, width=8.0)
@@ -125,14 +112,25 @@ def test_terms_of_the_load_are_their_formulas() -> None:
     torch.testing.assert_close(away, torch.tensor([[0.0, 0.2, 0.0], [0.0, 0.0, 0.05]]))
     relative = OBSERVATIONS.get("load_vel_world").value(velocity, own)
     torch.testing.assert_close(relative, torch.tensor([[0.0, -0.1, 0.2], [0.09, 0.0, 0.0]]))
+    turn = torch.nn.functional.normalize(torch.randn(50, 4, generator=torch.Generator().manual_seed(0)), dim=-1)
+    expected = quat_rotate_inverse(turn, torch.tensor([[0.0, 0.0, 1.0]]).expand(50, 3))
+    torch.testing.assert_close(OBSERVATIONS.get("up_body").value(turn), expected)
+    force = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [-1.0, 0.0, 0.0]])
+    place = torch.tensor([[0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0], [0.0, 0.0, 0.0]])
+    velocity = torch.tensor([[0.0, 0.0, -0.4], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.4, 0.4, 0.0]])
+    given = (force, torch.zeros(4, 3), place, velocity)
+    assert touchdown(*given, radius=0.3, speed=0.5).tolist() == [True, False, False, False]
+    assert missed_touchdown(*given, radius=0.3, speed=0.5).tolist() == [False, False, True, True]
 
 
-def test_a_robot_without_a_load_is_refused_and_so_are_shares_beyond_the_bounds() -> None:
+def test_commands_without_their_asset_load_or_bounds_are_refused() -> None:
     ends = {"low": (0.1, 0.1, 0.1), "high": (0.9, 0.9, 0.9)}
     with pytest.raises(ConfigError, match="command load_point: nothing hangs on the robot"):
         make_hover(2, command=CommandCfg(generator="load_point", params=ends))
     with pytest.raises(ConfigError, match="command drawn_point: low = .*: needs 0 <= low <= high <= 1"):
         make_hover(2, command=CommandCfg(generator="drawn_point", params={**ends, "high": (0.9, 0.9, 1.1)}))
+    with pytest.raises(ConfigError, match=r"command asset: name = 'boat': must be an asset with keep: true, of \[\]"):
+        make_hover(2, command=CommandCfg(generator="asset", params={"name": "boat"}))
 
 
 FAILURE_TASK, HOVER = "motor_failure_task", -0.387  # The action for 0.613 N of each rotor, a quarter of the weight
@@ -179,12 +177,6 @@ def test_the_drag_of_its_rotors_brakes_a_spin_as_that_of_the_source() -> None:
         torch.testing.assert_close(state.ang_vel[:, 2], torch.tensor([expected, -expected]), rtol=0.02, atol=0.0)
 
 
-def test_up_is_told_in_the_body() -> None:
-    turn = torch.nn.functional.normalize(torch.randn(50, 4, generator=torch.Generator().manual_seed(0)), dim=-1)
-    expected = quat_rotate_inverse(turn, torch.tensor([[0.0, 0.0, 1.0]]).expand(50, 3))
-    torch.testing.assert_close(OBSERVATIONS.get("up_body").value(turn), expected)
-
-
 SPLIT_S_TASK, UPPER, LOWER = "racing_split_s_task", 3, 4  # Numbers of the gates that stand one over the other
 
 
@@ -197,14 +189,8 @@ def at_gate(task: Task, number: int) -> None:
     own["target_direction"].copy_(torch.stack((yaw.cos(), yaw.sin())).expand(count, 2))
 
 
-def put_beside_gates(task: Task, x: float, z: float) -> None:
-    state = task.env.robot_manager.tensors.state
-    state.position.copy_(torch.tensor([x, -6.0, z]))
-    state.lin_vel.zero_()
-
-
 def move_robot(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
-    put_beside_gates(task, x, z)
+    put_at(task, (x, -6.0, z))
     *_, info = task.step(torch.tensor([[-0.375, 0.0, 0.0, 0.0]]).expand(task.num_envs, -1))  # the weight
     return info
 
@@ -212,7 +198,7 @@ def move_robot(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
 def test_one_over_the_other_is_flown_through_back_and_forth() -> None:
     with begin(SPLIT_S_TASK, 2) as task:
         at_gate(task, UPPER)
-        put_beside_gates(task, -4.4, 3.5)
+        put_at(task, (-4.4, -6.0, 3.5))
         task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 3.5]))
         assert move_robot(task, -4.6, 3.5)["gate_passed"].all()
         assert (task.values["target_index"] == LOWER).all()

@@ -8,6 +8,7 @@ import torch
 from aerial_gym import ROBOTS, task_registry
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.settings import settings_for
+from tests.refusals import assert_refused
 from tests.unit.task.hover import begin
 
 LEVEL = """
@@ -57,7 +58,7 @@ def level(folder: Path, *changes: tuple[str, str], drawn: bool = False) -> str:
     return str(path)
 
 
-def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
+def test_a_level_has_the_numbers_of_its_file_and_the_settings_of_a_race(tmp_path: Path) -> None:
     task = task_registry.get(level(tmp_path))
     env = task.env
     track, start = env.track, task.start
@@ -68,8 +69,7 @@ def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
     assert (track.gate_position_low, track.gate_position_high) == ((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3))
     assert (track.gate_euler_low, track.gate_euler_high) == ((0.0, -0.01, -0.02), (0.0, 0.01, 0.02))
     assert (track.pole_low, track.pole_high) == ((-0.4, -0.5, 0.0), (0.4, 0.5, 0.0))
-    assert [asset.count for asset in env.assets] == [2, 1]
-    assert task.command.params["sensor_range"] == 0.9
+    assert ([asset.count for asset in env.assets], task.command.params["sensor_range"]) == ([2, 1], 0.9)
     mass, inertia = task.randomize["body.mass"], task.randomize["body.inertia"]
     assert (mass.how, mass.low, mass.high, mass.keep_inertia) == ("offset", -0.002, 0.004, True)
     moments = [ROBOTS.get(task.robot).body.inertia[i][i] for i in range(3)]
@@ -79,6 +79,7 @@ def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
     assert start.position_ratio_high == pytest.approx(((1.8 + 3.0) / 6.0, (-0.3 + 3.0) / 6.0, 0.125 / 2.5))
     assert start.euler_low == pytest.approx((-0.05, -0.05, 0.15))
     assert start.euler_high == pytest.approx((0.05, 0.05, 0.25))
+    assert settings_for("ppo", level(tmp_path), device="cpu").name == "ppo_racing_cpu.yaml"
 
 
 def test_a_level_is_flown(tmp_path: Path) -> None:
@@ -98,7 +99,7 @@ def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
     assert start.position_ratio_high == pytest.approx((5.6 / 6.0, 4.6 / 6.0, 0.125 / 2.5))
 
 
-def test_what_is_not_drawn_is_as_it_is_listed(tmp_path: Path) -> None:
+def test_what_is_not_drawn_is_as_it_is_listed_and_a_missing_level_is_named(tmp_path: Path) -> None:
     path = level(tmp_path)
     text = Path(path).read_text(encoding="utf-8").partition("[env.randomizations")[0]
     Path(path).write_text(text, encoding="utf-8")
@@ -106,6 +107,7 @@ def test_what_is_not_drawn_is_as_it_is_listed(tmp_path: Path) -> None:
     track = task.env.track
     assert not task.randomize
     assert track.gate_position_low == track.gate_position_high == (0.0, 0.0, 0.0)
+    assert_refused(ConfigError, "nowhere.toml: no level can be read", task_registry.get, "nowhere.toml")
 
 
 DISTURBANCES = """
@@ -147,10 +149,6 @@ def test_disturbances_push_a_vehicle(tmp_path: Path) -> None:
     assert ((result / expected - 1.0).abs() < 5.0 / (2.0 * 200) ** 0.5).all()
 
 
-def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:
-    assert settings_for("ppo", level(tmp_path), device="cpu").name == "ppo_racing_cpu.yaml"
-
-
 @pytest.mark.parametrize(("old", "new", "message"), [
     ("cf21B_500", "cf2x_L250", "sim.drone_model = 'cf2x_L250': only cf21B_500 is known"),
     ("freq = 500", "freq = 400", "sim.freq = 400: no sim has this frequency. Known: 100, 500, 250 Hz"),
@@ -166,10 +164,4 @@ def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:
     (DRAWN, DISTURBANCES.replace('"uniform"', '"normal"', 1), "dynamics.fn = 'normal': must be 'uniform'"),
 ])  # fmt: skip
 def test_levels_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        task_registry.get(level(tmp_path, (old, new)))
-
-
-def test_a_level_that_is_not_there_is_named() -> None:
-    with pytest.raises(ConfigError, match="nowhere.toml: no level can be read"):
-        task_registry.get("nowhere.toml")
+    assert_refused(ConfigError, message, task_registry.get, level(tmp_path, (old, new)))

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym import Task, task_registry
-from tests.unit.task.hover import camera_task, rich
-from tests.unit.task.rewards import term_reward
+from tests.unit.task.hover import camera_task, rich, term_reward
 
 
 def make(num_envs: int = 8, *, seed: int = 0, **changes: object) -> Task:
@@ -29,6 +28,9 @@ def test_spaces_and_shapes() -> None:
     assert obs["observations"].shape == info["final_observation"].shape == (5, 13)
     assert reward.shape == terminated.shape == truncated.shape == (5,)
     assert terminated.dtype == truncated.dtype == torch.bool
+    with make(2) as task:
+        task.reset()
+    assert not hasattr(task.env, "robot_manager")
 
 
 def test_an_episode_lasts_exactly_as_long_as_configured_and_ends_by_time_out() -> None:
@@ -121,12 +123,6 @@ def test_reward_is_the_published_formula(position, attitude, ang_vel, expected) 
     task, state = make(1), make_state(position, attitude=attitude, ang_vel=ang_vel)
     assert term_reward(task, state).item() == pytest.approx(expected, rel=1e-12)
     assert term_reward(task, state, crash=torch.tensor([True])).item() == -20.0
-
-
-def test_leaving_the_context_releases_the_simulation() -> None:
-    with make(2) as task:
-        task.reset()
-    assert not hasattr(task.env, "robot_manager")
 
 
 def fly(task: Task, first: int = 0, *, steps: int = 9) -> list[dict[str, Tensor]]:

@@ -44,13 +44,9 @@ def test_steps_by_robot_with_lost_vehicles_and_refusals() -> None:
     ]
     rows = steps_table([FLIGHT, foreign], refusals, ["magpie_position_control", "magpie_rates_control"]).splitlines()
     assert rows == [
-        "| robot | `magpie_position_control` |",
-        "| --- | --- |",
-        "| `magpie` | 4.7, 0%, 0.0058, **lost** |",
-        "| `lmf2` | 4.7, 8%, < 0.001 |",
-        "| `tinyprop` | refused |",
-        "| `base_rov` | unfit |",
-    ]
+        "| robot | `magpie_position_control` |", "| --- | --- |", "| `magpie` | 4.7, 0%, 0.0058, **lost** |",
+        "| `lmf2` | 4.7, 8%, < 0.001 |", "| `tinyprop` | refused |", "| `base_rov` | unfit |",
+    ]  # fmt: skip
     refusals += [replace(r, controller="magpie_velocity_control") for r in refusals]
     names = "`magpie_position_control`, `magpie_velocity_control`"
     assert refusals_table(refusals).splitlines()[-1] == f"| {names} | `base_rov` | `tinyprop` |"
@@ -65,7 +61,7 @@ def test_controllers_are_compared_over_their_robots_at_each_sim() -> None:
     assert rows[2:] == ["| `lee_position_control` | 3 | 0.2 m (`r2`) | 3, 2% | 2, 0%, 1 lost | - |"]
 
 
-def test_error_in_wind_by_controller() -> None:
+def test_error_in_wind_and_of_joints_by_controller() -> None:
     law = replace(FLIGHT, controller="lee_position_control", wind_error=0.49, wind_largest=0.5)
     falls = replace(law, controller="px4_position_control", wind_error=0.1)
     rows = wind_table([law, replace(law, robot="lmf2", wind_error=0.45), replace(law, law="rates"), falls, wet(law)])
@@ -73,9 +69,6 @@ def test_error_in_wind_by_controller() -> None:
         "| `lee_position_control` | 2 | 0.47 m | 0.49 m (`magpie`) | 94% |",
         "| `px4_position_control` | 1 | 0.1 m | 0.1 m (`magpie`) | 20% |",
     ]
-
-
-def test_robots_with_joints_by_the_number_of_controllers_that_lose_them() -> None:
     held = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=0.091, limit_error=0.1)
     fell = replace(held, controller="lee_rates_control", error=inf, tilt_rad=2.0, overshoot=inf, limit_error=inf)
     assert joints_table([held, fell]).splitlines()[-1] == "| `morphy` | 2 | 1 | 1 | 1 | 0.091 |"
@@ -87,8 +80,7 @@ def wet(flight: ControlFlight) -> ControlFlight:
 
 def test_what_is_refused_is_not_flown() -> None:
     flights, refusals = fly_all(["base_rov"], ["lee_position_control"])
-    assert flights == []
-    assert [r.sim for r in refusals] == ["base_sim", "base_sim_2ms", "base_sim_4ms"]
+    assert (flights, [r.sim for r in refusals]) == ([], ["base_sim", "base_sim_2ms", "base_sim_4ms"])
     assert all(r.of_kind and r.refused.startswith("law 'position': moves sideways") for r in refusals)
 
 
@@ -122,19 +114,16 @@ def drive_commands(robot: str) -> list[float]:
     return actions[0].tolist()
 
 
-def test_drives_hold_the_reference_pose_and_a_tail_what_turns_it_by_nothing() -> None:
-    turned = [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0]
-    torch.testing.assert_close(drive_commands("snakey_position"), turned, rtol=1e-6, atol=0)
-    torch.testing.assert_close(drive_commands("tilt_tricopter"), [*[0.0] * 8, 0.1012477], rtol=1e-5, atol=0)
-    assert drive_commands("morphy") == drive_commands("x500") == [0.0] * 9
-
-
-def test_robots_that_bend_fly_beside_rigid_ones_but_not_on_a_stand() -> None:
+def test_robots_that_bend_fly_with_their_drives_and_not_on_a_stand() -> None:
     bend = robots_by_dynamics(bend=True)
     assert not set(bend) & set(robots_by_dynamics())
     assert "morphy_fixed_base" not in bend
     assert [name for name in bend if not holds_shape(ROBOTS.get(name))][:2] == ["snakey", "snakey5"]
     assert table_robots()[-5:] == ["morphy", "snakey", "snakey5", "snakey6", "tilt_tricopter"]
+    turned = [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0]
+    torch.testing.assert_close(drive_commands("snakey_position"), turned, rtol=1e-6, atol=0)
+    torch.testing.assert_close(drive_commands("tilt_tricopter"), [*[0.0] * 8, 0.1012477], rtol=1e-5, atol=0)
+    assert drive_commands("morphy") == drive_commands("x500") == [0.0] * 9
 
 
 def test_a_response_with_nan_has_not_settled() -> None:

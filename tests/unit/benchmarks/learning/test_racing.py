@@ -78,12 +78,9 @@ ROWS = """time_s,env_steps,reward_per_step,episode_return,episode_length,env_ste
 """
 
 
-def test_a_curve_begins_with_the_first_episode_that_ended(tmp_path: Path) -> None:
+def test_a_curve_begins_with_the_first_episode_that_ended_and_has_a_panel(tmp_path: Path) -> None:
     (tmp_path / "curve.csv").write_text(ROWS)
     assert run_curves.run_curve(tmp_path) == ([2.0, 4.0], [5.5, 7.5])
-
-
-def test_every_name_gets_a_panel(tmp_path: Path) -> None:
     (tmp_path / "curve.csv").write_text(ROWS)
     run_curves.main(str(tmp_path / "out.png"), *(f"{name}={tmp_path} {tmp_path}" for name in "abcd"))
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")

@@ -13,6 +13,7 @@ from aerial_gym.rl_training.encoder.figures import image_errors, reconstruct_by_
 from aerial_gym.rl_training.encoder.scenes import ImageSet, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.rl_training.encoder.training import EncoderFit
+from tests.refusals import assert_refused
 
 CFG = EncoderTrainingCfg(train_images=64, test_images=8, epochs=6, batch=16, latents=4, channels=(4, 8))
 
@@ -90,14 +91,11 @@ def test_components_tell_all_of_what_has_their_rank(most_exact: int, monkeypatch
     assert float(result) == pytest.approx(float(left), rel=1e-3)
 
 
-def test_components_of_images_tell_another_target_by_least_squares() -> None:
+def test_components_and_means_of_images_tell_another_target() -> None:
     images = draw_images(3)
     target = 1.0 - 0.5 * images.flip(2)
     told = reconstruct_by_components(make_images(images, target), 3)(images)
     torch.testing.assert_close(told, target, atol=2e-5, rtol=0.0)
-
-
-def test_mean_is_the_mean_of_the_targets() -> None:
     images = draw_images(3)
     told = reconstruct_by_mean(make_images(images, 2.0 * images))(images[:2])
     torch.testing.assert_close(told[1], 2.0 * images.mean(0))
@@ -127,11 +125,8 @@ def test_collisions_are_nearer_than_what_is_seen() -> None:
 
 
 def test_wrong_requests_are_told() -> None:
-    with pytest.raises(ConfigError, match="robot base_quadrotor has no camera or lidar to encode"):
-        image_sensor(replace(SCENES_CFG, robot="base_quadrotor"))
+    assert_refused(ConfigError, "robot base_quadrotor", image_sensor, replace(SCENES_CFG, robot="base_quadrotor"))
     with pytest.raises(UnknownNameError, match="no environment 'forest'"):
         render_images(replace(SCENES_CFG, envs=("forest",)), 1, seed=0, device=CPU)
-    with pytest.raises(ConfigError, match="target = 'depth': must be distance or collision"):
-        replace(SCENES_CFG, target="depth")
-    with pytest.raises(ConfigError, match="an image of each"):
-        replace(SCENES_CFG, test_images=1)
+    assert_refused(ConfigError, "target = 'depth': must be distance or collision", replace, SCENES_CFG, target="depth")
+    assert_refused(ConfigError, "an image of each", replace, SCENES_CFG, test_images=1)

@@ -13,7 +13,8 @@ from aerial_gym.rl_training import TrainingCfg, evaluate, load_settings, setting
 from aerial_gym.rl_training.learning.apg import Apg, check_differentiable, window_return
 from aerial_gym.rl_training.learning.learner import clamp_action
 from aerial_gym.rl_training.policies.load import make_network
-from aerial_gym.rl_training.trainers.apg import ApgTrainer
+from aerial_gym.rl_training.trainers.learners import ApgTrainer
+from tests.refusals import assert_refused
 from tests.unit.task.hover import build_task
 
 F64 = torch.float64
@@ -161,8 +162,7 @@ def test_a_window_with_joints_is_no_cuda_graph() -> None:
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
         check_differentiable(task, cfg)
         task.device = torch.device("cuda")
-        with pytest.raises(CapabilityError, match=r"robot with joints.* Give capture: false"):
-            check_differentiable(task, cfg)
+        assert_refused(CapabilityError, r"robot with joints.* Give capture: false", check_differentiable, task, cfg)
         check_differentiable(task, replace(cfg, apg=replace(cfg.apg, capture=False)))
 
 
@@ -174,8 +174,7 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
         (task_registry.make_task(cfg.task, num_envs=2, device="cpu"), f"{cfg.task} was made without gradients"),
         (randomized, r"draws body.mass at resets, .* Take them out of randomize, or train with ppo"),
     ):
-        with pytest.raises(CapabilityError, match=message):
-            ApgTrainer().make_training(cfg, task)
+        assert_refused(CapabilityError, message, ApgTrainer().make_training, cfg, task)
 
 
 def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogCaptureFixture) -> None:
@@ -191,17 +190,14 @@ def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogC
 def test_settings_that_do_not_fit_are_refused() -> None:
     cfg = settings()
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")).ppo
-    with pytest.raises(ConfigError, match="trainer apg needs its numbers under apg, and no others"):
-        replace(cfg, ppo=ppo)
-    with pytest.raises(ConfigError, match="trainer ppo needs its numbers under ppo"):
-        replace(cfg, trainer="ppo")
+    assert_refused(ConfigError, "trainer apg needs its numbers under apg, and no others", replace, cfg, ppo=ppo)
+    assert_refused(ConfigError, "trainer ppo needs its numbers under ppo", replace, cfg, trainer="ppo")
     for change, message in (
         ({"memory": 8}, "apg has policies without memory. Train with ppo"),
         ({"separate_value_network": False}, "must be true"),
         ({"target_share": 1.5}, "must be at most 1"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            replace(cfg.apg, **change)
+        assert_refused(ConfigError, message, replace, cfg.apg, **change)
 
 
 UPDATES = 30  # About 8 s of one core: half of what brings the error to 0.02 m

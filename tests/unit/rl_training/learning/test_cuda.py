@@ -11,8 +11,8 @@ from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.ranks import ALONE, Ranks, join_ranks
+from aerial_gym.rl_training.trainers.learners import PpoTrainer
 from aerial_gym.rl_training.trainers.native import LOOK_EVERY, NativeTraining
-from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry
 from tests.unit.rl_training.learning.test_distill import settings as distillation
 from tests.unit.rl_training.learning.test_ppo import settings

@@ -14,7 +14,8 @@ from aerial_gym.rl_training import Policy, TrainingCfg, load_settings, settings_
 from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.load import load_policy, make_network
-from aerial_gym.rl_training.trainers.distill import DistillTrainer
+from aerial_gym.rl_training.trainers.learners import DistillTrainer
+from tests.refusals import assert_refused
 from tests.unit.task.hover import build_task
 
 SENSED = tuple(ObservationCfg(term=term) for term in ("position_error_world", "attitude"))
@@ -115,19 +116,15 @@ def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the
             assert torch.equal(tensor, whole[name]), name
     result = train(cfg, tmp_path / "student", show_progress=False)
     policy, its_cfg = load_policy(tmp_path / "student")
-    assert its_cfg.teacher == str(tmp_path / "ppo")
-    assert result.env_steps == 8 * 64 * 16
+    assert (its_cfg.teacher, result.env_steps) == (str(tmp_path / "ppo"), 8 * 64 * 16)
     assert policy.shapes == {"observations": (13,)}
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="distill needs a policy to hand on: --teacher RUN"):
-        train(settings(), tmp_path / "run", show_progress=False)
+    assert_refused(ConfigError, "distill needs a policy", train, settings(), tmp_path / "run", show_progress=False)
     with pytest.raises(ConfigError, match="nowhere"):
         train(replace(settings(), teacher=str(tmp_path / "nowhere")), tmp_path / "run", show_progress=False)
     assert not (tmp_path / "run").exists()
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
-    with pytest.raises(ConfigError, match="trainer ppo has none. Use distill"):
-        replace(ppo, teacher="runs/hover")
-    with pytest.raises(ConfigError, match="distillation has no value network"):
-        settings(separate_value_network=True)
+    assert_refused(ConfigError, "trainer ppo has none. Use distill", replace, ppo, teacher="runs/hover")
+    assert_refused(ConfigError, "distillation has no value network", settings, separate_value_network=True)

@@ -12,9 +12,8 @@ from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.policies.load import check_fits, make_network, policy_from_payload
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers import apg, ppo
+from aerial_gym.rl_training.trainers.learners import ApgTrainer, PpoTrainer
 from aerial_gym.rl_training.trainers.native import NativeTraining
-from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from tests.repetitions import frequent_values
 from tests.unit.rl_training.learning import test_apg, test_ppo
 from tests.unit.rl_training.learning.test_ppo import settings
@@ -107,8 +106,7 @@ def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_be
         state = training.state()
         policy = policy_from_payload(state, cfg, where="test")
         check_fits(policy, task, cfg.task)
-        assert set(policy.shapes) == {"observations", "depth"}
-        assert evaluate(policy, task).num_starts == 8
+        assert (set(policy.shapes), evaluate(policy, task).num_starts) == ({"observations", "depth"}, 8)
         again = PpoTrainer().make_training(cfg, task)
         again.load(state)
         assert again.env_steps == training.env_steps == 2 * 4 * 8
@@ -118,12 +116,12 @@ Make = Callable[[TrainingCfg, Task], NativeTraining[Any]]
 SHARED = {"separate_value_network": False, "entropy_coef": 1e-3}
 
 TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
-    "ppo, separate": (test_ppo.settings(), ppo.PpoTrainer().make_training),
-    "ppo, shared": (test_ppo.settings(separate_value_network=False, clip_value=True), ppo.PpoTrainer().make_training),
-    "ppo, recurrent": (test_ppo.settings(memory=8, normalize_observation=True), ppo.PpoTrainer().make_training),
-    "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), ppo.PpoTrainer().make_training),
-    "apg": (test_apg.settings(), apg.ApgTrainer().make_training),
-    "apg, a critic": (test_apg.settings(terminal_value=True, normalize_value=True), apg.ApgTrainer().make_training),
+    "ppo, separate": (test_ppo.settings(), PpoTrainer().make_training),
+    "ppo, shared": (test_ppo.settings(separate_value_network=False, clip_value=True), PpoTrainer().make_training),
+    "ppo, recurrent": (test_ppo.settings(memory=8, normalize_observation=True), PpoTrainer().make_training),
+    "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), PpoTrainer().make_training),
+    "apg": (test_apg.settings(), ApgTrainer().make_training),
+    "apg, a critic": (test_apg.settings(terminal_value=True, normalize_value=True), ApgTrainer().make_training),
 }
 
 

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for
-from aerial_gym.rl_training.learning import adam
-from aerial_gym.rl_training.learning.adam import FlatAdam
-from aerial_gym.rl_training.learning.learner import bound_excess, generalized_advantages
+from aerial_gym.rl_training.learning import learner
+from aerial_gym.rl_training.learning.learner import FlatAdam, bound_excess, generalized_advantages
 from aerial_gym.rl_training.learning.ppo import Ppo, adapt_rate, clipped_objective, squared_error
 from aerial_gym.rl_training.policies.load import make_network
-from aerial_gym.rl_training.trainers.ppo import PpoTrainer
+from aerial_gym.rl_training.trainers.learners import PpoTrainer
 from aerial_gym.task import task_registry
+from tests.refusals import assert_refused
 
 GAMMA, LAMBDA = 0.9, 0.8
 
@@ -45,11 +45,7 @@ def test_advantages_are_the_sum_of_discounted_errors_up_to_the_end_of_the_episod
                     break
     result = generalized_advantages(reward, value, after, terminated, ended, discount=GAMMA, decay=LAMBDA)
     torch.testing.assert_close(result, expected, atol=1e-13, rtol=0.0)
-
-
-def test_a_truncated_episode_is_worth_what_follows_and_a_terminated_one_is_not() -> None:
-    """One step of reward 1 from a value of 2 to one of 5: 1 + 0.9 * 5 - 2 = 3.5 against 1 - 2 = -1."""
-    one = torch.ones(1, 1)
+    one = torch.ones(1, 1)  # One step of reward 1 from a value of 2 to one of 5: 1 + 0.9 * 5 - 2 = 3.5, or 1 - 2 = -1
     ended, no = one.bool(), ~one.bool()
     truncated = generalized_advantages(one, 2.0 * one, 5.0 * one, no, ended, discount=GAMMA, decay=LAMBDA)
     crashed = generalized_advantages(one, 2.0 * one, 5.0 * one, ended, ended, discount=GAMMA, decay=LAMBDA)
@@ -84,16 +80,14 @@ def test_the_rate_follows_the_divergence_between_its_limits() -> None:
         result = adapt_rate(torch.tensor(now), torch.tensor(divergence), threshold=0.01, highest=torch.tensor(5e-3))
         return float(result)
 
-    assert rate(0.021) == pytest.approx(1e-3 / 1.5)
-    assert rate(0.01) == pytest.approx(1e-3)
-    assert rate(0.004) == pytest.approx(1.5e-3)
-    assert rate(0.004, now=4e-3) == pytest.approx(5e-3)
+    assert (rate(0.021), rate(0.01)) == (pytest.approx(1e-3 / 1.5), pytest.approx(1e-3))
+    assert (rate(0.004), rate(0.004, now=4e-3)) == (pytest.approx(1.5e-3), pytest.approx(5e-3))
     assert rate(0.021, now=1e-6) == pytest.approx(1e-6)
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])
 def test_flat_adam_is_torchs_adam_behind_a_limit_of_the_norm(scale: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(adam, "PIECE", 7)
+    monkeypatch.setattr(learner, "PIECE", 7)
     networks = []
     for _ in range(2):
         torch.manual_seed(0)
@@ -176,14 +170,10 @@ def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -
     assert learned > 1.5 * late_reward() > 0.0
 
 
-def test_settings_that_other_trainers_do_not_know_are_refused() -> None:
+def test_settings_that_do_not_fit_trainer_or_task_are_refused() -> None:
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
-    with pytest.raises(ConfigError, match="memory, policy_keys and critic_keys need trainer ppo, not rl_games"):
-        replace(cfg, ppo=replace(cfg.ppo, memory=8))
+    assert_refused(ConfigError, "memory, policy_keys and critic_keys", replace, cfg, ppo=replace(cfg.ppo, memory=8))
     with pytest.raises(ConfigError, match="a critic with keys of its own needs separate_value_network"):
         replace(cfg.ppo, separate_value_network=False, critic_keys=("critic",))
-
-
-def test_a_key_that_the_task_does_not_have_is_refused() -> None:
     with pytest.raises(ConfigError, match="has no observation 'depth'. Known: observations"):
         make_network(settings(policy_keys=("observations", "depth")), StepCounter())

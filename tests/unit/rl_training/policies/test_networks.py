@@ -13,14 +13,15 @@ from torch.distributions import Independent, Normal, kl_divergence
 from aerial_gym import task_registry
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training import Policy, TrainingCfg, load_policy, load_settings, settings_for, train
+from aerial_gym.rl_training import Policy, load_policy, load_settings, settings_for, train
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
-from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
-from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.policies.body import EPSILON, OUTLIER, NetworkBody, NetworkBodyCfg, RunningNormalizer
 from aerial_gym.rl_training.policies.load import load_initial_weights
-from aerial_gym.rl_training.policies.normalizer import EPSILON, OUTLIER, RunningNormalizer
+from aerial_gym.rl_training.policies.policy import Gaussian
 from aerial_gym.rl_training.policies.recurrent import unroll_memory
-from aerial_gym.rl_training.trainers.ppo import PpoTrainer
+from aerial_gym.rl_training.trainers.learners import PpoTrainer
+from tests.refusals import assert_refused
+from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.hover import build_task
 
 
@@ -28,7 +29,7 @@ def randn(*shape: int, seed: int = 0) -> Tensor:
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def test_the_normaliser_knows_mean_and_variance_of_all_batches_together() -> None:
+def test_the_normaliser_knows_all_batches_together_also_when_it_is_loaded() -> None:
     normalizer, batches = RunningNormalizer((3,)), []
     for size, spread, middle in ((1, 1.0, 0.0), (40, 2.0, 5.0), (700, 0.1, -3.0), (2, 30.0, 1.0)):
         batches.append(middle + spread * randn(size, 3, seed=size))
@@ -41,6 +42,10 @@ def test_the_normaliser_knows_mean_and_variance_of_all_batches_together() -> Non
     expected = (sample.numpy() - together.mean(0)) / np.sqrt(together.var(0) + EPSILON)
     np.testing.assert_allclose(normalizer(sample).numpy(), expected.clip(-5.0, 5.0), rtol=1e-4)
     torch.testing.assert_close(normalizer.inverse(normalizer(sample)), sample)
+    normalizer, other = RunningNormalizer((3,)), RunningNormalizer((3,))
+    normalizer.update(4.0 + randn(50, 3))
+    other.load_state_dict(normalizer.state_dict())
+    assert torch.equal(normalizer(randn(5, 3)), other(randn(5, 3)))
 
 
 def test_one_impossible_return_does_not_spoil_what_comes_after_it() -> None:
@@ -56,13 +61,6 @@ def test_one_impossible_return_does_not_spoil_what_comes_after_it() -> None:
     first = RunningNormalizer(outlier=OUTLIER)
     first.update(500.0 + 200.0 * ordinary)  # nothing is known before the first ones
     assert float(first.mean) == pytest.approx(500.0, rel=0.05)
-
-
-def test_a_normaliser_is_the_same_after_it_was_saved_and_loaded() -> None:
-    normalizer, other = RunningNormalizer((3,)), RunningNormalizer((3,))
-    normalizer.update(4.0 + randn(50, 3))
-    other.load_state_dict(normalizer.state_dict())
-    assert torch.equal(normalizer(randn(5, 3)), other(randn(5, 3)))
 
 
 def test_the_distribution_is_that_of_torch() -> None:
@@ -199,11 +197,6 @@ def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to
     assert torch.equal((changed != features).any(dim=-1), expected)
 
 
-def test_keys_that_are_neither_vectors_nor_images_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"observation 'grid' has shape \(2, 3\): must be a vector"):
-        NetworkBody(NetworkBodyCfg(shapes={"grid": (2, 3)}, hidden_layers=(8,)))
-
-
 def network(width: int, *, hidden: tuple[int, ...] = (8, 6), actions: int = 2, **more: tuple[int, ...]) -> ActorCritic:
     body = NetworkBodyCfg(shapes={"observations": (width,), **more}, hidden_layers=hidden)
     return ActorCritic(Policy(body, actions), body)
@@ -236,28 +229,20 @@ def test_what_cannot_begin_so_is_refused() -> None:
     given = network(5).state_dict()
     with pytest.raises(ConfigError, match=r"run: actor.body.layers.0.weight has shape \(8, 5\), here \(7, 9\)"):
         load_initial_weights(network(9, hidden=(7, 6)), given, where="run")
-    with pytest.raises(ConfigError, match="Only inputs may be added"):
-        load_initial_weights(network(4), given, where="run")
-    with pytest.raises(ConfigError, match="actor.log_std"):
-        load_initial_weights(network(5, actions=3), given, where="run")
-    with pytest.raises(ConfigError, match="has other networks"):
-        load_initial_weights(network(5, hidden=(8,)), given, where="run")
+    assert_refused(ConfigError, "Only inputs may be added", load_initial_weights, network(4), given, where="run")
+    assert_refused(ConfigError, "actor.log_std", load_initial_weights, network(5, actions=3), given, where="run")
+    assert_refused(ConfigError, "has other networks", load_initial_weights, network(5, hidden=(8,)), given, where="run")
     two = network(5, sensed=(3,)).state_dict()
     with pytest.raises(ConfigError, match="that see observations, sensed cannot see more"):
         load_initial_weights(network(6, sensed=(3,)), two, where="run")
 
 
-def settings(steps: int = 2048, **ppo: object) -> TrainingCfg:
-    cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
-    cfg = replace(cfg, num_envs=64, device="cpu", seed=3, max_time_s=None, max_env_steps=steps)
-    return replace(cfg, ppo=replace(cfg.ppo, **({"horizon": 16} | ppo)))
-
-
 def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
-    train(settings(), tmp_path / "first", show_progress=False)
+    cfg = replace(settings(), seed=3, max_env_steps=2048)
+    train(cfg, tmp_path / "first", show_progress=False)
     first, _ = load_policy(tmp_path / "first")
     still = {"learning_rate": 1e-12, "max_learning_rate": 1e-12, "end_learning_rate": 1e-12}
-    cfg = replace(settings(**still), seed=4, initial=str(tmp_path / "first"))
+    cfg = replace(cfg, ppo=replace(cfg.ppo, **still), seed=4, initial=str(tmp_path / "first"))
     train(cfg, tmp_path / "second", show_progress=False)
     second, _ = load_policy(tmp_path / "second")
     torch.testing.assert_close(second.head.weight, first.head.weight, atol=1e-7, rtol=0.0)
@@ -272,10 +257,11 @@ def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
     torch.testing.assert_close(result, first({"observations": narrow}), atol=1e-6, rtol=0.0)
 
 
-def test_other_trainers_and_missing_runs_are_refused(tmp_path: Path) -> None:
+def test_other_trainers_missing_runs_and_unknown_shapes_are_refused(tmp_path: Path) -> None:
     apg = load_settings(settings_for("apg", "position_setpoint_task", device="cpu"))
-    with pytest.raises(ConfigError, match="trainer apg takes no initial networks. Use ppo"):
-        replace(apg, initial="runs/first")
+    assert_refused(ConfigError, "trainer apg takes no initial networks. Use ppo", replace, apg, initial="runs/first")
     with pytest.raises(ConfigError):
         train(replace(settings(), initial=str(tmp_path / "none")), tmp_path / "run", show_progress=False)
     assert not (tmp_path / "run").exists()
+    with pytest.raises(ConfigError, match=r"observation 'grid' has shape \(2, 3\): must be a vector"):
+        NetworkBody(NetworkBodyCfg(shapes={"grid": (2, 3)}, hidden_layers=(8,)))

@@ -13,27 +13,18 @@ from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.task import COMMANDS, REWARDS, Command, Task
 from aerial_gym.task.commands.polynomial import control_point_weights, derivative_weights, minimum_snap_weights
 from aerial_gym.task.terms.term import Term
-from tests.unit.task.hover import make
+from tests.refusals import assert_refused
+from tests.unit.task.hover import make, put
 
 STAY = torch.zeros(3, 4)
 CONTACT = {"contact": TerminationCfg(term="contact", kind="crash")}
 
 
-def put(task: Task, *positions: tuple[float, float, float]) -> None:
-    """Put the robots at rest somewhere; a step of 10 ms moves them by less than a millimetre."""
-    state = task.env.robot_manager.tensors.state
-    state.position.copy_(torch.tensor(positions))
-    state.lin_vel.zero_()
-
-
-def test_a_point_is_where_it_is_said() -> None:
+def test_a_point_is_where_it_is_said_and_without_one_there_is_no_distance() -> None:
     task = make(3, command=CommandCfg(generator="point", params={"position": [1.0, 2.0, 3.0]}))
     obs, _ = task.reset()
     assert task.target_position.tolist() == [[1.0, 2.0, 3.0]] * 3
     torch.testing.assert_close(obs["observations"][:, :3], task.target_position - task.env.gtd["robot_position"])
-
-
-def test_a_task_without_a_target_has_no_distance() -> None:
     rewards = {"slow": RewardCfg(term="slow", params={"height": 1.0, "width": 1.0})}
     task = make(3, command=None, policy=(ObservationCfg(term="lin_vel_body"),), rewards=rewards, terminations=CONTACT)
     task.reset()
@@ -83,7 +74,7 @@ def test_a_sequence_moves_on_where_the_robot_is_close(loop: bool) -> None:
     task.reset()
     away, rewarded, targets = (5.0, 5.0, 5.0), [], []
     for step, point in enumerate(POINTS):
-        put(task, point, away, POINTS[0] if step else away)
+        put(task, (point, away, POINTS[0] if step else away))
         obs, reward, *_, info = task.step(STAY)
         rewarded.append(reward.tolist())
         targets.append(task.values["target_index"].tolist())
@@ -100,7 +91,7 @@ def test_progress_is_towards_the_target_of_the_step() -> None:
     rewards = {"progress": RewardCfg(term="progress", params={"closer": 1.0, "further": 1.0})}
     task = make(3, command=command, rewards=rewards, terminations=CONTACT)
     task.reset()
-    put(task, *[(0.0, 0.0, 0.0)] * 3)
+    put(task, torch.zeros(3, 3))
     task.step(STAY)
     assert task.values["target_index"].tolist() == [1, 1, 1]
     _, reward, *_ = task.step(STAY)
@@ -160,7 +151,7 @@ def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
         [(1.8, 1.9, 0.0), (0.9, 0.0, 0.0), (1.1, 0.0, 0.4)],  # in front of the next; in a new episode; crosses z = 0.2
         [(1.0, 2.1, 0.0), (1.1, 0.0, 0.7), (1.1, 0.0, 0.0)],  # passes the last one at x = 1.4; crosses z = 0.35: above
     ):
-        put(task, *positions)
+        put(task, positions)
         _, reward, *_, info = task.step(STAY)
         result.append((reward.tolist(), info["crashes"].tolist(), info["successes"].tolist()))
     no = [False] * 3
@@ -209,8 +200,7 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     for _ in range(3):
         obs, *_ = task.step(STAY)
         torch.testing.assert_close(obs["observations"][:, :3], torch.tensor([[0.0, 0.0, 1.5]] * 3))
-    with pytest.raises(ConfigError, match="command fleeing: parameter 'height' is missing"):
-        make(1, command=replace(task.cfg.command, params={}))
+    assert_refused(ConfigError, "command fleeing: parameter", make, 1, command=replace(task.cfg.command, params={}))
 
 
 def test_a_term_that_is_no_part_of_the_kernel_sees_the_target_of_the_instant(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -249,10 +239,13 @@ def read_draws(task: Task) -> tuple[np.ndarray, np.ndarray]:
     return own["track_points"].double().view(task.num_envs, 3, -1).mT.numpy(), own["track_time"].double().numpy()
 
 
-def test_two_points_are_joined_by_the_polynomial_of_rest_to_rest() -> None:
+def test_polynomials_of_two_points_and_control_points_are_the_known_ones() -> None:
     """35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: zero velocity, acceleration and jerk at both ends."""
     ((_, weights),) = minimum_snap_weights(2).transpose(0, 2, 1)
     np.testing.assert_allclose(weights, [0, 0, 0, 0, 35, -84, 70, -20], atol=1e-10)
+    square = np.array([0.0, 0.0, 1.0]).reshape(1, 3, 1)  # u² has 0, 0, 1 and 2 u has 0, 2
+    assert control_point_weights(square).ravel().tolist() == [0.0, 0.0, 1.0]
+    assert control_point_weights(derivative_weights(square)).ravel().tolist() == [0.0, 2.0]
 
 
 @pytest.mark.parametrize("points", [3, 5, 10])
@@ -263,13 +256,6 @@ def test_pieces_meet_with_six_derivatives_and_sum_to_one(points: int) -> None:
     for _ in range(7):
         np.testing.assert_allclose(form.sum(1)[:-1], form[1:, 0], atol=1e-9 * np.abs(form).max())
         form = derivative_weights(form)
-
-
-def test_bernstein_control_points_are_those_of_a_known_polynomial() -> None:
-    """u² has 0, 0, 1 and 2 u has 0, 2; a value lies between the least and the largest of them."""
-    square = np.array([0.0, 0.0, 1.0]).reshape(1, 3, 1)
-    assert control_point_weights(square).ravel().tolist() == [0.0, 0.0, 1.0]
-    assert control_point_weights(derivative_weights(square)).ravel().tolist() == [0.0, 2.0]
 
 
 @pytest.mark.parametrize("points", [pytest.param(2, marks=pytest.mark.slow), 5])

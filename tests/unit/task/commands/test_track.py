@@ -14,7 +14,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.task.commands.gates import gate_crossing_flags
 from aerial_gym.task.terms.gate_path import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, gate_path_direction, gate_path_length
-from tests.unit.task.hover import begin, build_task, make
+from tests.refusals import assert_refused
+from tests.unit.task.hover import begin, build_task, make, put
 
 STAY = torch.zeros(1, 4)
 
@@ -28,13 +29,6 @@ def in_gate(task: Task, gate: int, place: tuple[float, float, float]) -> Tensor:
     gtd = task.env.gtd
     turn = gtd["gate_orientation"][:, gate]
     return gtd["gate_position"][:, gate] + quat_rotate(turn, torch.tensor([place]).expand_as(turn[:, :3]))
-
-
-def put(task: Task, position: Tensor) -> None:
-    """Put the robots at rest somewhere; a hover of one step moves them by less than 5 mm."""
-    state = task.env.robot_manager.tensors.state
-    state.position.copy_(position)
-    state.lin_vel.zero_()
 
 
 @pytest.mark.parametrize(("before", "now", "expected"), [
@@ -83,8 +77,7 @@ def test_from_behind_and_beside_is_no_passage(before, place, passed, missed) -> 
     task.values["previous_position"].copy_(in_gate(task, 0, before))
     put(task, in_gate(task, 0, place))
     *_, info = task.step(torch.zeros(20, 4))
-    assert info["gate_passed"].tolist() == [passed] * 20
-    assert task.values["gate_missed"].tolist() == [missed] * 20
+    assert (info["gate_passed"].tolist(), task.values["gate_missed"].tolist()) == ([passed] * 20, [missed] * 20)
 
 
 def gate_offsets(task: Task, obs: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -281,11 +274,9 @@ PARAMS = {"width": 0.45, "height": 0.45, "sensor_range": 0.7}
 ])  # fmt: skip
 def test_commands_that_cannot_be_are_refused(params: dict[str, object], message: str) -> None:
     command = CommandCfg(generator="track_gates", params=params)
-    with pytest.raises(ConfigError, match=message):
-        with_track(ENVIRONMENTS.get("racing_env"), command=command)
+    assert_refused(ConfigError, message, with_track, ENVIRONMENTS.get("racing_env"), command=command)
 
 
 def test_gates_of_a_track_need_a_track() -> None:
     command = CommandCfg(generator="track_gates", params=PARAMS)
-    with pytest.raises(ConfigError, match="the environment has no track"):
-        make(1, command=command, policy=(ObservationCfg(term="attitude"),))
+    assert_refused(ConfigError, "the environment", make, 1, command=command, policy=(ObservationCfg(term="attitude"),))

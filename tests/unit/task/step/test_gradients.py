@@ -11,6 +11,7 @@ from aerial_gym import Task, task_registry
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError
+from tests.refusals import assert_refused
 from tests.unit.task.hover import build_task
 
 F64 = torch.float64
@@ -218,8 +219,7 @@ def test_frames_of_links_are_refused_by_name(key: str) -> None:
 def test_terms_without_gradient_are_refused_by_name(changes: dict[str, object], message: str) -> None:
     cfg = replace(task_registry.get("position_setpoint_task"), **changes)
     build_task(cfg, 2)
-    with pytest.raises(CapabilityError, match=message):
-        build_task(cfg, 2, gradients=torch.float32)
+    assert_refused(CapabilityError, message, build_task, cfg, 2, gradients=torch.float32)
 
 
 def test_images_and_captures_are_refused() -> None:
@@ -227,8 +227,7 @@ def test_images_and_captures_are_refused() -> None:
     with pytest.raises(CapabilityError, match=r"'nearest_in_cells': reads nearest_in_8x8_cells, which has no gradient"):
         make("navigation_task", num_envs=2, device="cpu", differentiable=True)
     cfg = replace(task_registry.get("navigation_task"), images={"depth": ImageCfg()})
-    with pytest.raises(CapabilityError, match="image 'depth': has no gradient"):
-        build_task(cfg, 2, gradients=torch.float32)
+    assert_refused(CapabilityError, "image 'depth': has no gradient", build_task, cfg, 2, gradients=torch.float32)
     with pytest.raises(CapabilityError, match="capture needs a CUDA device"):
         make("tracking_task", num_envs=2, device="cpu", differentiable=True, capture=True)
 

@@ -9,7 +9,9 @@ from torch import Tensor
 from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.task import Task
+from tests.refusals import assert_refused
 from tests.unit.task.hover import make
+from tests.unit.task.hover import put as put_at
 
 CONTACT = TerminationCfg(term="contact", kind="crash")
 FAR = TerminationCfg(term="far_from_target", kind="crash", params={"distance": 8.0})
@@ -26,10 +28,7 @@ def make_task(there: TerminationCfg, **changes: object) -> Task:
 
 
 def put(task: Task, *distances: float) -> None:
-    state = task.env.robot_manager.tensors.state
-    state.position.zero_()
-    state.position[:, 0] = torch.tensor(distances)
-    state.lin_vel.zero_()
+    put_at(task, [(distance, 0.0, 0.0) for distance in distances])
 
 
 def flags(info: dict[str, Tensor], terminated: Tensor, truncated: Tensor) -> dict[str, list[bool]]:
@@ -48,13 +47,10 @@ def test_a_success_ends_the_episode_at_once(bootstrap: bool | None) -> None:
     _, _, terminated, truncated, info = task.step(STAY)
     goes_on = bool(bootstrap)
     assert flags(info, terminated, truncated) == {
-        "successes": [True, False, False],
-        "crashes": [False, False, True],
-        "timeouts": NONE,
-        "time_outs": [goes_on, False, False],
-        "terminated": [not goes_on, False, True],
+        "successes": [True, False, False], "crashes": [False, False, True], "timeouts": NONE,
+        "time_outs": [goes_on, False, False], "terminated": [not goes_on, False, True],
         "truncated": [goes_on, False, False],
-    }
+    }  # fmt: skip
     assert task.env.gtd["sim_steps"].tolist() == [0, 1, 0]
 
 
@@ -67,18 +63,13 @@ def test_a_success_that_does_not_end_is_counted_at_the_end(when: str, successes:
         put(task, *distances)
         _, _, terminated, truncated, info = task.step(STAY)
     assert flags(info, terminated, truncated) == {
-        "successes": successes,
-        "crashes": NONE,
-        "timeouts": [not each for each in successes],
-        "time_outs": [True] * 3,
-        "terminated": NONE,
-        "truncated": [True] * 3,
-    }
+        "successes": successes, "crashes": NONE, "timeouts": [not each for each in successes],
+        "time_outs": [True] * 3, "terminated": NONE, "truncated": [True] * 3,
+    }  # fmt: skip
     for _ in range(3):  # what counted has been forgotten
         put(task, 3.0, 3.0, 3.0)
         *_, info = task.step(STAY)
-    assert info["successes"].tolist() == NONE
-    assert info["timeouts"].tolist() == [True] * 3
+    assert (info["successes"].tolist(), info["timeouts"].tolist()) == (NONE, [True] * 3)
 
 
 def test_a_crash_goes_before_an_arrival() -> None:
@@ -114,8 +105,7 @@ def test_what_an_end_is_worth_replaces_the_reward_or_comes_on_top(how: str, expe
     torch.testing.assert_close(reward, torch.tensor(expected), atol=1e-2, rtol=0.0)
     assert task.reward_names == ("alive", "near", "crash", "success")
     torch.testing.assert_close(info["reward_terms"].sum(dim=-1), reward)
-    assert info["reward_terms"][0, 2] == -5.0
-    assert info["reward_terms"][1].tolist() == [0.0, 0.0, 0.0, 10.0]
+    assert (info["reward_terms"][0, 2], info["reward_terms"][1].tolist()) == (-5.0, [0.0, 0.0, 0.0, 10.0])
 
 
 def test_what_an_end_is_worth_may_rise_with_the_difficulty() -> None:
@@ -140,8 +130,7 @@ def test_terms_are_summed_over_an_episode_and_their_means_logged() -> None:
     torch.testing.assert_close(info["reward_terms"].sum(dim=-1), info["episode_return"])
     assert info["reward_terms"][2, 0] == 0.5  # of the next episode
     means = task.episode_means()
-    assert means["episodes"] == 3.0
-    assert means["reward/alive"] == pytest.approx((2.0 + 2.0 + 1.0) / 3.0)
+    assert (means["episodes"], means["reward/alive"]) == (3.0, pytest.approx((2.0 + 2.0 + 1.0) / 3.0))
     assert means["reward/crash"] == pytest.approx(-5.0 / 3.0)
     assert means["reward/near"] == pytest.approx(float(info["reward_terms"][:2, 1].sum() + sums[2, 1]) / 3.0)
     shares = {name: means[f"ended/{name}"] for name in ("contact", "far", "there", "time_out")}
@@ -172,19 +161,14 @@ def test_what_cannot_be_is_refused() -> None:
         ({"when": "later"}, "when = 'later': must be one of now, counts, at_end"),
         ({"when": "at_end", "bootstrap": True}, "a success that at_end ends nothing. Leave it out"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            replace(AT_TARGET, **changes)
+        assert_refused(ConfigError, message, replace, AT_TARGET, **changes)
     for rewards, message in (
         ({"crash": RewardCfg(term="constant")}, "rewards.crash: the name is that of crash_reward"),
         ({"a": RewardCfg(term="constant", times=("b",))}, "rewards.a.times: no reward 'b'. Known: a"),
         ({"a": RewardCfg(term="constant", times=("a",))}, "reward 'a' is multiplied by others itself"),
         ({}, "rewards: needs at least one"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            make(1, rewards=rewards)
-    with pytest.raises(ConfigError, match="success_reward: needs a termination of kind success"):
-        make(1, success_reward=EndRewardCfg(value=1.0))
-    with pytest.raises(ConfigError, match="EndRewardCfg.how = 'times': must be one of replace, add"):
-        EndRewardCfg(value=1.0, how="times")
-    with pytest.raises(ConfigError, match="EndRewardCfg.difficulty_value = nan: must be finite"):
-        EndRewardCfg(value=1.0, difficulty_value=float("nan"))
+        assert_refused(ConfigError, message, make, 1, rewards=rewards)
+    assert_refused(ConfigError, "success_reward: needs a termination", make, 1, success_reward=EndRewardCfg(value=1.0))
+    assert_refused(ConfigError, "EndRewardCfg.how = 'times': must be one", EndRewardCfg, value=1.0, how="times")
+    assert_refused(ConfigError, "EndRewardCfg.difficulty_value", EndRewardCfg, value=1.0, difficulty_value=float("nan"))

@@ -14,6 +14,7 @@ from aerial_gym.config.task_terms import ActionCfg, FaultCfg, ObservationCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.task import ACTIONS, Task
 from aerial_gym.task.terms.actions import Action
+from tests.refusals import assert_refused
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import make
 
@@ -156,8 +157,7 @@ def test_groups_are_given_beside_each_other() -> None:
     assert info["final_critic"].shape == (3, 4)
     with pytest.raises(ConfigError, match="observation 'observations': the name is taken"):
         make(1, observations={**groups, "observations": groups["critic"]})
-    with pytest.raises(ConfigError, match="needs a group 'policy' of at least one term"):
-        make(1, observations={"critic": groups["critic"]})
+    assert_refused(ConfigError, "needs a group 'policy'", make, 1, observations={"critic": groups["critic"]})
 
 
 def test_a_long_past_of_a_wide_term_is_still_one_kernel() -> None:
@@ -209,8 +209,7 @@ def test_a_lost_sensor_shows_its_value_from_its_step_on_for_its_duration() -> No
     assert torch.equal(shown[..., :3], torch.where(gone, -14.0, -2.0 * truth))  # scale comes last
     assert torch.equal(shown[..., 3:], torch.where(gone, 0.0, truth))
     begin, duration = task.values["fault_steps"].unbind(-1)
-    assert set(begin.tolist()) == {2.0, 3.0, 4.0, 5.0}
-    assert set(duration.tolist()) == {1.0, 2.0, 3.0, 4.0}
+    assert (set(begin.tolist()), set(duration.tolist())) == ({2.0, 3.0, 4.0, 5.0}, {1.0, 2.0, 3.0, 4.0})
 
 
 def test_a_jump_adds_one_offset_an_entry_to_all_that_the_sensor_says() -> None:
@@ -223,16 +222,12 @@ def test_a_jump_adds_one_offset_an_entry_to_all_that_the_sensor_says() -> None:
     assert float(offsets.std()) == pytest.approx(0.5 / 3**0.5, rel=0.2)  # uniform
 
 
-def test_the_next_episode_has_a_fault_of_its_own() -> None:
+def test_so_many_episodes_have_a_fault_of_their_own() -> None:
     task, *_ = fly_with_faults(20, JUMP)
     before = task.values["fault_draws"].clone()
     task.step(torch.zeros(20, 4))
     task.step(torch.zeros(20, 4))
     assert (task.values["fault_draws"] != before).all()
-
-
-def test_so_many_episodes_have_it() -> None:
-    """A share within 5 standard deviations of a binomial, sqrt(p (1 - p) / n)."""
     share, count = 0.3, 2000
     _, shown, _ = fly_with_faults(count, replace(LOST, share=share), steps=5)
     had = (shown[..., 3:] == 0.0).all(-1).any(0)
@@ -241,18 +236,15 @@ def test_so_many_episodes_have_it() -> None:
 
 def test_faults_that_do_not_fit_are_refused() -> None:
     term = ObservationCfg(term="robot_position", fault="gps")
-    with pytest.raises(ConfigError, match="no fault 'gps'. Known: none"):
-        make(1, policy=(term,))
-    with pytest.raises(ConfigError, match="TaskCfg.faults.gps: no observation has it"):
-        make(1, faults={"gps": LOST})
+    assert_refused(ConfigError, "no fault 'gps'. Known: none", make, 1, policy=(term,))
+    assert_refused(ConfigError, "TaskCfg.faults.gps: no observation has it", make, 1, faults={"gps": LOST})
     for fault, changes, message in (
         (LOST, {"how": "drift"}, r"FaultCfg.how = 'drift': must be one of lost, jump"),
         (JUMP, {"size": 0.0}, r"FaultCfg.size = 0.0: must be > 0 and finite of a jump"),
         (LOST, {"begin_steps": (5, 2)}, r"FaultCfg.begin_steps = \(5, 2\)"),
         (LOST, {"share": 0.0}, r"FaultCfg.share = 0.0"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            replace(fault, **changes)
+        assert_refused(ConfigError, message, replace, fault, **changes)
 
 
 STEPS = 12
@@ -281,21 +273,6 @@ def test_a_delayed_command_is_the_one_so_many_steps_earlier(steps: int, random_c
     assert torch.equal(result, random_commands[times])
 
 
-def test_the_filter_is_the_exact_low_pass_of_a_held_command(random_commands: torch.Tensor) -> None:
-    """``scipy.signal.lfilter`` of y[k] = (1 - a) y[k-1] + a u[k] with a = 1 - exp(-dt / tau), begun at the first command."""
-    result = commands(ActionCfg(filter_time_s=0.03), random_commands).double().numpy()
-    gain = 1.0 - exp(-0.01 / 0.03)  # the step of the task is 10 ms
-    u = random_commands.double().numpy()
-    expected, _ = lfilter([gain], [1.0, gain - 1.0], u, axis=0, zi=(1.0 - gain) * u[:1])
-    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-6)
-
-
-def test_a_command_is_delayed_and_then_filtered(random_commands: torch.Tensor) -> None:
-    both = commands(ActionCfg(delay_steps=2, filter_time_s=0.05), random_commands)
-    alone = commands(ActionCfg(filter_time_s=0.05), random_commands)
-    torch.testing.assert_close(both[2:], alone[:-2], rtol=0.0, atol=0.0)
-
-
 def test_noise_of_a_command_is_white_and_of_its_deviation() -> None:
     """Zero actions: 12 steps of 2,000 environments and 4 entries; bounds: five standard deviations."""
     zeros = torch.zeros(STEPS, 2000, 4)
@@ -318,15 +295,22 @@ def test_a_transform_that_gives_no_command_is_refused(transform, low, message, m
     monkeypatch.setitem(ACTIONS._entries, "half", Action(value=lambda actions: actions[:, :2]))
     monkeypatch.setitem(ACTIONS._entries, "tenth", Action(value=lambda actions: actions.unbind(-1)[9]))
     params = {"low": low, "high": (1.0,) * 4} if low else {}
-    with pytest.raises(ConfigError, match=message):
-        make(1, action=ActionCfg(transform=transform, params=params))
+    assert_refused(ConfigError, message, make, 1, action=ActionCfg(transform=transform, params=params))
 
 
-def test_an_episode_does_not_remember_the_earlier_one(random_commands: torch.Tensor) -> None:
+def test_commands_forget_at_a_reset_and_are_filtered_after_their_delay(random_commands: torch.Tensor) -> None:
     result = commands(ActionCfg(delay_steps=(2, 2), filter_time_s=0.05), random_commands, length=4)
     for start in (0, 4, 8):
         fresh = commands(ActionCfg(delay_steps=2, filter_time_s=0.05), random_commands[start : start + 3])
         torch.testing.assert_close(result[start : start + 3], fresh, rtol=0.0, atol=0.0)
+    result = commands(ActionCfg(filter_time_s=0.03), random_commands).double().numpy()
+    gain = 1.0 - exp(-0.01 / 0.03)  # the step of the task is 10 ms
+    u = random_commands.double().numpy()  # y[k] = (1 - a) y[k-1] + a u[k], begun at the first command
+    expected, _ = lfilter([gain], [1.0, gain - 1.0], u, axis=0, zi=(1.0 - gain) * u[:1])
+    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-6)
+    both = commands(ActionCfg(delay_steps=2, filter_time_s=0.05), random_commands)
+    alone = commands(ActionCfg(filter_time_s=0.05), random_commands)
+    torch.testing.assert_close(both[2:], alone[:-2], rtol=0.0, atol=0.0)
 
 
 def test_a_drawn_delay_is_that_of_its_episode() -> None:

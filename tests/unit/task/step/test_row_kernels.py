@@ -93,6 +93,8 @@ def test_an_image_is_given_in_fewer_bits() -> None:
     assert (space.shape, space.dtype) == (tuple(obs["depth"].shape[1:]), np.uint8)
     assert space.contains(obs["depth"][0].numpy())
     assert task.observation_space["half"].contains(obs["half"][0].numpy())
+    with pytest.raises(UnknownNameError, match="image 'colour' reads 'rgb_pixels', which is neither"):
+        make(1, camera=True, images={"colour": ImageCfg(key="rgb_pixels")})
 
 
 def test_images_of_the_past_come_first_and_end_with_the_episode() -> None:
@@ -109,11 +111,6 @@ def test_images_of_the_past_come_first_and_end_with_the_episode() -> None:
     obs, *_, truncated, _ = task.step(STAY)
     assert truncated.all()
     assert all(torch.equal(obs["depth"][:, k], obs["depth"][:, 2]) for k in range(3))
-
-
-def test_an_image_that_is_not_there_is_told() -> None:
-    with pytest.raises(UnknownNameError, match="image 'colour' reads 'rgb_pixels', which is neither"):
-        make(1, camera=True, images={"colour": ImageCfg(key="rgb_pixels")})
 
 
 def test_the_last_image_of_an_episode_is_of_its_last_instant() -> None:

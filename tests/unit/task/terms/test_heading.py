@@ -58,13 +58,6 @@ def test_angles_are_wrapped_to_half_a_turn_on_both_sides() -> None:
     torch.testing.assert_close(torch.cos(result), torch.cos(angles), rtol=0.0, atol=1e-12)
 
 
-def test_to_be_there_counts_with_the_heading() -> None:
-    """5 exp(-8 0.5² - 2 0.5²) = 5 exp(-2.5)."""
-    params = {"height": 5.0, "width": 8.0, "yaw_width": 2.0}
-    result = aligned_distance_bell(ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), **params)
-    assert result.item() == pytest.approx(0.4104250, abs=1e-7)
-
-
 @pytest.mark.parametrize(("position", "velocity", "expected"), [
     (SIX_METRES, (1.0, 3.0**0.5, 0.0), 1.0),  # 2 m/s, 60 degrees off: 0.5 2
     (SIX_METRES, (1.0, 0.0, 0.0), 0.2706706),  # straight, 1 m/s too slow: 2 exp(-2)
@@ -80,7 +73,7 @@ def test_flight_to_the_target_counts_by_its_direction_and_speed(position, veloci
     assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
-def test_what_counts_at_the_target_counts_within_the_radius_alone() -> None:
+def test_what_counts_at_the_target_counts_with_the_heading_and_within_the_radius() -> None:
     """1.5 exp(-10 0.2²), 4 exp(-15 0.5²), 1.5 exp(-5 0.2² - 2 0.5²)."""
     beyond, slow = 3.0 * HALF_A_METRE, row(0.0, 0.2, 0.0)
     turn, spin = (number(1.2), yaw_attitude(0.7)), row(9.0, 9.0, -0.2)
@@ -91,6 +84,9 @@ def test_what_counts_at_the_target_counts_within_the_radius_alone() -> None:
         assert result.item() == pytest.approx(factor * 0.0940710, abs=1e-7)
         result = aligned_rest_at_target(ORIGIN, position, *turn, spin, radius=1.0, height=1.5, width=5.0, yaw_width=2.0)
         assert result.item() == pytest.approx(factor * 0.7448780, abs=1e-7)
+    params = {"height": 5.0, "width": 8.0, "yaw_width": 2.0}
+    result = aligned_distance_bell(ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), **params)
+    assert result.item() == pytest.approx(0.4104250, abs=1e-7)  # 5 exp(-8 0.5² - 2 0.5²)
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(2.9, 0.0), (3.0, 0.0), (3.5, -0.7869387), (90.0, -2.0)])

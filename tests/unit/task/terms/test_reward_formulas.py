@@ -12,8 +12,7 @@ from aerial_gym.rl_training import settings_for
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import REWARDS, task_registry
 from tests.repetitions import rare_values
-from tests.unit.task.hover import begin, build_task
-from tests.unit.task.rewards import term_reward
+from tests.unit.task.hover import begin, build_task, term_reward
 
 KEYS = {"p": "robot_position", "v": "robot_linvel", "w": "robot_body_angvel", "u": "robot_actions"}
 KEYS |= {"joint_vel": "dof_velocity"}

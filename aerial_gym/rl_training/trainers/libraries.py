@@ -1,4 +1,4 @@
-"""Training with the library Sample Factory; its adapter is ``adapters.sample_factory``."""
+"""Training with libraries that train by themselves, each through its module of ``adapters``."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -9,6 +9,25 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from aerial_gym.rl_training.policies.load import Weights
+
+
+class RlGamesTrainer(LibraryTrainer):
+    """The library rl-games."""
+
+    name = "rl_games"
+    summary = "PPO of the library rl-games"
+    adapter = "aerial_gym.rl_training.adapters.rl_games"
+    package, distribution = "rl_games", "rl-games"
+    several_processes = True
+    earlier_checkpoints = ("rl_games/nn/*.pth",)
+
+    def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":
+        """Return layers, mean and variance under the names of the library."""
+        model = {key.removeprefix("_orig_mod."): value for key, value in model.items()}  # prefix of a compiled model
+        names = [*(f"a2c_network.actor_mlp.{2 * i}" for i in range(num_hidden)), "a2c_network.mu"]
+        layers = [(model[f"{name}.weight"], model[f"{name}.bias"]) for name in names]
+        normalizer = "running_mean_std.running_"
+        return layers, model.get(f"{normalizer}mean"), model.get(f"{normalizer}var")
 
 
 class SampleFactoryTrainer(LibraryTrainer):

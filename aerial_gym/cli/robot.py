@@ -1,0 +1,175 @@
+"""``aerial-gym robot``: import of the file of another simulator, check of a robot file, and gains from a bandwidth."""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from math import pi
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from aerial_gym.cli.terminal import print_table, progress_bar
+from aerial_gym.config.console import json_line
+
+if TYPE_CHECKING:
+    from aerial_gym.robots.check import RobotReport, StableStep
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckRobotCmd:
+    """Say what a robot can do: hover, thrust to weight, authority about each axis, stable time steps of controllers."""
+
+    robots: Annotated[tuple[str, ...], tyro.conf.Positional]  # Registered robots, or robot files (.yaml)
+
+    controllers: tuple[str, ...] | None = None
+    """Registered controllers to fly it with; all that have gains if not given."""
+
+    fly: bool = True  # Find the largest stable time step of each controller by flying; --no-fly answers at once
+    picture: Path | None = None  # Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot
+    json: bool = False  # Print one JSON object for each robot instead of tables
+
+    def run(self) -> int:
+        """Check and print; return 0, or 1 if a robot cannot fly as described."""
+        from aerial_gym.errors import ConfigError
+        from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.robots.check import check_robot, draw_rotors
+
+        if self.picture is not None and len(self.robots) != 1:
+            raise ConfigError(f"--picture takes one robot, and there are {len(self.robots)}. Draw each by itself")
+        controllers = self.controllers if self.fly else ()
+        failed = False
+        for name in self.robots:
+            robot = robot_by_name(name)
+            with progress_bar() as progress:
+                report = check_robot(robot, name=name, controllers=controllers, progress=progress)
+                progress("done", 1.0)
+            failed |= bool(report.problems)
+            if self.json:
+                print(json_line(report.as_mapping()))
+            else:
+                _print_report(report)
+            if self.picture is not None:
+                draw_rotors(robot, self.picture, name=name)
+        return int(failed)
+
+
+def _print_report(report: "RobotReport") -> None:
+    from rich.console import Console
+
+    hover = ", ".join(f"{thrust:.3g}" for thrust in report.hover_thrust_n)
+    rows = [
+        ("mass", f"{report.mass_kg:.4g} kg"),
+        ("hover thrust of each rotor", f"{hover} N, {report.hover_share:.0%} of the range at most"),
+        ("thrust to weight", f"{report.thrust_to_weight:.2f}"),
+        ("independent forces and torques", str(report.rank)),
+    ]
+    limits = [f" (rotor {rotor})" if rotor is not None else "" for rotor in report.first_at_limit]
+    for quantity, values, unit, ends in (
+        ("force along x, y, z at hover", report.force_n, "N", limits[:3]),
+        ("torque about x, y, z at hover", report.torque_n_m, "N m", limits[3:]),
+        ("angular acceleration", report.angular_acceleration_rad_s2, "rad/s²", ["", "", ""]),
+    ):
+        rows.append((quantity, ", ".join(f"{v:.3g}{end}" for v, end in zip(values, ends, strict=True)) + f" {unit}"))
+    print_table(rows, title=f"{report.name}: {report.summary}")
+    if report.stable_steps:
+        steps = [(step.controller, _stable_step_text(step)) for step in report.stable_steps]
+        print_table(steps, ("controller", "dt"), title="largest stable time step, flown")
+    for kind, sentences in (("problem", report.problems), ("note", report.warnings)):
+        for sentence in sentences:
+            Console(markup=False).print(f"{kind}: {sentence}")
+
+
+def _stable_step_text(step: "StableStep") -> str:
+    if step.refused is not None:
+        return f"refused: {step.refused}"
+    if step.largest_s is None:
+        return "none"
+    return f"{'at least ' if step.at_least else ''}{1e3 * step.largest_s:.3g} ms"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuneCmd:
+    """Say with which ``control:`` a robot meets a bandwidth and a damping, with its lag and dead time."""
+
+    robot: Annotated[str, tyro.conf.Positional]
+    """Registered robot, or robot file (.yaml); its effects motor_time_constant, motor_asymmetry and actuation_delay count."""
+
+    attitude_hz: float  # Bandwidth of roll, pitch and yaw [1/s]: where the answer is 0.71 of what is wanted
+    position_hz: float  # Bandwidth along x, y, z [1/s]
+    damping: float = 0.8  # Damping ratio of both loops, 0.3 to 1
+    dt_s: float = 0.01  # Time step of the control law [s]
+    json: bool = False  # Print one JSON object instead of YAML
+
+    def run(self) -> int:
+        """Tune and print; return 0, or 1 if the sampled loop would not come to rest."""
+        from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.robots.tune import tune_robot
+
+        robot = robot_by_name(self.robot)
+        tuning = tune_robot(
+            robot, name=self.robot, attitude=2.0 * pi * self.attitude_hz,
+            position=2.0 * pi * self.position_hz, damping=self.damping, dt=self.dt_s,
+        )  # fmt: skip
+        names = ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
+        rows = {name: [round(number, 6) for number in getattr(tuning.control, name)] for name in names}
+        if self.json:
+            loop = {"lag_s": tuning.lag, "delay_s": tuning.delay}
+            print(json.dumps(rows | loop | {"yaw_limited": tuning.yaw_limited, "radius": tuning.radius}))
+        else:
+            yaw = "; yaw is slower than asked, as the rotors give no more torque" if tuning.yaw_limited else ""
+            loop = f"# rotor lag {tuning.lag:.4g} s, dead time {tuning.delay:.4g} s"
+            print(f"{loop}; spectral radius {tuning.radius:.6f}{yaw}")
+            if robot.joints is not None:
+                print(f"# {robot.joints.rigid_note('gains are those for a vehicle that does not bend')}")
+            print("control:")
+            print("\n".join(f"  {name}: {numbers}" for name, numbers in rows.items()))
+            print(f'  source: "{tuning.control.source}"')
+        return int(tuning.radius > 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportRobotCmd:
+    """Write a robot file (.yaml) from a URDF, MJCF or SDF file; one that cannot be flown is refused with the reason."""
+
+    file: Annotated[Path, tyro.conf.Positional]  # URDF, MJCF or SDF file
+    out: Path  # Robot file to write (.yaml)
+
+    rotors_of: str | None = None
+    """Robot, by name or file, whose rotor type these are; where the file has no rotors, its mounts are taken too."""
+
+    spins: tuple[int, ...] = ()
+    """1 or -1 for each rotor, in the order of the file and in place of what it says: 1 turns positively about the thrust."""
+
+    lag_s: float | None = None
+    """First-order lag of thrusts that follow at once in the file, and of rotors in `properties` of a URDF [s]."""
+
+    rotor_links: str | None = None
+    """Regular expression of links that are rotors, in a URDF without motors; names with motor, rotor or prop if not given."""
+
+    joints: bool = False
+    """Let revolute, continuous and prismatic joints move, but those of rotors; without it all are welded at zero."""
+
+    accept_losses: bool = False  # Import a vehicle although its wings, or the joints that tilt its rotors, are left out
+    summary: str | None = None  # One line for people who choose a robot
+
+    def run(self) -> int:
+        """Import, write and list unused elements; return the exit status."""
+        from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.robots.importers import RotorHints, import_robot
+
+        rotor_robot = None if self.rotors_of is None else robot_by_name(self.rotors_of)
+        hints = RotorHints(
+            rotors_of=rotor_robot, spins=self.spins, lag=self.lag_s, joints=self.joints,
+            accept_losses=self.accept_losses,
+        )  # fmt: skip
+        if self.rotor_links is not None:
+            hints = replace(hints, rotor_links=self.rotor_links)
+        imported = import_robot(self.file, hints)
+        if self.summary is not None:
+            imported = replace(imported, robot=replace(imported.robot, summary=self.summary))
+        self.out.write_text(imported.as_file(self.file.name), encoding="utf-8", errors="surrogateescape")
+        for line in imported.lines():
+            print(line, file=sys.stderr)
+        print(self.out)
+        return 0
