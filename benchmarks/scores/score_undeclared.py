@@ -1,6 +1,6 @@
 """Scores of ``close-loop`` on flights of the undeclared plant.
 
-    python -m benchmarks.scores.score_undeclared --seeds 101 102 [--nuisance | --tracked | --logged] [--size moderate] [--json]
+    python -m benchmarks.scores.score_undeclared --seeds 101 102 [--nuisance | --tracked | --logged] [--json]
     python -m benchmarks.scores.score_undeclared --seeds 101 102 --effects all --sizes small moderate large --unknown \
         --pairs com_offset+constant_wind --jobs 8 --out out/undeclared [--write TABLE.md]
 
@@ -218,8 +218,7 @@ class ScoreCmd:
     """Score ``close-loop`` on flights of the undeclared plant."""
 
     seeds: tuple[int, ...]  # One case for each effect, size and seed
-    size: Size | None = None  # One size; ``--sizes`` takes several
-    sizes: tuple[Size, ...] = ()  # Moderate if not given
+    sizes: tuple[Size, ...] = ("moderate",)
     effects: tuple[str, ...] = CLASSIC  # Names, or all
     pairs: tuple[str, ...] = ()  # Effects at once, as A+B
     unknown: bool = False  # Also causes outside the package
@@ -243,8 +242,6 @@ class ScoreCmd:
         known = {**EFFECTS, **UNKNOWN}
         if missing := sorted({name for case in cases for name in case} - set(known)):
             raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
-        if self.size and self.sizes:
-            raise ValueError("give --size or --sizes, not both")
         flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
         names = ("nuisance", "tracked", "logged", "num_train", "num_test", "duration_s")
         shared = {name: getattr(self, name) for name in names}
@@ -253,8 +250,7 @@ class ScoreCmd:
             jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **shared) for f in flights]
             if self.controls:
                 continue
-            sizes = self.sizes or (self.size or "moderate",)
-            jobs += [Job(hidden=case, size=size, seed=seed, **shared) for case in cases for size in sizes]
+            jobs += [Job(hidden=case, size=size, seed=seed, **shared) for case in cases for size in self.sizes]
             for name in HOVER if self.hover else ():
                 hidden = (name,) if name else ()
                 jobs.append(Job(hidden=hidden, size="moderate", seed=seed, features=("hover",), **shared))

@@ -43,7 +43,6 @@ QUARTERS = 4  # Number of folds of a single flight
 class Gain:
     """Gain of one model over another on flights left out."""
 
-    score: float  # Gain in log likelihood
     p_value: float  # Probability of a gain this large by chance
     flights_better: float  # Share of the flights that are predicted better, among those in which anything changes
     falls: tuple[float, ...]  # Relative fall of the residual (rms) of each channel, over all flights
@@ -86,7 +85,6 @@ class CrossValidation:
         rises = [self._has_harmful_rise(less[part], more[part], count[part]) for part in folds]
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
-            score=self._log_likelihood_gain(less, more, count),
             p_value=student_tail(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1)),
             flights_better=float(np.mean([total > 0.0 for total in totals])),
             falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),

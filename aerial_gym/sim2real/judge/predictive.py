@@ -23,6 +23,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
+from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     effect_jacobian,
     is_continuous_parameter,
@@ -226,11 +227,15 @@ def _joint_step(
     The weight of a channel of the test flights is limited by its remaining mean square.
     """
     weight, whole = weights.weight, np.zeros(tested.moments.gradient.shape[2])
+    high = np.full(columns.size, np.inf)
+    low = -high
+    if candidate is not None:  # its parameters come first
+        low[: candidate.columns.size], high[: candidate.columns.size] = candidate.low, candidate.high
     rows, blocks = tested.moments.count.sum(), tested.moments.count.size
     for _ in range(PASSES):
         product, gradient = _sums_with_weights(tested, weight)
         joint, pull = a + product[np.ix_(columns, columns)], g + gradient[columns]
-        step = np.linalg.solve(joint, pull) if candidate is None else _solution_in_bounds(joint, pull, candidate)
+        step = minimise_in_bounds(joint, pull, low, high)
         whole[columns] = step
         squares = tested.moments.block_squares(np.tile(whole, (blocks, 1))).sum(axis=0) / rows
         squares = np.maximum(squares, 0.0)
@@ -241,21 +246,6 @@ def _joint_step(
 def _sums_with_weights(library: Library, weight: Array) -> tuple[Array, Array]:
     moments = library.moments
     return np.einsum("c,bckl->kl", weight, moments.product), np.einsum("c,bck->k", weight, moments.gradient)
-
-
-def _solution_in_bounds(a: Array, g: Array, candidate: Candidate) -> Array:
-    """Return the solution of ``a d = g`` with a candidate's parameters, the first entries, held within their bounds."""
-    bounds_rest = np.full(g.size - candidate.columns.size, np.inf)
-    low, high = np.append(candidate.low, -bounds_rest), np.append(candidate.high, bounds_rest)
-    step, free = np.linalg.solve(a, g), np.ones(g.size, dtype=bool)
-    for _ in range(candidate.columns.size):
-        beyond = (step < low) | (step > high)
-        if not beyond.any():
-            break
-        free &= ~beyond
-        step = np.clip(step, low, high)
-        step[free] = np.linalg.solve(a[np.ix_(free, free)], g[free] - a[np.ix_(free, ~free)] @ step[~free])
-    return step
 
 
 def channel_names(channels: Sequence[str], chosen: Flags) -> tuple[str, ...]:

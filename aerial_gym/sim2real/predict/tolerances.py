@@ -110,11 +110,12 @@ def vehicle_for_replay(declared: Vehicle, tolerances: Tolerances, deviation: Arr
     """Return vehicle and replay settings for deviations (N,) in standard deviations; None: exactly as declared."""
     if deviation is None:
         return VehicleForReplay(vehicle=declared, command_shift=0.0, joint_start=1.0)
-    off = torch.from_numpy(deviation)
+    numbers = torch.from_numpy(deviation)
+    off = split_deviations(numbers)
     return VehicleForReplay(
-        vehicle=vehicle_with_deviations(declared, tolerances, off),
-        command_shift=command_shift(tolerances, off),
-        joint_start=joint_start(tolerances, off),
+        vehicle=vehicle_with_deviations(declared, tolerances, numbers),
+        command_shift=float(tolerances.command_hold * off["command_hold"]),
+        joint_start=float(1.0 + tolerances.joint_rest * off["joint_rest"]),
     )
 
 
@@ -153,16 +154,6 @@ def sensor_errors(tolerances: Tolerances, deviation: Tensor) -> SensorErrors:
         answered_noise=off["answered_noise"],
         delays=tolerances.sensor_delay * off["sensor_delay"],
     )
-
-
-def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:
-    """Return the shift of the effective command towards the next row, in rows; 0: held from its own row."""
-    return float(tolerances.command_hold * split_deviations(deviation)["command_hold"])
-
-
-def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
-    """Return the initial angle of soft arms as a share of their rest angle."""
-    return float(1.0 + tolerances.joint_rest * split_deviations(deviation)["joint_rest"])
 
 
 def split_deviations(deviation: Tensor) -> dict[str, Tensor]:

@@ -49,10 +49,8 @@ from aerial_gym.sim2real.predict.rows.spectra import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import (
     SensorErrors,
     Tolerances,
-    command_shift,
-    joint_start,
     sensor_errors,
-    vehicle_with_deviations,
+    vehicle_for_replay,
 )
 
 CONDITIONS = 4  # Number of cached conditions: of the present model, at body and hubs, and of a changed model
@@ -65,6 +63,7 @@ class _ModelQuery:
 
     model: Model  # One environment
     deviation: Tensor  # Deviations in standard deviations, (N,)
+    joint_start: float  # Initial angle of soft arms as a share of their rest angle
     logged: SensorErrors  # Sensor errors of these deviations
     speeds: list[Array | None] | None  # Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed
 
@@ -128,17 +127,15 @@ class FlightBatch:
 
     def _make_query(self, params: ModelParams) -> _ModelQuery:
         """Return the model in one environment with its deviations, its scene in every row and the commanded rotor speeds."""
-        vehicle, deviation = self._declared, self._nothing
-        if params.deviation is not None:
-            deviation = torch.from_numpy(params.deviation)
-            vehicle = vehicle_with_deviations(vehicle, self.tolerances, deviation)
-        model = build_model(vehicle, expand_effects(params, 1), **self.data.heights, other_position=self.data.other)
+        off = vehicle_for_replay(self._declared, self.tolerances, params.deviation)
+        deviation = self._nothing if params.deviation is None else torch.from_numpy(params.deviation)
+        model = build_model(off.vehicle, expand_effects(params, 1), **self.data.heights, other_position=self.data.other)
         speeds = None
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
-            speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
+            speeds = self._replay.speeds(model, off.command_shift, sensors)
         logged = sensor_errors(self.tolerances, deviation)
-        return _ModelQuery(model=model, deviation=deviation, logged=logged, speeds=speeds)
+        return _ModelQuery(model=model, deviation=deviation, joint_start=off.joint_start, logged=logged, speeds=speeds)
 
     def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
@@ -209,8 +206,7 @@ class FlightBatch:
 
     def _effect_memory(self, model: Model, asked: _ModelQuery) -> dict[str, Tensor]:
         """Return the memory of effects on rotors and body in every row, (E, M), by effect, replayed at the log's rate."""
-        settled = joint_start(self.tolerances, asked.deviation)
-        along = replay_memory(model, self.data.flights, asked.speeds, self._memories, settled=settled)
+        along = replay_memory(model, self.data.flights, asked.speeds, self._memories, settled=asked.joint_start)
         return {
             name: torch.cat([self.data.thin_rows(k, part.numpy()) for k, part in enumerate(parts)])
             for name, parts in along.items()

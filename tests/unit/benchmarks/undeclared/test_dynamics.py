@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 import yaml
 
 from benchmarks.undeclared import make_case
-from benchmarks.undeclared.__main__ import main
+from benchmarks.undeclared.__main__ import CaseCmd
 from benchmarks.undeclared.cases import list_flights, plan_flights
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation_matrices
 from benchmarks.undeclared.effects import effect_parameters, split_vehicles
@@ -271,7 +272,7 @@ def test_hidden_rotor_drag_is_not_declared() -> None:
 def test_same_seed_same_files(tmp_path: Path) -> None:
     made, given = {}, ["--effect", "constant_wind", "--num-train", "1", "--num-test", "0", "--nuisance", "--seed", "7"]
     for name in ("a", "b"):
-        assert main(["--out", str(tmp_path / name), "--duration-s", "1.0", *given]) == 0
+        assert tyro.cli(CaseCmd, args=["--out", str(tmp_path / name), "--duration-s", "1.0", *given]).run() == 0
         made[name] = [(tmp_path / name / file).read_bytes() for file in ("train_1.csv", "robot.yaml", "truth.json")]
     assert made["a"] == made["b"]
     values = [effect_parameters({"constant_wind": "moderate"}, declared=DECLARED, seed=seed) for seed in (7, 8)]

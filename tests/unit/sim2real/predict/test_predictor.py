@@ -31,9 +31,8 @@ from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import row_stride
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
-    command_shift,
-    joint_start,
     sensor_errors,
+    vehicle_for_replay,
     vehicle_with_deviations,
 )
 from aerial_gym.sim2real.predict.windows import find_windows
@@ -345,8 +344,9 @@ def test_tolerances_change_what_they_say() -> None:
     force, rate = logged.acc_bias, logged.gyro_bias
     assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
     assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
-    assert command_shift(tolerances, deviation) == pytest.approx(0.3)
-    assert joint_start(tolerances, deviation) == pytest.approx(0.4)
+    replayed = vehicle_for_replay(vehicle, tolerances, deviation.numpy())
+    assert replayed.command_shift == pytest.approx(0.3)
+    assert replayed.joint_start == pytest.approx(0.4)
 
 
 def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:

@@ -203,7 +203,6 @@ def test_a_flight_that_does_not_show_an_effect_does_not_speak_against_it(factors
 def test_the_fall_of_a_channel_is_that_of_its_rms() -> None:
     gain = left_out().gain(squares(1.0, 1.0, 1.0, 1.0), squares(0.25, 0.25, 0.25, 0.25))
     assert gain.falls == pytest.approx((0.5, 0.0))
-    assert gain.score == pytest.approx(0.5 * 60 * BLOCKS * FLIGHTS * 0.5 * np.log(4.0))
 
 
 @pytest.mark.parametrize(("gained", "lost", "harmful"), [
