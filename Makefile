@@ -47,7 +47,7 @@ fuzz: setup
 	$(BIN)/python -m benchmarks.robustness.fuzz --count $(FUZZ) --seed $(SEED)
 
 # Hours: every effect, size and seed that the truth plant can hide. Interrupt and start again at will; SEEDS, JOBS and ARGS
-# (such as --nuisance or --write TABLES.md) may be given.
+# (such as --nuisance) may be given.
 SEEDS ?= 301 302 303
 JOBS ?= $(shell nproc)
 PAIRS := com_offset+constant_wind thrust_coefficient+motor_time_constant weak_motor+rotor_drag payload_mass+actuation_delay \

@@ -1,6 +1,6 @@
 """Detection of failures of the undeclared plant by ``aerial-gym watch`` and ``close-loop``, and their false alarms.
 
-    python -m benchmarks.scores.score_failures --seeds 901 902 903 --quiet-seeds 951 952 --effects all [--write PAGE.md]
+    python -m benchmarks.scores.score_failures --seeds 901 902 903 --quiet-seeds 951 952 --effects all
 
 Each flight with a failure has one of random kind, rotor, size and time, and the small errors of every vehicle (nuisance).
 Quiet flights have none; with ``--effects`` they have a large effect that the robot file does not declare. Logs are read row by
@@ -187,7 +187,6 @@ class FailureScoreCmd:
     quiet_flights: int = 30  # Flights of a minute of each of these
     effects: tuple[str, ...] = ()  # Also hide each of these, large: names, or all
     out: Path | None = None  # Folder that keeps each row; an interrupted run continues
-    write: Path | None = None  # Also write the tables to this markdown file
 
     def run(self) -> None:
         """Score the flights and print the tables."""
@@ -204,11 +203,7 @@ class FailureScoreCmd:
             for seed, label, effect, *size in quiet:
                 make = partial(false_alarms, seed, folder / label, effect, *size)
                 silent += self._load_or_make_rows(f"quiet_{label}", lambda call=make: [call()])
-        page = failure_tables(fails, silent)
-        print(page)
-        if self.write:
-            command = f"python -m benchmarks.scores.score_failures {' '.join(sys.argv[1:])}"
-            self.write.write_text(f"`{command}`\n\n{page}\n")
+        print(failure_tables(fails, silent))
 
     def _load_or_make_rows(self, key: str, make: Callable[[], list[dict]]) -> list[dict]:
         """Return rows that were kept, or make and keep them."""

@@ -2,7 +2,7 @@
 
     python -m benchmarks.scores.score_undeclared --seeds 101 102 [--nuisance | --tracked | --logged] [--json]
     python -m benchmarks.scores.score_undeclared --seeds 101 102 --effects all --sizes small moderate large --unknown \
-        --pairs com_offset+constant_wind --jobs 8 --out out/undeclared [--write TABLE.md]
+        --pairs com_offset+constant_wind --jobs 8 --out out/undeclared
 
 Without --effects the first six effects are hidden: one case for each effect, size and seed. Controls have nothing hidden, one
 for each kind of flight. A case whose result is in --out is not flown again. Each row has the verdict, the named effects, the
@@ -232,7 +232,6 @@ class ScoreCmd:
     duration_s: float = 16.0  # Length of each flight [s]
     jobs: int = 1  # Processes
     out: Path | None = None  # Folder that keeps the result of each case; an interrupted run continues
-    write: Path | None = None  # Also write the tables to this markdown file
     json: bool = False  # One JSON object a line
 
     def plan_jobs(self) -> list[Job]:
@@ -274,8 +273,6 @@ class ScoreCmd:
         rows.sort(key=lambda r: order[tuple(r["effects"]), r["size"], r["seed"], tuple(r["features"])])
         if not self.json:
             print(f"\n{right_line(rows)}\n\n{result_tables(rows)}")
-        if self.write:
-            self.write.write_text(_result_page(rows, sys.argv[1:]))
         return 0
 
 
@@ -287,25 +284,6 @@ def _table_cells(row: dict) -> list[object]:
         return [*start, row["error"], False, "-", "-", "-"]
     numbers = [f"{row[name]:.2f}" for name in ("worst_z", "before_over_floor", "after_over_floor")]
     return [*start, ", ".join(row["named"]) or "-", row["right"], *numbers]
-
-
-def _result_page(rows: list[dict], arguments: list[str]) -> str:
-    """Return the page with the tables and how they were made."""
-    return f"""# Does the loop name an undeclared effect?
-
-`python -m benchmarks.scores.score_undeclared {" ".join(arguments)}`
-
-An independent plant (`benchmarks/undeclared`) flies with an effect that its robot file does not mention. `close-loop` gets the
-logs and the robot file.
-
-{right_line(rows)}
-
-{result_tables(rows)}
-
-## Cases
-
-{table(HEADS, map(_table_cells, rows))}
-"""
 
 
 if __name__ == "__main__":

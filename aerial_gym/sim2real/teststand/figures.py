@@ -47,7 +47,7 @@ def static_figures(fit: StaticFit) -> "dict[str, Figure]":
         before = np.polyval(choice.candidates["w²"].polynomial()[::-1], fit.speed)
         if choice.chosen == "torque ratio":
             thrust = np.polyval(fit.thrust_map.best.polynomial()[::-1], fit.speed)
-            after = choice.best.coefficients["ratio"].value * thrust
+            after = choice.best.params["ratio"].value * thrust
         else:
             after = np.polyval(choice.best.polynomial()[::-1], fit.speed)
         labels = ("speed [rad/s]", f"{name} [{choice.unit}]")

@@ -14,6 +14,7 @@ from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
+    LawFit,
     cross_validation_error,
     estimates,
     hc3_covariance,
@@ -39,28 +40,18 @@ BEYOND = {"w³, w² and w": (3, 2, 1)}
 STALLED = 0.02  # Least thrust, relative to the highest, at which a speed of 0 indicates a failed speed sensor
 
 
-@dataclass(frozen=True, kw_only=True)
-class MapFit:
-    """Fit of one candidate map."""
-
-    name: str
-    coefficients: dict[str, Estimate]  # Coefficients by name: c2 [.. s²/rad²], c1, c0, c3; or ratio [m].
-    fit_rms: float  # RMS residual of the fit
-    held_out: Array  # Measured minus predicted, from fits without that row, (T,)
-
-    @property
-    def held_out_rms(self) -> float:
-        """RMS of the held-out errors."""
-        return rms(self.held_out)
+class MapFit(LawFit):
+    """Fit of one candidate map: coefficients c3 to c0, c2 in .. s²/rad², or a torque ratio [m]."""
 
     def polynomial(self) -> tuple[float, float, float]:
         """Return c0, c1, c2."""
-        c0, c1, c2 = (self.coefficients[f"c{p}"].value if f"c{p}" in self.coefficients else 0.0 for p in range(3))
+        c0, c1, c2 = (self.params[f"c{p}"].value if f"c{p}" in self.params else 0.0 for p in range(3))
         return c0, c1, c2
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return select_fields(self, "name", "fit_rms", "held_out_rms", "coefficients")
+        numbers = select_fields(self, "name", "fit_rms", "held_out_rms")
+        return {**numbers, "coefficients": plain(self.params)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +72,7 @@ class MapChoice:
     @property
     def rms_squared_only(self) -> Rms:
         """Held-out error of the map with w² alone."""
-        return cross_validation_error(self.candidates["w²"].held_out)
+        return self.candidates["w²"].error
 
     @property
     def rms_chosen(self) -> Rms:
@@ -119,7 +110,7 @@ class StaticFit:
     @property
     def thrust_coefficient(self) -> Estimate:
         """Thrust coefficient [N s²/rad²] of the fit with w² alone."""
-        return self.thrust_map.candidates["w²"].coefficients["c2"]
+        return self.thrust_map.candidates["w²"].params["c2"]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -186,7 +177,7 @@ def _fit_one_way(name: str, measured: dict[str, Array], *, through_zero: bool = 
     thrust_map = choose_map(speed, thrust, unit="N", through_zero=through_zero)
     ratio = torque_map = None
     if torque is not None:
-        ratio = _fit_regressors("ratio", thrust[:, None], torque, ("ratio",)).coefficients["ratio"]
+        ratio = _fit_regressors("ratio", thrust[:, None], torque, ("ratio",)).params["ratio"]
         torque_map = choose_map(speed, torque, unit="N m", thrust=thrust_map.best, through_zero=through_zero)
     return StaticFit(name, speed, thrust, torque, thrust_map, torque_map, ratio, notes)
 
@@ -241,6 +232,5 @@ def _fit_regressors(name: str, regressors: Array, values: Array, labels: tuple[s
     residual = values - scaled @ gains
     covariance = hc3_covariance(scaled, residual) / np.outer(scale, scale)
     results = estimates(gains / scale, covariance, values.size - gains.size)
-    coefficients = dict(zip(labels, results, strict=True))
-    left = _leave_one_out(regressors, values)
-    return MapFit(name=name, coefficients=coefficients, fit_rms=rms(residual), held_out=left)
+    params, left = dict(zip(labels, results, strict=True)), _leave_one_out(regressors, values)
+    return MapFit(name=name, params=params, residual=residual, held_out=left)

@@ -4,12 +4,14 @@ Letters: N rows, K parameters.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize, stats
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.statistics import Estimate, Rms, rms_with_interval
 
 PARSIMONY = 0.02  # Largest relative excess of the held-out error for which a law with fewer parameters is chosen
@@ -149,3 +151,55 @@ def fit_curve(
     residual = measured - predict(params)
     covariance = hac_covariance(np.asarray(results.jac) / scale, residual[rows])
     return CurveFit(params=params, residual=residual, covariance=covariance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawFit:
+    """Fit of one candidate law, with its errors on rows that the fit has not seen."""
+
+    name: str
+    params: dict[str, Estimate]
+    residual: Array = field(repr=False)  # Measured minus fitted, (N,)
+    held_out: Array = field(repr=False)  # Measured minus predicted, from fits without that fold, (N,)
+    fold: Indices | None = field(default=None, repr=False)  # Fold of each row, (N,); None: each row is one
+
+    @property
+    def fit_rms(self) -> float:
+        """Return the RMS residual of the fit."""
+        return rms(self.residual)
+
+    @property
+    def held_out_rms(self) -> float:
+        """Return the RMS held-out error."""
+        return rms(self.held_out)
+
+    @cached_property
+    def error(self) -> Rms:
+        """Return the RMS held-out error with its interval over folds."""
+        return cross_validation_error(self.held_out, self.fold)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        return {**select_fields(self, "name", "fit_rms"), "held_out": plain(self.error), "params": plain(self.params)}
+
+
+def fit_law(
+    name: str,
+    labels: Sequence[str],
+    predict: Callable[[Array], Array],
+    measured: Array,
+    bounds: tuple[Array, Array, Array],
+    fold: Indices,
+) -> LawFit:
+    """Return a law fitted to all rows; fits without a fold start near that one.
+
+    ``bounds``: start, lowest and highest parameters, (K,) each. ``fold``: fold of each row, (N,).
+    """
+    start, low, high = bounds
+    whole = fit_curve(predict, measured, start, low, high)
+    near = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
+    held_out = errors_on_left_out_folds(
+        fold, lambda out: fit_curve(predict, measured, near, low, high, ~out).residual[out]
+    )
+    params = dict(zip(labels, whole.estimates(), strict=True))
+    return LawFit(name=name, params=params, residual=whole.residual, held_out=held_out, fold=fold)

@@ -4,7 +4,7 @@ Letters: T rows, K parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,15 +13,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import (
-    Estimate,
-    cross_validation_error,
-    errors_on_left_out_folds,
-    fit_curve,
-    rms,
-    smallest_good_candidate,
-)
+from aerial_gym.sim2real.teststand.statistics import Estimate, LawFit, fit_law, smallest_good_candidate
 from aerial_gym.sim2real.teststand.tables import Bench
 
 SHORTEST_STEP = 5  # Least number of rows per step for a time constant
@@ -65,37 +57,11 @@ class StepRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepLawFit:
-    """Fit of one law."""
-
-    name: str
-    params: dict[str, Estimate]
-    fit_rms: float
-    held_out: Array  # Measured minus predicted, from fits without that step, (T of all records,)
-    step: Indices = field(repr=False)  # Step number of each row, (T of all records,)
-    residual: Array = field(repr=False)  # Residual of the fit to all steps, (T of all records,)
-
-    @property
-    def error(self) -> Rms:
-        """RMS held-out error [rad/s], with its interval over steps."""
-        return cross_validation_error(self.held_out, self.step)
-
-    @property
-    def held_out_rms(self) -> float:
-        """RMS held-out error [rad/s]."""
-        return rms(self.held_out)
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return the values for JSON."""
-        return {**select_fields(self, "name", "fit_rms"), "held_out": plain(self.error), "params": plain(self.params)}
-
-
-@dataclass(frozen=True, kw_only=True)
 class StepFit:
     """Fits of all laws, and the selected one."""
 
     records: tuple[StepRecord, ...]
-    laws: dict[str, StepLawFit]
+    laws: dict[str, LawFit]
     chosen: str
     in_robot: str  # Best law that a robot file supports
 
@@ -190,7 +156,7 @@ def _step_directions(record: StepRecord) -> list[str]:
     return ["up" if after > before else "down" for before, after in pairwise(levels)]
 
 
-def _fit_law(name: str, records: Sequence[StepRecord]) -> StepLawFit:
+def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
     labels = LAWS[name]
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
     measured = np.concatenate([record.measured[record.starts[0] :] for record in records])
@@ -204,17 +170,9 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> StepLawFit:
         params = dict(zip(labels, values, strict=True))
         return np.concatenate([speed_of_law(record, params)[record.starts[0] :] for record in records])
 
-    whole = fit_curve(predict, measured, start, low, high)
-    inside = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
     begins = np.concatenate([np.isin(np.arange(r.starts[0], r.time.size), r.starts) for r in records])
-    step = begins.cumsum(dtype=np.int64)
-    held_out = errors_on_left_out_folds(
-        step, lambda out: fit_curve(predict, measured, inside, low, high, ~out).residual[out]
-    )
-    params = _bound_slew_limit(dict(zip(labels, whole.estimates(), strict=True)), records)
-    return StepLawFit(
-        name=name, params=params, fit_rms=rms(whole.residual), held_out=held_out, step=step, residual=whole.residual
-    )
+    law = fit_law(name, labels, predict, measured, (start, low, high), begins.cumsum(dtype=np.int64))
+    return replace(law, params=_bound_slew_limit(law.params, records))
 
 
 def _bound_slew_limit(params: dict[str, Estimate], records: Sequence[StepRecord]) -> dict[str, Estimate]:

@@ -94,7 +94,7 @@ def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str,
         results["thrust_map"] = fit.thrust_map.best.polynomial()
         if fit.torque_map is not None and fit.torque_ratio is not None:
             constant = fit.torque_map.chosen == "torque ratio"
-            results["torque_ratio"] = fit.torque_map.best.coefficients["ratio"].value if constant else None
+            results["torque_ratio"] = fit.torque_map.best.params["ratio"].value if constant else None
             results["torque_map"] = None if constant else fit.torque_map.best.polynomial()
         if fit.reverse is not None:
             results |= _reverse_changes(fit, fit.reverse)
@@ -114,7 +114,7 @@ def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
     if reverse.torque_map is not None and reverse.torque_ratio is not None:
         best = reverse.torque_map.best
         constant = reverse.torque_map.chosen == "torque ratio"
-        ratio = best.coefficients["ratio"].value if constant else 0.0
+        ratio = best.params["ratio"].value if constant else 0.0
         c0, c1, c2 = thrust_map
         results["reverse_torque_map"] = (ratio * c0, ratio * c1, ratio * c2) if constant else best.polynomial()
     return results
@@ -165,7 +165,7 @@ def static_tables(static: Sequence[StaticFit]) -> list[ReportTable]:
 def _table_of_maps(quantity: str, choice: MapChoice) -> ReportTable:
     rows = []
     for fit in choice.candidates.values():
-        mark, numbers = " (chosen)" * (fit.name == choice.chosen), _parameter_text(fit.coefficients)
+        mark, numbers = " (chosen)" * (fit.name == choice.chosen), _parameter_text(fit.params)
         rows.append((fit.name + mark, f"{fit.fit_rms:.3g}", f"{fit.held_out_rms:.3g}", numbers))
     before, after = choice.rms_squared_only, choice.rms_chosen
     rows.append(("before: w²", "", interval_text(before), ""))

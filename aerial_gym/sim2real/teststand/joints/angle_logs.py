@@ -27,10 +27,11 @@ from aerial_gym.sim2real.teststand.statistics import (
     FOLDS,
     PARSIMONY,
     Estimate,
+    LawFit,
     cross_validation_error,
     errors_on_left_out_folds,
     estimates,
-    fit_curve,
+    fit_law,
     fold_labels,
     hac_covariance,
 )
@@ -73,22 +74,13 @@ class JointResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointLawFit:
-    """Fit of one law to one joint."""
-
-    name: str
-    params: dict[str, Estimate]
-    error: Rms  # RMS held-out error of the effort [N m]
-
-
-@dataclass(frozen=True, kw_only=True)
 class LogJointFit:
     """Fits of all laws to one joint with logged angles."""
 
     name: str
     declared: Rms  # RMS error of the declared law [N m]
 
-    laws: dict[str, JointLawFit]
+    laws: dict[str, LawFit]
     chosen: str
     changed: tuple[str, ...]  # Parameters that differ significantly (95 %) and materially from the declared ones
     spring: SpringCfg  # Spring for the robot file: the chosen law if anything differs, else the declared one
@@ -174,29 +166,29 @@ def _effort_of_spring(spring: SpringCfg, angle: Array, rate: Array, side: Array)
     return effort - spring.friction * side
 
 
-def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> JointLawFit:
+def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> LawFit:
     """Return a law fitted to all rows, with its error on left-out folds."""
     if name == "quadratic spring":
-        params, left = _fit_quadratic(angle, rate, effort, fold)
-        return JointLawFit(name=name, params=params, error=cross_validation_error(left, fold))
+        return _fit_quadratic(name, angle, rate, effort, fold)
     columns = (np.ones_like(angle), -angle, -rate)
     rows = np.stack((*columns, -side) if "friction" in LAWS[name] else columns, axis=1)
     left = errors_on_left_out_folds(
         fold, lambda out: effort[out] - rows[out] @ np.linalg.lstsq(rows[~out], effort[~out], rcond=None)[0]
     )
     values = np.linalg.lstsq(rows, effort, rcond=None)[0]
-    covariance = hac_covariance(rows, effort - rows @ values)
+    residual = effort - rows @ values
+    covariance = hac_covariance(rows, residual)
     preload, stiffness = values[0], values[1]
     change = np.eye(len(values))
     change[0, :2] = 1.0 / stiffness, -preload / stiffness**2
     shown = np.concatenate(([preload / stiffness], values[1:]))
     results = estimates(shown, change @ covariance @ change.T, effort.size - len(values))
     params: dict[str, Estimate] = dict(zip(("rest", "stiffness", "damping", "friction"), results, strict=False))
-    return JointLawFit(name=name, params=params, error=cross_validation_error(left, fold))
+    return LawFit(name=name, params=params, residual=residual, held_out=left, fold=fold)
 
 
-def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> tuple[dict[str, Estimate], Array]:
-    names, spread = LAWS["quadratic spring"], float(np.ptp(angle))
+def _fit_quadratic(name: str, angle: Array, rate: Array, effort: Array, fold: Indices) -> LawFit:
+    spread = float(np.ptp(angle))
     middle, size = float(np.median(angle)), float(np.abs(effort).max()) + 1e-12
     slope = size / spread**2
     start = np.array((slope, size / (np.abs(rate).max() + 1e-12), middle, 0.0))
@@ -208,13 +200,10 @@ def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> t
         away = angle - rest
         return preload - quadratic * np.abs(away) * away - damping * rate
 
-    whole = fit_curve(predict, effort, start, low, high)
-    near = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
-    left = errors_on_left_out_folds(fold, lambda out: fit_curve(predict, effort, near, low, high, ~out).residual[out])
-    return dict(zip(names, whole.estimates(), strict=True)), left
+    return fit_law(name, LAWS[name], predict, effort, (start, low, high), fold)
 
 
-def _significant_changes(declared: SpringCfg, law: JointLawFit, least: dict[str, float]) -> tuple[str, ...]:
+def _significant_changes(declared: SpringCfg, law: LawFit, least: dict[str, float]) -> tuple[str, ...]:
     """Return the parameters whose declared values lie outside the fitted intervals, by at least ``least``.
 
     The result is ``law`` if the fitted law is of another kind.

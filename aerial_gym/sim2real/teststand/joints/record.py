@@ -16,7 +16,7 @@ from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     PARSIMONY,
     CurveFit,
-    Estimate,
+    LawFit,
     cross_validation_error,
     errors_on_left_out_folds,
     fit_curve,
@@ -87,29 +87,13 @@ class Release:
 
 
 @dataclass(frozen=True)
-class JointFit:
-    """Fit of one law."""
-
-    name: str
-    params: dict[str, Estimate]
-    residual: Array = field(repr=False)  # Measured minus fitted [rad], (T,)
-    held_out: Array = field(repr=False)  # Measured minus predicted, from fits without that block [rad], (T,)
-    block_rms: tuple[float, ...]  # RMS held-out error of each block [rad]
-
-    @property
-    def score(self) -> float:
-        """RMS over blocks of the held-out errors [rad], which weights the first moments like the rest."""
-        return rms(np.array(self.block_rms))
-
-
-@dataclass(frozen=True)
 class JointStudy:
     """The published law, all fitted laws, and the one with the least held-out error."""
 
     record: Release
     published: Array = field(repr=False)  # Measured minus the published law, with release at 0 [rad], (T,)
 
-    laws: dict[str, JointFit]
+    laws: dict[str, LawFit]
     chosen: str
 
     forecast: dict[str, Rms]  # Error in the second half of the record, from fits to the first half [rad], by law
@@ -131,7 +115,7 @@ class JointStudy:
                     "name": law.name,
                     "fit": errors_by_span(self.record.time, law.residual),
                     "held_out": errors_by_span(self.record.time, law.held_out),
-                    "held_out_by_block": list(law.block_rms),
+                    "held_out_by_block": rms_by_block(self.record, law),
                     "forecast": self.forecast[law.name].as_mapping(),
                     "alternate": errors_by_span(self.record.time, self.alternate[law.name]),
                     "params": plain(law.params),
@@ -230,10 +214,9 @@ def _quadratic_spring_angle(start: float, params: dict[str, float], since: Array
 def fit_joint(record: Release) -> JointStudy:
     """Return the fits of all laws to the record, their errors on left-out blocks, and the choice."""
     laws = {name: _fit_law(name, record) for name in LAWS}
-    least = min(law.score for law in laws.values())
-    chosen = min(
-        (name for name, law in laws.items() if law.score <= (1.0 + PARSIMONY) * least), key=lambda n: len(LAWS[n])
-    )
+    errors = {name: rms(np.array(rms_by_block(record, law))) for name, law in laws.items()}  # weights the first moments
+    limit = (1.0 + PARSIMONY) * min(errors.values())
+    chosen = min((name for name, error in errors.items() if error <= limit), key=lambda name: len(LAWS[name]))
     law = {"quadratic_stiffness": PUBLISHED["stiffness"], "damping": PUBLISHED["damping"], "rest": PUBLISHED["rest"]}
     late = record.time > 0.5 * record.time[-1]
     forecast = {}
@@ -272,11 +255,15 @@ def fit_curve_of_law(name: str, record: Release, kept: Flags | None = None, near
     return fit_curve(predict, record.angle, start, low, high, kept)
 
 
-def _fit_law(name: str, record: Release) -> JointFit:
+def _fit_law(name: str, record: Release) -> LawFit:
     whole = fit_curve_of_law(name, record)
     held_out = errors_on_left_out_folds(
         record.block, lambda out: fit_curve_of_law(name, record, ~out, whole.params).residual[out]
     )
     params = dict(zip(("release", *LAWS[name]), whole.estimates(), strict=True))
-    block_rms = tuple(rms(held_out[record.block == block]) for block in np.unique(record.block))
-    return JointFit(name, params, whole.residual, held_out, block_rms)
+    return LawFit(name=name, params=params, residual=whole.residual, held_out=held_out, fold=record.block)
+
+
+def rms_by_block(record: Release, law: LawFit) -> list[float]:
+    """Return the RMS held-out error of each block [rad]."""
+    return [rms(law.held_out[record.block == block]) for block in np.unique(record.block)]

@@ -128,13 +128,13 @@ def test_tables_count_the_rows() -> None:
     assert "Time of a case: 1 s to fly (at most 1), 2 s in the loop (at most 2)." in text
 
 
-def test_the_command_prints_and_writes(tmp_path, monkeypatch, capsys) -> None:
+def test_the_command_prints_the_tables(monkeypatch, capsys) -> None:
     monkeypatch.setattr(score_undeclared, "score_case", fake_row)
-    page = tmp_path / "page.md"
-    monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--write", str(page)])
+    monkeypatch.setattr("sys.argv", ["score", "--seeds", "205"])
     assert tyro.cli(ScoreCmd).run() == 0
-    assert "right 7 of 7; true value inside 6 of 6 intervals" in capsys.readouterr().out
-    assert page.read_text().count("| rotor_drag |") == 4  # names, parameters, hidden and named
+    shown = capsys.readouterr().out
+    assert "right 7 of 7; true value inside 6 of 6 intervals" in shown
+    assert shown.count("| rotor_drag |") == 4  # names, parameters, hidden and named
     monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--effects", "drag"])
     assert tyro.cli(ScoreCmd).run() == 2
     assert "no effect ['drag']" in capsys.readouterr().err

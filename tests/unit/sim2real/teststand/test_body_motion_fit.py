@@ -88,9 +88,9 @@ def test_friction_acts_against_the_motion_and_an_end_never_pulls() -> None:
 def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
     table = flight([SAME] * 4, 4, seconds=3.2, noise=0.0)
     ride, plain = make_ride(table, tmp_path / "f.csv"), robot()
-    with pytest.raises(DataError, match="flights are too short: without angles 2 s at their start are left out"):
+    with pytest.raises(DataError, match="too short"):
         fit_hidden_joints(plain, [ride], bandwidth=BAND)
-    with pytest.raises(DataError, match=r"logs of different rates: \[125.0, 250.0\] rows per second"):
+    with pytest.raises(DataError, match=r"\[125.0, 250.0\] rows per second"):
         fit_hidden_joints(plain, [ride, make_ride(table[::2], tmp_path / "g.csv")], bandwidth=BAND)
     drive = DriveCfg(mode="effort", limit=1.0, command_range=(-1.0, 1.0))
     first = replace(plain.joints.layout[0], spring=None, drive=drive)
@@ -179,5 +179,5 @@ def test_free_joints_under_water_gave_no_effort() -> None:
 
 def test_joints_that_nobody_logged_are_not_told_under_water() -> None:
     robot = replace(under_water(make_joints(), IN_WATER), effects_source="test")
-    with pytest.raises(ConfigError, match="identify joints: link_added_mass cannot be simulated without .* Log them"):
+    with pytest.raises(ConfigError, match="link_added_mass .* Log them"):
         body_motion(robot, None, bandwidth=15.0)

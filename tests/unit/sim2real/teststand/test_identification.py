@@ -72,8 +72,8 @@ def static_table(
 
 
 def single_fit(table: pd.DataFrame, folder: Path, **units: str) -> StaticFit:
-    (fit,), errors_on_left_out_folds = fit_static(bench(table, folder, **units))
-    assert errors_on_left_out_folds == []
+    (fit,), left_out = fit_static(bench(table, folder, **units))
+    assert left_out == []
     return fit
 
 
@@ -136,7 +136,7 @@ def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: P
     assert fit.thrust_map.chosen in ("w² and w", "w², w and constant")
     assert fit.torque_map.chosen == "torque ratio"
     assert fit.torque_ratio.low < RATIO < fit.torque_ratio.high
-    full = fit.thrust_map.candidates["w², w and constant"].coefficients
+    full = fit.thrust_map.candidates["w², w and constant"].params
     for power in range(3):
         assert full[f"c{power}"].low < MAP[power] < full[f"c{power}"].high
     assert fit.thrust_map.rms_chosen.value < fit.thrust_map.rms_squared_only.value
@@ -198,11 +198,11 @@ def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(
     table = static_table(np.random.default_rng(6), 0.005)
     table = pd.concat([table.assign(test="a"), table.assign(test="b"), table.assign(test="c", thrust_N=-1.0)])
     table.iloc[5, 0] = 0.0
-    fits, errors_on_left_out_folds = fit_static(bench(table, tmp_path))
+    fits, left_out = fit_static(bench(table, tmp_path))
     assert [fit.speed.size for fit in fits] == [23, 24]
     assert [(note.code, note.values) for note in fits[0].notes] == [("rows_without_speed", {"rows": 1})]
-    assert len(errors_on_left_out_folds) == 1
-    assert "test c: thrust at the highest speed is -1 N" in errors_on_left_out_folds[0].values["error"]
+    assert len(left_out) == 1
+    assert "test c: thrust at the highest speed is -1 N" in left_out[0].values["error"]
 
 
 @pytest.mark.parametrize(("error", "tau", "slew"), [(800.0, 0.05, 1e9), (800.0, 0.03, 9e3), (-800.0, 0.03, 9e3)])
@@ -359,10 +359,10 @@ def test_creep_is_told_from_springs_and_its_numbers_are_found(tmp_path: Path) ->
 
 def test_a_record_without_its_release_is_refused(tmp_path: Path) -> None:
     table = pd.DataFrame({"t": np.arange(200) / 100.0, "angle": 0.1})
-    with pytest.raises(DataError, match=r"0 rows before and 200 after the release at 0 s.*--release-s"):
+    with pytest.raises(DataError, match=r"0 rows before and 200 after .*--release-s"):
         release_record(bench(table, tmp_path))
     degrees = pd.DataFrame({"t": np.arange(-50, 150) / 100.0, "angle": 23.0})
-    with pytest.raises(DataError, match=r"angles up to 23 rad; if they are degrees: --units angle deg"):
+    with pytest.raises(DataError, match=r"23 rad; .* --units angle deg"):
         release_record(bench(degrees, tmp_path))
 
 
