@@ -14,7 +14,8 @@ from aerial_gym.physics.model import check_rotors
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
-from aerial_gym.sim2real.identify.stages import prepare_comparison, select_effects_of_setup
+from aerial_gym.sim2real.identify.selection.select import select_effects
+from aerial_gym.sim2real.identify.stages import prepare_comparison
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
 from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
@@ -24,7 +25,7 @@ from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
-from aerial_gym.sim2real.report.ranges import with_uncertainty_ranges
+from aerial_gym.sim2real.report.ranges import uncertainty_ranges
 from aerial_gym.sim2real.report.report import write_report
 from aerial_gym.sim2real.report.run_folder import atomic_run_folder, check_out_dir, write_record
 from aerial_gym.sim2real.report.verdict_json import verdict_json
@@ -97,7 +98,10 @@ def close_loop(
         if joint_study is not None:
             judged = joint_study.add_to_verdict(judged)
         verdict = judged.verdict
-        corrected = with_uncertainty_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
+        corrected = judged.corrected
+        if ranges:
+            drawn = {**corrected.randomize, **uncertainty_ranges(corrected, verdict.effects)}
+            corrected = replace(corrected, randomize=drawn)
         progress("writing the report", 0.97)
         config = {
             "command": "close-loop",
@@ -158,7 +162,10 @@ def judge_flights(
     told = seen if failures else []
     learnt, judging = (_flights_until_failure(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
-    selection = select_effects_of_setup(declared, criteria or Criteria(), progress, candidates=effects)
+    selection = select_effects(
+        declared.train, declared.params, criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.65 * share),
+        test=declared.test.flights, candidates=effects,
+    )  # fmt: skip
     give_back_memory()
     judged = judge_on_test_flights(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()

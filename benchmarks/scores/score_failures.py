@@ -29,7 +29,7 @@ from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.wording import render_findings
 from benchmarks.markdown import table
 from benchmarks.undeclared import EFFECTS, CaseFiles, PlantFailure, make_case
-from benchmarks.undeclared.failures import KINDS
+from benchmarks.undeclared.surroundings import KINDS
 
 SIZES = {"motor_failure": (0.0, 0.95), "weak_motor": (0.3, 0.95), "brown_out": (0.6, 0.95), "stuck_rotor": (1.0, 1.0)}
 """Ranges of ``scale``."""

@@ -12,8 +12,7 @@ import yaml
 
 from aerial_gym.rl_training.policies.policy import Policy
 from benchmarks.undeclared import effects as hidden_effects
-from benchmarks.undeclared.nuisance import Bias, PlantNuisance, add_nuisance
-from benchmarks.undeclared.sensors import PlantNoise, PlantSensors, Sample
+from benchmarks.undeclared.sensors import Bias, PlantNoise, PlantNuisance, PlantSensors, Sample, add_nuisance
 from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly_references
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, PlantVehicle

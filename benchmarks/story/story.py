@@ -34,7 +34,7 @@ from benchmarks.story.setpoint_flight import (
     true_vehicle,
 )
 from benchmarks.undeclared.logs import write_log
-from benchmarks.undeclared.nuisance import NO_BIAS
+from benchmarks.undeclared.sensors import NO_BIAS
 from benchmarks.undeclared.simulate import PlantRecord
 from benchmarks.undeclared.vehicle import Array
 

@@ -5,7 +5,7 @@ Referee of the system identification: shares no code with the package it judges.
 
 from benchmarks.undeclared.cases import CaseFiles, make_case
 from benchmarks.undeclared.effects import EFFECTS, FEATURES, SIZES, UNKNOWN
-from benchmarks.undeclared.failures import PlantFailure
-from benchmarks.undeclared.nuisance import LOGGED, TRACKED
+from benchmarks.undeclared.sensors import LOGGED, TRACKED
+from benchmarks.undeclared.surroundings import PlantFailure
 
 __all__ = ["EFFECTS", "FEATURES", "LOGGED", "SIZES", "TRACKED", "UNKNOWN", "CaseFiles", "PlantFailure", "make_case"]

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
-from benchmarks.undeclared.failures import Failures, PlantFailure
 from benchmarks.undeclared.logs import delay_sensors, vehicle_document, write_log, write_robot
-from benchmarks.undeclared.nuisance import NO_BIAS, Bias, PlantNuisance, add_nuisance
-from benchmarks.undeclared.sensors import PlantNoise, PlantSensors
+from benchmarks.undeclared.sensors import NO_BIAS, Bias, PlantNoise, PlantNuisance, PlantSensors, add_nuisance
 from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, PlantRecord, fly_references, summarise
 from benchmarks.undeclared.surroundings import (
     CEILING_HEIGHT,
     NOMINAL_VOLTAGE,
     VOLTAGE_NOISE,
     Battery,
+    Failures,
+    PlantFailure,
     PlantSurroundings,
     companion_path,
     gust_series,

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from benchmarks.undeclared.nuisance import LATE
+from benchmarks.undeclared.sensors import LATE
 from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord
 from benchmarks.undeclared.vehicle import ROTOR_RADIUS, SOURCE, Array, PlantVehicle
 

@@ -9,7 +9,7 @@ from aerial_gym.sim2real.close_loop import judge_flights
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import load_train_and_test
 from benchmarks.undeclared import LOGGED, TRACKED, make_case
-from benchmarks.undeclared.nuisance import PlantNuisance
+from benchmarks.undeclared.sensors import PlantNuisance
 
 SHORT = {"num_test": 2, "duration_s": 10.0, "rate_hz": 200}
 

@@ -9,15 +9,13 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import robot_with_estimated_battery
 from aerial_gym.sim2real.identify.least_squares.derivatives import parameter_row, replace_params
-from aerial_gym.sim2real.identify.selection.criteria import Criteria
-from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel, comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from aerial_gym.sim2real.progress import Progress
 
 SIGNIFICANT_DIGITS = 6  # Significant digits of parameters in the corrected robot file
 
@@ -68,19 +66,6 @@ def prepare_comparison(
     check_scene(tuple(powered.effects), flights)
     return LoopSetup(
         stated=robot, robot=powered, params=params, train=on_train, test=on_test, asked_bandwidth=bandwidth
-    )
-
-
-def select_effects_of_setup(
-    declared: LoopSetup, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
-) -> SelectionResult:
-    """Return the selection of effects from the training flights, among ``candidates`` if given."""
-
-    def report_progress(stage: str, share: float) -> None:
-        progress(stage, 0.05 + 0.65 * share)
-
-    return select_effects(
-        declared.train, declared.params, criteria, report_progress, test=declared.test.flights, candidates=candidates
     )
 
 

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_model
 from aerial_gym.sim2real.judge.experiments.design import can_have_effect, recommend_manoeuvres
 from aerial_gym.sim2real.judge.outcome import Decision, error_outcomes, verdict_decision
 from aerial_gym.sim2real.judge.predictive import notes_on_doubt, selection_with_test_odds
-from aerial_gym.sim2real.judge.random_wind.gusts import NAME, model_with_wind, random_wind_in_file
+from aerial_gym.sim2real.judge.random_wind.gusts import NAME, random_wind_in_file
 from aerial_gym.sim2real.judge.residual_excess import (
     ResidualExcess,
     can_judge_forces,
@@ -104,7 +104,10 @@ def judge_on_test_flights(
         notes=verdict_notes(declared, result, model, unexplained, effects, named),
     )  # fmt: skip
     accepted = (*result.effects, *(effect.name for effect in gusts))
-    corrected = correct_robot(declared, model_with_wind(params, unexplained.wind), accepted)
+    gusty, wind = params, unexplained.wind
+    if wind.is_accepted:
+        gusty = params.with_effect(NAME, np.array(list(wind.params().values())))
+    corrected = correct_robot(declared, gusty, accepted)
     return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
 
 

@@ -13,8 +13,13 @@ from aerial_gym.sim2real.logs.flights import Flight, flight_names
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import HORIZONS_S, QUANTITIES, RolloutErrors, rollout_errors_of_models
-from aerial_gym.sim2real.predict.windows import find_windows
+from aerial_gym.sim2real.predict.rollout import (
+    HORIZONS_S,
+    QUANTITIES,
+    RolloutErrors,
+    find_windows,
+    rollout_errors_of_models,
+)
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
 LEAST_GAP = 1.21

@@ -14,6 +14,7 @@ from scipy.ndimage import convolve1d
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
 from aerial_gym.physics import (
     EFFECTS,
@@ -32,18 +33,68 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.replay.load import LoadLink, LoadReplay
-from aerial_gym.sim2real.predict.replay.memory import effects_with_memory, make_flight_track
 from aerial_gym.sim2real.predict.replay.rotors import (
     RotorReplay,
     acts_on_commands,
+    effects_with_memory,
     has_commands,
+    make_flight_track,
     replace_by_arriving_commands,
     true_rotor_speed,
 )
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_for_replay
-from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, windows_of_longest_horizon
+
+STEP_S = 0.01  # Longest rollout step [s]; at 10 rad/s, Runge-Kutta of order 4 errs by 1e-7 rad per step
+WINDOW_EVERY_S = 0.5  # Time between the starts of consecutive windows [s]
+
+FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))
+"""Start of the first window [s], the longest dead time, so that all arriving commands are in the log."""
+
+MOST_WINDOWS = 600  # Most windows; with more the starts are spread over all flights
+CLUSTER_S = 4.0  # Span [s] whose windows count as one sample in confidence intervals
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutWindows:
+    """Starts of rollouts."""
+
+    flight: Indices  # Index of the flight, (W,)
+    row: Indices  # Row of the log, (W,)
+    cluster: Indices  # Cluster of each window, whose members overlap or follow each other, (W,)
+
+
+def find_windows(flights: Sequence[Flight], horizon: float) -> RolloutWindows:
+    """Return windows of ``horizon`` [s] without rows on the ground in every flight."""
+    spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
+    every = max(WINDOW_EVERY_S, sum(spans) / MOST_WINDOWS)
+    parts, cluster = [], 0
+    for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
+        starts = np.arange(FIRST_WINDOW_S, span, every)
+        rows = np.round(starts * flight.rate).astype(int)
+        if flight.on_ground is not None:
+            stood = np.concatenate(([0], np.cumsum(flight.on_ground)))
+            last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
+            clear = stood[last] == stood[rows]
+            starts, rows = starts[clear], rows[clear]
+        groups = (starts / CLUSTER_S).astype(int)
+        parts.append((np.full(rows.size, index), rows, groups + cluster))
+        cluster += int(groups[-1]) + 1 if rows.size else 0
+    flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return RolloutWindows(flight=flight_index, row=row, cluster=clusters)
+
+
+def windows_of_longest_horizon(
+    flights: Sequence[Flight], horizons: Sequence[float]
+) -> tuple[tuple[float, ...], RolloutWindows]:
+    """Return the feasible horizons [s] and the windows of the longest one; raise ``DataError`` if no flight is long enough."""
+    for longest in sorted(horizons, reverse=True):
+        windows = find_windows(flights, longest)
+        if windows.row.size:
+            return tuple(h for h in horizons if h <= longest), windows
+    raise DataError(f"no flight is airborne for {FIRST_WINDOW_S + min(horizons):g} s at a time, which a rollout needs")
+
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)  # Times after the start at which rollout and flight are compared [s]
 MEMORY_STEP_S = 0.005  # Longest substep with effects that have memory [s]; its final memory value acts throughout

@@ -40,8 +40,3 @@ def uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[
                 kept = {other: share for other, share in shares.items() if other in ranges}
                 ranges[name] = replace(ranges[name], correlation=kept)
     return ranges
-
-
-def with_uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> RobotCfg:
-    """Return a corrected robot that draws the identified parameters from their uncertainty at every reset."""
-    return replace(robot, randomize={**robot.randomize, **uncertainty_ranges(robot, effects)})

@@ -25,8 +25,7 @@ from benchmarks.story.setpoint_flight import (
     true_vehicle,
 )
 from benchmarks.story.story import ROBOT, TASK
-from benchmarks.undeclared.nuisance import NO_BIAS
-from benchmarks.undeclared.sensors import Sample
+from benchmarks.undeclared.sensors import NO_BIAS, Sample
 from benchmarks.undeclared.trajectories import Reference
 
 

@@ -97,11 +97,6 @@ def random_wind_in_file(robot: RobotCfg) -> RandomWind:
     return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
 
 
-def model_with_wind(params: ModelParams, wind: RandomWind) -> ModelParams:
-    """Return a model with the random wind among its effects, if it is accepted."""
-    return params.with_effect(NAME, np.array(list(wind.params().values()))) if wind.is_accepted else params
-
-
 def find_random_wind(
     predictor: Predictor,
     params: ModelParams,

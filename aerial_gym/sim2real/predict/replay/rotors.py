@@ -1,13 +1,13 @@
-"""Rotor speeds from logged commands, with dead time and measured battery voltage, for all flights at once.
+"""Replay along flights, for all flights at once: rotor speeds from logged commands, and the memory of effects.
 
 The voltage is not filtered: the rotor lag leaves the share ``a / (2 - a)`` of its noise variance, ``a = 1 - exp(-dt / tau)``;
 a low-pass would remove the sag under load.
 
-Letters: F flights, T rows of a flight, N rows of all flights, R rotors.
+Letters: F flights, T rows of a flight, N rows of all flights, R rotors, M memory values.
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,12 +16,17 @@ from torch import Tensor
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect
+from aerial_gym.physics.effect_cache import EffectCache
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, RotorSensorEffect
+from aerial_gym.physics.effects.by_kind import EffectsByKind
+from aerial_gym.physics.effects.track import FlightTrack
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
+from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
+from aerial_gym.sim2real.predict.rows.batches import vehicle_of_row
 from aerial_gym.sim2real.predict.tolerances import VehicleForReplay
 
 
@@ -149,3 +154,47 @@ def true_rotor_speed(measured: Tensor, sensors: Sequence[tuple[RotorSensorEffect
     for effect, params in reversed(sensors):
         measured = effect.true_speed(measured, params)
     return measured
+
+
+def effects_with_memory(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
+    """Yield effects, with parameters, whose memory ``Effect.replay`` computes: not of commands, loads or random wind."""
+    for effect, params in effects.forces:
+        if effect.replayed and effect.remembers:
+            yield effect, params
+
+
+def make_flight_track(
+    flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0
+) -> FlightTrack:
+    """Return the track that drives memory along a flight; arguments as the fields of ``Track``."""
+    stands = flight.on_ground is not None and bool(flight.on_ground[0])
+    return FlightTrack(vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled)
+
+
+def replay_memory(
+    model: Model,
+    flights: Sequence[Flight],
+    speeds: Sequence[Array | None] | None,
+    answers: EffectCache[FlightTrack],
+    *,
+    settled: float,
+) -> dict[str, list[Tensor]]:
+    """Return the memory of effects on rotors and body in every log row of each flight, (T, M), by effect.
+
+    ``speeds``: rotor speeds from the commands [rad/s], (T, R), for flights without measured ones. ``answers``: stored
+    results. ``settled``: initial angle of soft arms as a share of their rest angle, if a log begins in the air.
+    """
+    effects = list(effects_with_memory(model.effects))
+    if not effects:
+        return {}
+    vehicle, tracks = vehicle_of_row(model.vehicle, 0), list[FlightTrack]()
+    sensors = [(effect, params[:1]) for effect, params in model.effects[RotorSensorEffect]]
+    for flight, led in zip(flights, speeds or [None] * len(flights), strict=True):
+        speed = led if flight.rotor_speed is None else flight.rotor_speed
+        assert speed is not None
+        true = true_rotor_speed(torch.from_numpy(speed), () if flight.rotor_speed is None else sensors)
+        tracks.append(make_flight_track(flight, vehicle, true, 1.0 / flight.rate, settled=settled))
+    return {
+        effect.name: [answers.ask(effect.replay, track, params[:1], place=k) for k, track in enumerate(tracks)]
+        for effect, params in effects
+    }

@@ -40,8 +40,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
 from aerial_gym.sim2real.predict.replay.load import LoadLink, LoadReplay
-from aerial_gym.sim2real.predict.replay.memory import replay_memory
-from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay, replay_memory
 from aerial_gym.sim2real.predict.rows.band_response import BandResponse, Columns, ImuReading, imu_readings_of_model
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset

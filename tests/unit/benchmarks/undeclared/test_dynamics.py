@@ -17,8 +17,15 @@ from benchmarks.undeclared.cases import list_flights, plan_flights
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation_matrices
 from benchmarks.undeclared.effects import effect_parameters, split_vehicles
 from benchmarks.undeclared.logs import COLUMNS, delay_sensors
-from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, PlantNuisance, add_nuisance
-from benchmarks.undeclared.sensors import NOISELESS, PlantNoise, PlantSensors
+from benchmarks.undeclared.sensors import (
+    NO_BIAS,
+    NOISELESS,
+    TRACKED,
+    PlantNoise,
+    PlantNuisance,
+    PlantSensors,
+    add_nuisance,
+)
 from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly_references, summarise
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, PlantVehicle
 from tests.repetitions import rare_values

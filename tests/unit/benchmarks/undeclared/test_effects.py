@@ -14,8 +14,7 @@ from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_st
 from benchmarks.undeclared.effects import SIZES, effect_parameters, flight_features, split_vehicles
 from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant, make_plant
 from benchmarks.undeclared.logs import vehicle_document
-from benchmarks.undeclared.nuisance import NO_BIAS
-from benchmarks.undeclared.sensors import NOISELESS, PlantSensors
+from benchmarks.undeclared.sensors import NO_BIAS, NOISELESS, PlantSensors
 from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, summarise
 from benchmarks.undeclared.surroundings import (
     FULL_VOLTAGE,

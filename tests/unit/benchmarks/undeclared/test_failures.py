@@ -7,9 +7,8 @@ import pytest
 
 from benchmarks.undeclared import PlantFailure, make_case
 from benchmarks.undeclared.dynamics import ROTOR, VEL, rest_state
-from benchmarks.undeclared.failures import Failures
 from benchmarks.undeclared.full_dynamics import FullPlant
-from benchmarks.undeclared.surroundings import PlantSurroundings
+from benchmarks.undeclared.surroundings import Failures, PlantSurroundings
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array
 
 DT = 5e-4

@@ -6,15 +6,6 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.sim2real.failures.evidence import (
-    CONTINUOUS,
-    FEWEST_AFTER,
-    FEWEST_BEFORE,
-    LONGEST,
-    FailureEvidence,
-    ParameterPrior,
-    log_evidence,
-)
 from aerial_gym.sim2real.failures.flight_event import (
     Failure,
     FailureFinder,
@@ -23,7 +14,16 @@ from aerial_gym.sim2real.failures.flight_event import (
     least_log_odds,
 )
 from aerial_gym.sim2real.failures.rotor_work import RotorOutput
-from aerial_gym.sim2real.failures.scan import _lag_response
+from aerial_gym.sim2real.failures.scan import (
+    CONTINUOUS,
+    FEWEST_AFTER,
+    FEWEST_BEFORE,
+    LONGEST,
+    FailureEvidence,
+    ParameterPrior,
+    _lag_response,
+    log_evidence,
+)
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import hover
 

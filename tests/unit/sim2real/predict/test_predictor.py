@@ -26,7 +26,7 @@ from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import mean_square_of_rounding, noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import FARTHEST, rollout_errors_of_models
+from aerial_gym.sim2real.predict.rollout import FARTHEST, find_windows, rollout_errors_of_models
 from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import row_stride
 from aerial_gym.sim2real.predict.tolerances import (
@@ -35,7 +35,6 @@ from aerial_gym.sim2real.predict.tolerances import (
     vehicle_for_replay,
     vehicle_with_deviations,
 )
-from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
 from tests.repetitions import frequent_values
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor, uniform_flight

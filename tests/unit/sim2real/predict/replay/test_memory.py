@@ -16,7 +16,7 @@ from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffec
 from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
-from aerial_gym.sim2real.predict.replay.memory import make_flight_track
+from aerial_gym.sim2real.predict.replay.rotors import make_flight_track
 from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
