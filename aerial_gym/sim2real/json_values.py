@@ -1,21 +1,29 @@
 """Conversion of results to JSON."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 
-def plain(value: object) -> object:
+def map_leaves(content: Any, convert: Callable[[Any], Any]) -> Any:
+    """Return nested mappings and lists with every other value converted."""
+    if isinstance(content, Mapping):
+        return {name: map_leaves(part, convert) for name, part in content.items()}
+    return [map_leaves(part, convert) for part in content] if isinstance(content, list | tuple) else convert(content)
+
+
+def plain(content: object) -> object:
     """Return a JSON value, recursively: ``as_mapping`` of objects, lists for arrays and tuples."""
-    if hasattr(value, "as_mapping"):
-        return value.as_mapping()  # type: ignore[union-attr]
-    if isinstance(value, Mapping):
-        return {name: plain(part) for name, part in value.items()}
-    if isinstance(value, tuple | list):
-        return [plain(part) for part in value]
-    return value.tolist() if isinstance(value, np.ndarray) else value
+
+    def plain_leaf(value: Any) -> object:
+        if hasattr(value, "as_mapping"):
+            return value.as_mapping()
+        return value.tolist() if isinstance(value, np.ndarray) else value
+
+    return map_leaves(content, plain_leaf)
 
 
 def select_fields(record: object, *names: str) -> dict[str, object]:

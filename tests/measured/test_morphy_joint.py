@@ -29,13 +29,11 @@ pytestmark = [
     pytest.mark.skipif(not RECORD.is_file(), reason=f"the record is not on this machine: {RECORD}"),
 ]
 
-INERTIA = 0.01625 * 0.07**2
-"""Of a point mass at the rotor about the hinge [kg m²]."""
+INERTIA = 0.01625 * 0.07**2  # Of a point mass at the rotor about the hinge [kg m²]
 
 ELEMENTS, POWER = "linear spring, 3 creep elements", "linear spring, power-law creep"
 
-SHOWN_S = 0.002
-"""Between two simulated angles, among which a spline goes through angles and rates [s]."""
+SHOWN_S = 0.002  # Between two simulated angles, among which a spline goes through angles and rates [s]
 
 
 def let_go(robot: RobotCfg, start: float, time: np.ndarray, *, dt: float) -> np.ndarray:

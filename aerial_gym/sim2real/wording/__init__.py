@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any
 
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import map_leaves
 from aerial_gym.sim2real.wording.answer import ANSWER, TRUST
 from aerial_gym.sim2real.wording.logs import LOGS
 from aerial_gym.sim2real.wording.notes import NOTES, REASONS
@@ -38,11 +39,7 @@ def answer_texts(parts: Mapping[str, Iterable[Finding]]) -> list[str]:
 
 def render_findings(content: Any) -> Any:
     """Return content for JSON with every finding replaced by its sentence."""
-    if isinstance(content, Finding):
-        return text(content)
-    if isinstance(content, Mapping):
-        return {name: render_findings(part) for name, part in content.items()}
-    return [render_findings(part) for part in content] if isinstance(content, list | tuple) else content
+    return map_leaves(content, lambda value: text(value) if isinstance(value, Finding) else value)
 
 
 def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
@@ -51,7 +48,7 @@ def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
         {
             "code": f.code,
             "subject": f.subject,
-            "values": _finite_values(f.values),
+            "values": map_leaves(f.values, _finite_value),
             "severity": f.severity,
             "text": text(f),
         }
@@ -59,9 +56,5 @@ def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
     ]
 
 
-def _finite_values(content: Any) -> Any:
-    if isinstance(content, Mapping):
-        return {name: _finite_values(part) for name, part in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite_values(part) for part in content]
-    return None if isinstance(content, float) and not isfinite(content) else content
+def _finite_value(value: Any) -> Any:
+    return None if isinstance(value, float) and not isfinite(value) else value

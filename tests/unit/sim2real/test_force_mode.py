@@ -16,8 +16,7 @@ from aerial_gym.sim2real.close_loop import judge_flights
 from aerial_gym.sim2real.logs.flights import load_train_and_test
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
-TAU = 0.04
-"""Declared lag of the thrusts [s]."""
+TAU = 0.04  # Declared lag of the thrusts [s]
 
 FORCE = RotorCfg(
     mode="force", torque_ratio=0.015, time_constant_up=TAU, time_constant_down=TAU, thrust_range=(0.05, 5.0),

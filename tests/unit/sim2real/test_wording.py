@@ -21,11 +21,9 @@ from aerial_gym.sim2real.wording.words import half_width_text, value_text
 from tests.unit.sim2real.finding_samples import EFFECT_SAMPLES, GOLDEN, SAMPLES, effect, golden
 
 ROOT = Path(aerial_gym.sim2real.__file__).parent
-LONGEST = 25
-"""Words of a sentence."""
+LONGEST = 25  # Words of a sentence
 
-DATA_ROOMS = ("logs", "predict", "identify", "failures", "judge")
-"""Rooms that make findings and no sentences."""
+DATA_ROOMS = ("logs", "predict", "identify", "failures", "judge")  # Rooms that make findings and no sentences
 
 
 def test_the_golden_file_holds_the_sentence_of_every_sample() -> None:

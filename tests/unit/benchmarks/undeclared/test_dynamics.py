@@ -30,8 +30,7 @@ from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly_refere
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, PlantVehicle
 from tests.repetitions import rare_values
 
-SETTLE = 1.0
-"""Hover before the flights of these tests [s]; shorter than in a case, to save time."""
+SETTLE = 1.0  # Hover before the flights of these tests [s]; shorter than in a case, to save time
 
 NO_DRAG = replace(DECLARED, linear_drag=np.zeros(3))
 IDLE = np.zeros((1, 4))

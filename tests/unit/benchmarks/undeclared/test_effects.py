@@ -30,8 +30,7 @@ from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, NEUTRAL, ROTOR_RADI
 BARE = replace(DECLARED, linear_drag=np.zeros(3), inertia=np.diag([2e-3, 3e-3, 4e-3]))
 HOVER = DECLARED.hover_speed()
 WEIGHT = 0.75 * GRAVITY
-SPEED = 1000.0
-"""Of all rotors in the closed forms below [rad/s]."""
+SPEED = 1000.0  # Of all rotors in the closed forms below [rad/s]
 
 
 def set_extra(vehicle: PlantVehicle = BARE, **extra: object) -> PlantVehicle:

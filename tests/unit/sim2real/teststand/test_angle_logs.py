@@ -20,8 +20,7 @@ mujoco = pytest.importorskip("mujoco")
 ARM, HINGE, TIP = 0.03, 0.05, 0.15
 """Mass of an arm [kg], and where its hinge and its rotor are along x and y [m], the diagonal being sqrt(2) of that."""
 
-CORNERS = ((1, -1, 1), (-1, -1, -1), (-1, 1, 1), (1, 1, -1))
-"""Signs of x and y, and spin."""
+CORNERS = ((1, -1, 1), (-1, -1, -1), (-1, 1, 1), (1, 1, -1))  # Signs of x and y, and spin
 
 STIFFNESS, DAMPING, REST = 1.2, 0.004, 0.0
 THRUST, DRAG = 1.2e-6, 0.015

@@ -29,8 +29,7 @@ ROBOT = ROBOTS.get("crazyflie_21")
 """Hubs at 0.0325 m along x and y: 1 front right, 2 back right, 3 back left, 4 front left; 1 and 3 turn alike."""
 
 ARM, MASS = 0.0325, 0.027
-UNEVEN = np.array([6.0, 5.8, 6.8, 5.1])
-"""Effort of an even hover: the motors differ."""
+UNEVEN = np.array([6.0, 5.8, 6.8, 5.1])  # Effort of an even hover: the motors differ
 
 SPREAD = np.array([[1.0, 0.2, 0.3, 0.1], [0.2, 9.0, 0.5, 0.0], [0.3, 0.5, 1.0, -0.4], [0.1, 0.0, -0.4, 2.0]]) * 1e-4
 """Covariance between logs, relative."""

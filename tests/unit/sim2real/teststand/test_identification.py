@@ -50,8 +50,7 @@ from aerial_gym.sim2real.teststand.tables import read_columns
 
 Array = NDArray[np.float64]
 
-MAP = (0.02, -8e-5, 8.6e-7)
-"""Thrust [N] of the speed [rad/s]."""
+MAP = (0.02, -8e-5, 8.6e-7)  # Thrust [N] of the speed [rad/s]
 
 RATIO = 0.014
 

@@ -144,8 +144,7 @@ def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two
 
 Array = NDArray[np.float64]
 
-ROWS = 400.0
-"""Of each flight, each with noise of one."""
+ROWS = 400.0  # Of each flight, each with noise of one
 
 
 def of_flights(values: Array) -> list[NormalEquations]:

@@ -212,8 +212,7 @@ def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> Non
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [0.0, 0.0, 0.0]
 
 
-TRUE = np.array([1.3, 1.4, 1.6])
-"""Moments of inertia per declared ones."""
+TRUE = np.array([1.3, 1.4, 1.6])  # Moments of inertia per declared ones
 
 NAMES = ("inertia_error", "torque_ratio", "thrust_coefficient", "payload_mass", "rotor_drag", "quadratic_drag")
 

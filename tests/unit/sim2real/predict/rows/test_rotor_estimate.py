@@ -22,8 +22,7 @@ from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import G, hover
 
 NOISE, RATE, SECONDS, BAND = 3.0, 200.0, 60.0, 10.0
-PITCH = np.array([1.0, -1.0, -1.0, 1.0])
-"""Rotors that turn the vehicle about y together: the third of their modes."""
+PITCH = np.array([1.0, -1.0, -1.0, 1.0])  # Rotors that turn the vehicle about y together: the third of their modes
 
 Array = np.ndarray
 
