@@ -34,11 +34,6 @@ class SurfaceHeights(TypedDict):
     ceiling_height: Tensor | None
 
 
-def finding_on_absent_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding on surroundings that an effect needs and flights lack; None if all are there."""
-    return finding_on_absent_data(name, EFFECTS.get(name).needs, flights)
-
-
 def finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
     """Return a finding on the first quantity that an effect needs and flights lack; None if all are there."""
     for need in needs:
@@ -51,7 +46,7 @@ def finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Fl
 def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
     """Raise ``DataError`` if the flights lack a quantity that a declared effect needs."""
     for name in names:
-        if reason := finding_on_absent_scene(name, flights):
+        if reason := finding_on_absent_data(name, EFFECTS.get(name).needs, flights):
             where, need = reason.values["flights"], NEEDED[str(reason.values["need"])]
             raise DataError(f"the robot file declares {name}, which these flights cannot show: {where}: without {need}")
 

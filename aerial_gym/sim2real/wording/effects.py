@@ -88,10 +88,6 @@ def _value_with_half_width(one: ParameterChange, unit: str) -> str:
     return f"{value_text(one.value, one.half_width)}{width} {unit}".replace(" °", "°")
 
 
-def _text_of_declaration(one: ParameterChange, unit: str) -> str:
-    return f"; {number_text(one.declared)} {unit} is declared" if one.declared else ""
-
-
 def _rotor_name(finding: Finding, params: ParameterChanges) -> str:
     place = finding.values.get("place")
     return f"rotor {params['motor'].value:.0f}" + (f" ({place})" if place else "")
@@ -171,17 +167,19 @@ def _failure_template(verb: str, of: str) -> EffectTemplate:
 def _value_template(start: str, units: Mapping[str, tuple[float, str]], **clauses: str) -> EffectTemplate:
     """Return the template of values with half widths.
 
-    ``units`` has the unit of each parameter and the factor to it, ``clauses`` the end of the sentence for known parameters.
+    ``units`` has the factor and the unit of each parameter, ``clauses`` the end of the sentence for known parameters;
+    ``{declared}`` is the clause of a declared value.
     """
 
     def sentence(_: Finding, params: ParameterChanges) -> str:
-        known = {name: unit for name, unit in units.items() if name in params}
-        texts = {
-            name: _value_with_half_width(params[name].convert_unit(factor), unit)
-            for name, (factor, unit) in known.items()
-        }
+        texts, declared = {}, ""
+        for name, (factor, unit) in units.items():
+            if name in params:
+                one = params[name].convert_unit(factor)
+                texts[name] = _value_with_half_width(one, unit)
+                declared += f"; {number_text(one.declared)} {unit} is declared" if one.declared else ""
         ends = [clause for name, clause in clauses.items() if name in texts]
-        return f"{''.join([start, *ends]).format(**texts)}."
+        return f"{''.join([start, *ends]).format(**texts, declared=declared)}."
 
     return sentence
 
@@ -207,16 +205,6 @@ def _rise_and_fall_time_sentence(_: Finding, params: ParameterChanges) -> str:
         if name in params
     ]
     return f"Rotor speed {join_words(parts)} of time constant."
-
-
-def _actuation_delay_sentence(_: Finding, params: ParameterChanges) -> str:
-    delay = params["delay"].convert_unit(1e3)
-    return f"Commands act with a dead time of {_value_with_half_width(delay, 'ms')}{_text_of_declaration(delay, 'ms')}."
-
-
-def _rotor_inertia_sentence(_: Finding, params: ParameterChanges) -> str:
-    one, unit = params["jr"].convert_unit(1e6), "mg m²"
-    return f"Each rotor has an inertia of {_value_with_half_width(one, unit)} about its axis{_text_of_declaration(one, unit)}."
 
 
 def _slung_payload_sentence(_: Finding, params: ParameterChanges) -> str:
@@ -289,9 +277,11 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "motor_failure": _failure_template("follows", "of its commands"),
     "stuck_rotor": _failure_template("keeps", "its speed"),
     "brown_out": _failure_template("follow", "of their commands"),
-    "actuation_delay": _actuation_delay_sentence,
+    "actuation_delay": _value_template("Commands act with a dead time of {delay}{declared}", {"delay": (1e3, "ms")}),
     "battery_sag": _value_template("Rotor speed falls by {gain} for 10 % less battery voltage", {"gain": (10.0, "%")}),
-    "rotor_inertia": _rotor_inertia_sentence,
+    "rotor_inertia": _value_template(
+        "Each rotor has an inertia of {jr} about its axis{declared}", {"jr": (1e6, "mg m²")}
+    ),
     "motor_tilt": _change_template(
         "The axis of ROTOR is tilted {}",
         "The axis of ROTOR is tilted, but its direction is not certain",

@@ -247,7 +247,7 @@ class Fitter:
         same = all(np.array_equal(values, plain.effects[name]) for name, values in best.effects.items())
         return [best] if same else [best, plain]
 
-    def refit(self, fitted: EffectSetFit, other: "Fitter") -> EffectSetFit:
+    def refit_from_other_fitter(self, fitted: EffectSetFit, other: "Fitter") -> EffectSetFit:
         """Return a set refitted from another fitter's result, with its derivatives."""
         known, there = other._derivatives.get(fitted.label), fitted.params
         if known is None or known[0] is not fitted:

@@ -232,7 +232,7 @@ class SetSearch:
         for _ in range(MOST_TURNS):
             about.clear_nuisance_sums()
             fitter = self.fitter_at_model(fitted.model_with_deviations, about.weights)
-            again = fitter.refit(fitted, about)
+            again = fitter.refit_from_other_fitter(fitted, about)
             if not again.deviation.size:  # the fit made no step
                 return again, fitter
             moved = float(np.abs(again.deviation - fitted.deviation).max())

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from aerial_gym.errors import CapabilityError, DataError
-from aerial_gym.physics import BACKENDS, build_model, vehicle_from_config
+from aerial_gym.physics import BACKENDS, EFFECTS, build_model, vehicle_from_config
 from aerial_gym.sim2real import LogMapping, find_mapping, judge_flights, read_flight_log
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.scene import finding_on_absent_scene
+from aerial_gym.sim2real.predict.scene import finding_on_absent_data
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
@@ -92,8 +92,9 @@ def test_a_rollout_feels_its_surroundings(effect: str) -> None:
 
 def test_what_the_logs_do_not_tell_is_said() -> None:
     flights = [hover("a", 1.0, ceiling_height=3.0), hover("b", 1.0)]
-    assert finding_on_absent_scene("ceiling_effect", flights[:1]) is None
-    ceiling, other = (finding_on_absent_scene(name, flights) for name in ("ceiling_effect", "downwash"))
+    needs = {name: EFFECTS.get(name).needs for name in ("ceiling_effect", "downwash")}
+    assert finding_on_absent_data("ceiling_effect", needs["ceiling_effect"], flights[:1]) is None
+    ceiling, other = (finding_on_absent_data(*need, flights) for need in needs.items())
     assert ceiling == Finding("logs_lack", "ceiling_effect", {"flights": "b", "need": "ceiling_height"})
     assert other == Finding("logs_lack", "downwash", {"flights": "all logs", "need": "other_position"})
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})

@@ -120,7 +120,7 @@ def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None
     before, after = FitStub(set_of_one), FitRecorder(set_of_one)
     for other in (set_of_one, replace(set_of_one)):
         before._derivatives[set_of_one.label] = other, there
-        assert after.refit(set_of_one, before) is set_of_one
+        assert after.refit_from_other_fitter(set_of_one, before) is set_of_one
     assert asked == [(there, True), (None, False)]
 
 

@@ -143,7 +143,7 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turn
     class Refits(FitStub):
         weights = None
 
-        def refit(self, before: EffectSetFit, _: object) -> EffectSetFit:
+        def refit_from_other_fitter(self, before: EffectSetFit, _: object) -> EffectSetFit:
             nonlocal number
             assert before is fits[number]
             number += 1

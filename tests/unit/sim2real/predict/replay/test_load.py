@@ -26,7 +26,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import integrate_swing
-from aerial_gym.sim2real.predict.scene import finding_on_absent_scene
+from aerial_gym.sim2real.predict.scene import finding_on_absent_data
 from tests.physics.vehicles import F64, asymmetric_robot, random_state
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.one_rollout import roll_out
@@ -226,7 +226,7 @@ def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
     bare = replace(hover("a", 1.0), lin_vel=None)
     expected = Finding("logs_lack", "slung_payload", {"flights": "a", "need": "lin_vel"})
-    assert finding_on_absent_scene("slung_payload", [bare]) == expected
+    assert finding_on_absent_data("slung_payload", payload_effect().needs, [bare]) == expected
 
 
 def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
