@@ -40,7 +40,7 @@ class Appearance:
     color: wp.vec3
     checker_color: wp.vec3
     checker_size: wp.float32  # of a field [m]; 0 for none
-    first_face: wp.int32  # in the arrays of triangles, or NOTHING
+    first_face: wp.int32  # in the arrays of triangles, or NO_ENTRY
 
 
 @wp.struct
@@ -59,7 +59,7 @@ class AppearanceArrays:
     shape: wp.array[Appearance]  # (K,)
     corner_color: wp.array[wp.vec3]  # (3 F,)
     corner_uv: wp.array[wp.vec2]  # (3 F,)
-    face_texture: wp.array[wp.int32]  # (F,) or NOTHING
+    face_texture: wp.array[wp.int32]  # (F,) or NO_ENTRY
     textures: wp.array[Texture]
     texels: wp.array[wp.vec3ub]  # of all textures
 
@@ -151,7 +151,7 @@ def _texture_coordinates(piece: "trimesh.Trimesh") -> NDArray[np.float64]:
 
 
 class AppearanceTable:
-    """Builder of the arrays of ``Looks``, shape by shape."""
+    """Builder of the arrays of ``AppearanceArrays``, shape by shape."""
 
     def __init__(self) -> None:
         """Begin with no shape."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.families import list_family_shapes
+from aerial_gym.assets.families import assets_with_family_shapes
 from aerial_gym.assets.obstacles import asset_table, view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
@@ -18,7 +18,7 @@ from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, Par
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import plain_device, with_usual_settings
-from aerial_gym.math.random import Randomness, take_mask
+from aerial_gym.math.random import Randomness, copy_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class AssetManager:
         self._num_envs, self._device = num_envs, plain_device(device)
         for name, corner in (("bounds_min", bounds_min), ("bounds_max", bounds_max)):
             check_tensor(name, corner, (num_envs, 3), device=self._device)
-        self._assets = list_family_shapes(cfg.assets)
+        self._assets = assets_with_family_shapes(cfg.assets)
         self._declare(gtd, asset_state)
         self.random = random
         self._asset = torch.zeros(num_envs, self.num_assets, dtype=torch.int32, device=self._device)
@@ -83,7 +83,7 @@ class AssetManager:
             semantic_id=semantic_id,
             groups=[(a.count, len(a.shapes)) for a in self._assets],
             asset_state=self._state,
-            fixed=() if cfg.ground is None else (cfg.ground,),
+            fixed=() if cfg.ground_part is None else (cfg.ground_part,),
             robot=robot_parts,
             robot_state=robot_state,
             robot_links=robot_links,
@@ -127,7 +127,7 @@ class AssetManager:
         """Draw the asset and shape of every instance from the seed."""
         self.scene.relabel(*self._draw_kinds())
         if self._clearance is not None:
-            self._clearance.restart()
+            self._clearance.update_part_ranges()
 
     def set_num_obstacles(self, count: int) -> None:
         """Set the number of removable assets from the next reset on, the rest is parked; raise ``ConfigError`` for too many."""
@@ -145,7 +145,7 @@ class AssetManager:
         if self._placement is None:
             return
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
-        take_mask(self.random.mask, mask)
+        copy_mask(self.random.mask, mask)
         self._placement.draw()
         if self._motion is not None:
             self._env_actions.masked_fill_(mask[:, None, None], 0.0)
@@ -188,7 +188,7 @@ class AssetManager:
     def place_track(self, mask: Tensor) -> None:
         """Draw gates and poles in the environments of ``mask``, bool (E,), after ``reset`` and the robot's start."""
         if self._track is not None:
-            take_mask(self.random.mask, mask)
+            copy_mask(self.random.mask, mask)
             self._track.draw()
 
     def make_height_probe(self, position: Tensor, *, height_out: Tensor) -> "HeightProbe":

@@ -15,7 +15,7 @@ from aerial_gym.assets.obstacles import Obstacles, draw_instance, park_instance
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attitude, part_position
 from aerial_gym.interop import ReusableLaunch
-from aerial_gym.math.random import take_mask
+from aerial_gym.math.random import copy_mask
 
 NUM_ATTEMPTS = 16  # Largest number of redraws of an instance. If half of its range is blocked, 1 in 65,000 is parked
 START, GOAL = 0, 1  # Indices of the points that are kept clear
@@ -91,7 +91,7 @@ class Clearance:
         self._point, self._start = torch.zeros(envs, 3, device=device), torch.zeros(envs, 3, device=device)
         self._scene = scene
         self._first_part, self._end_part = (torch.zeros_like(scene.shape_index) for _ in range(2))
-        self.restart()
+        self.update_part_ranges()
         inputs = [self._mask, scene.arrays, self._first_part, self._end_part, self._point]
         self._commands = [
             ReusableLaunch(
@@ -104,7 +104,7 @@ class Clearance:
             for point_index in (START, GOAL)
         ]
 
-    def restart(self) -> None:
+    def update_part_ranges(self) -> None:
         """Update the shapes of the scene's instances."""
         parts = self._scene.shape_table.num_parts[self._scene.shape_index.long()].to(torch.int32)
         self._end_part.copy_(parts.cumsum(dim=1))
@@ -115,6 +115,6 @@ class Clearance:
 
         The point is ``START``, which discards the goal of the previous episode, or ``GOAL``, which keeps the start clear.
         """
-        take_mask(self._mask, mask)
+        copy_mask(self._mask, mask)
         self._point.copy_(point)
         self._commands[point_index].launch(self._mask)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.assets.body_shapes import body_shapes
 from aerial_gym.assets.collision_kernel import NoObstacles, make_collision_kernel
-from aerial_gym.assets.cores import body_reach, contact_points, has_cores
+from aerial_gym.assets.cores import body_reach, contact_points, has_boxes_or_capsules
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import check_tensor, vector_view
@@ -48,7 +48,7 @@ class _LinkShapes:
     """Kernel arrays of the shapes of one link."""
 
     def __init__(self, link: LinkGeometry, *, device: torch.device) -> None:
-        self.link, self.cores, self.hull = link, has_cores(link.shapes), _ROUNDING * body_reach(link.shapes)
+        self.link, self.cores, self.hull = link, has_boxes_or_capsules(link.shapes), _ROUNDING * body_reach(link.shapes)
         self._points = contact_points(link.shapes, device=device)
         of_spheres = wp.from_torch(self._points, dtype=wp.vec4)
         self.shapes = body_shapes(link.shapes, device=device) if self.cores else of_spheres

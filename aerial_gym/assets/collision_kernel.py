@@ -19,7 +19,7 @@ import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape, body_distance
 from aerial_gym.assets.geometry import primitive_distance, signed_distance
-from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, move_instance
+from aerial_gym.assets.obstacle_motion import advance_pose, is_present_and_moves, move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, MESH, WORLD, SceneArrays, Shape
 from aerial_gym.assets.sweep import make_moving_sweep, make_path, make_static_sweep, relative_sagitta
@@ -151,7 +151,7 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
             row, a, x, q = _part_pose(scene, env, part)
             if row >= 0:
                 if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
-                    if a != WORLD and is_step and instance_moves(obstacles_out, env, a):
+                    if a != WORLD and is_step and is_present_and_moves(obstacles_out, env, a):
                         v = obstacles_out.lin_vel[env, a]
                         solid = scene.shapes[row]
                         room = scene.radius[env, part]
@@ -184,7 +184,7 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
                 row, a, x, q = _part_pose(scene, env, part)
                 rests = row >= 0 and not touches
                 if wp.static(moves):
-                    rests = rests and not (a != WORLD and instance_moves(obstacles_out, env, a))
+                    rests = rests and not (a != WORLD and is_present_and_moves(obstacles_out, env, a))
                 if rests:
                     shape = scene.shapes[row]
                     radius = scene.radius[env, part]

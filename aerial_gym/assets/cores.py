@@ -26,7 +26,7 @@ def shape_core(shape: CollisionShape) -> tuple[Tensor, Tensor, Tensor, float]:
     return center, attitude, torch.tensor([0.0, 0.0, 0.5 * shape.height], dtype=torch.float64), shape.radius
 
 
-def has_cores(shapes: Sequence[CollisionShape]) -> bool:
+def has_boxes_or_capsules(shapes: Sequence[CollisionShape]) -> bool:
     """Return whether any shape is not a sphere."""
     return any(not isinstance(shape, SphereCfg) for shape in shapes)
 

@@ -89,7 +89,7 @@ def first_surface(inside: wp.vec2, limit: float) -> float:
 
 
 @wp.func
-def unit_distance(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
+def ray_distance_to_unit_shape(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
     """Return t at the first surface of a BOX, SPHERE or CYLINDER in the frame of its bounding box, at most ``limit``."""
     if kind == SPHERE:
         return first_surface(sphere_interval(origin, direction, 1.0), limit)
@@ -99,7 +99,7 @@ def unit_distance(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) 
 
 
 @wp.func
-def shape_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
+def ray_distance_to_other_shape(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
     """Return t at the first surface of a CAPSULE, MESH or PLANE in the frame of its bounding box, at most ``limit``."""
     if shape.kind == PLANE:
         fall = wp.where(wp.abs(direction[2]) > TINY, direction[2], TINY)

@@ -6,7 +6,7 @@ Frames: world of each environment, z up. Letters: E environments, P parts of all
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.geometry import shape_distance, unit_distance
+from aerial_gym.assets.geometry import ray_distance_to_other_shape, ray_distance_to_unit_shape
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import CYLINDER, SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.views import check_tensor, vector_view
@@ -16,7 +16,7 @@ FARTHEST = wp.constant(1.0e4)  # Length of the ray [m]; surfaces beyond it are i
 
 
 @wp.func
-def _part_depth(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: float) -> float:
+def _distance_down_to_part(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: float) -> float:
     """Return the vertical distance down to a part [m], at most ``limit``."""
     shape = scene.shapes[scene.part_shape[env, part]]
     turn = part_attitude(scene, env, part)
@@ -24,8 +24,8 @@ def _part_depth(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: 
     down = wp.quat_rotate_inv(turn, wp.vec3(0.0, 0.0, -1.0))
     origin, down = wp.cw_div(origin, shape.half), wp.cw_div(down, shape.half)
     if shape.kind <= CYLINDER:
-        return unit_distance(shape.kind, origin, down, limit)
-    return shape_distance(shape, origin, down, limit)
+        return ray_distance_to_unit_shape(shape.kind, origin, down, limit)
+    return ray_distance_to_other_shape(shape, origin, down, limit)
 
 
 @wp.kernel(enable_backward=False)
@@ -43,7 +43,7 @@ def _measure_height(
     way = float(FARTHEST)
     for part in range(scene.num_solid):
         if part_is_present(scene, env, part):
-            way = _part_depth(scene, env, part, start, way)
+            way = _distance_down_to_part(scene, env, part, start, way)
     height_out[env] = start[2] - way
 
 

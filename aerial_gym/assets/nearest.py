@@ -101,8 +101,8 @@ def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: Nearest) ->
 
 
 @wp.func
-def _search_face(shape: Shape, core: Core, axis: int, side: float, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or that of a core's face and the deepest point of a cylinder's rim."""
+def _search_face_and_rim(shape: Shape, core: Core, axis: int, side: float, best: Nearest) -> Nearest:
+    """Return the nearer pair: ``best``, or that of a core's face and the deepest point of a cylinder's rim."""
     b = (axis + 1) % 3
     c = (axis + 2) % 3
     outward = wp.vec3()
@@ -140,7 +140,7 @@ def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
 
 
 @wp.func
-def _is_edge(half: wp.vec3, number: int) -> wp.bool:
+def _is_distinct_edge(half: wp.vec3, number: int) -> wp.bool:
     """Return whether edge 0 to 11 of a box has a length and, in a box without width, repeats no other."""
     axis = number >> 2
     repeats = (number & 3) > 0 and half[(axis + 1) % 3] + half[(axis + 2) % 3] == 0.0
@@ -149,10 +149,10 @@ def _is_edge(half: wp.vec3, number: int) -> wp.bool:
 
 @wp.func
 def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or the nearest on the edges of a box, or on its line if it has no width."""
+    """Return the nearer pair: ``best``, or the nearest on the edges of a box, or on its line if it has no width."""
     k = wp.int32(0)
     while k < 12:
-        if _is_edge(half, k):
+        if _is_distinct_edge(half, k):
             middle = center + wp.quat_rotate(turn, _edge_middle(half, k))
             best = _search_edge(shape, middle, wp.quat_rotate(turn, _edge_half(half, k)), best)
         k += 1
@@ -169,7 +169,7 @@ def as_box(core: Core) -> Shape:
 
 
 @wp.func
-def _swap_pair(core: Core, seen: Nearest, radius: float) -> Nearest:
+def _pair_in_other_frame(core: Core, seen: Nearest, radius: float) -> Nearest:
     """Return a pair of the core's frame in the other shape's frame, with that shape's radius subtracted."""
     normal = -wp.quat_rotate(core.turn, seen.normal)
     point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * normal
@@ -178,7 +178,7 @@ def _swap_pair(core: Core, seen: Nearest, radius: float) -> Nearest:
 
 @wp.func
 def _search_other_edges(shape: Shape, core: Core, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or the nearest of the other shape's own edges or axis to a box.
+    """Return the nearer pair: ``best``, or the nearest of the other shape's own edges or axis to a box.
 
     The axis of a cylinder counts only inside the box, where it pierces two faces far from all edges.
     """
@@ -196,7 +196,7 @@ def _search_other_edges(shape: Shape, core: Core, best: Nearest) -> Nearest:
     least = seen.distance
     seen = _search_edges(as_box(core), wp.quat_rotate(back, -core.center), back, half, seen)
     if seen.distance < least:
-        return _swap_pair(core, seen, radius)
+        return _pair_in_other_frame(core, seen, radius)
     return best
 
 
@@ -205,7 +205,7 @@ PIERCED = wp.constant(1.0e-6)  # Depth [m] assigned to an edge that pierces a me
 
 @wp.func
 def _search_corners(shape: Shape, core: Core, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or that of a mesh and the corners, centre or edges of a core."""
+    """Return the nearer pair: ``best``, or that of a mesh and the corners, centre or edges of a core."""
     nearer = wp.bool(False)
     k = wp.int32(0)
     while k < 9:
@@ -236,7 +236,7 @@ def _search_corners(shape: Shape, core: Core, best: Nearest) -> Nearest:
 
 @wp.func
 def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or that of a mesh and a core."""
+    """Return the nearer pair: ``best``, or that of a mesh and a core."""
     best = _search_corners(shape, core, best)
     box = as_box(core)
     matrix = wp.quat_to_matrix(core.turn)
@@ -256,7 +256,7 @@ def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
             seen = _search_edge(box, 0.5 * (a + b), 0.5 * (b - a), seen)
             k += 1
     if seen.distance < best.distance:
-        return _swap_pair(core, seen, 0.0)
+        return _pair_in_other_frame(core, seen, 0.0)
     return best
 
 
@@ -271,7 +271,7 @@ def _nearer_point(best: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
 
 @wp.func
 def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or that of a triangle and a core without overlap, in closed form.
+    """Return the nearer pair: ``best``, or that of a triangle and a core without overlap, in closed form.
 
     The nearest pair of two separate polytopes has a corner of one of them, or an edge of each.
     """
@@ -295,7 +295,7 @@ def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
         n = wp.int32(0)
         while n < 12:
             half = wp.quat_rotate(core.turn, _edge_half(core.half, n))
-            if _is_edge(core.half, n):
+            if _is_distinct_edge(core.half, n):
                 middle = core.center + wp.quat_rotate(core.turn, _edge_middle(core.half, n))
                 pair = wp.closest_point_edge_edge(middle - half, middle + half, a, b, 1.0e-12)
                 point = middle + (2.0 * pair[0] - 1.0) * half
@@ -323,7 +323,7 @@ def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
         if shape.kind == CYLINDER:
             k = wp.int32(0)
             while k < 6:
-                best = _search_face(shape, core, k >> 1, wp.where((k & 1) == 0, 1.0, -1.0), best)
+                best = _search_face_and_rim(shape, core, k >> 1, wp.where((k & 1) == 0, 1.0, -1.0), best)
                 k += 1
         best = _search_other_edges(shape, core, best)
     return best

@@ -33,7 +33,7 @@ def _wrap_into_range(x: float, low: float, high: float) -> float:
 
 
 @wp.func
-def instance_moves(obstacles: Obstacles, env: int, a: int) -> wp.bool:
+def is_present_and_moves(obstacles: Obstacles, env: int, a: int) -> wp.bool:
     """Return whether an instance is present and its asset moves."""
     still = obstacles.table[obstacles.asset[env, a]].motion == STILL
     return not still and obstacles.position[env, a][2] >= ABSENT_BELOW
@@ -69,7 +69,7 @@ def advance_pose(
 
 
 @wp.func
-def _earlier_time(after: float, time: float, earliest: float) -> float:
+def _earliest_time(after: float, time: float, earliest: float) -> float:
     return wp.where(time > after and time < earliest, time, earliest)
 
 
@@ -77,7 +77,7 @@ def _earlier_time(after: float, time: float, earliest: float) -> float:
 def next_reversal(
     obstacles: Obstacles, env: int, a: int, position: wp.vec3, lin_vel: wp.vec3, dt: float, after: float
 ) -> float:
-    """Return the next fraction of ``dt`` at which ``moved`` reverses or wraps an instance; 1 if it does neither."""
+    """Return the next fraction of ``dt`` at which ``advance_pose`` reverses or wraps an instance; 1 if it does neither."""
     row = obstacles.table[obstacles.asset[env, a]]
     earliest = wp.float32(1.0)
     if row.motion == WAYPOINTS:
@@ -86,20 +86,20 @@ def next_reversal(
         place = wp.dot(position - obstacles.waypoint_a[env, a], along)
         step = dt * wp.dot(lin_vel, along)
         if step != 0.0:
-            earliest = _earlier_time(after, (wp.where(step > 0.0, wp.length(path), 0.0) - place) / step, earliest)
+            earliest = _earliest_time(after, (wp.where(step > 0.0, wp.length(path), 0.0) - place) / step, earliest)
     elif row.at_bounds != PASS:
         for i in range(3):
             step = dt * lin_vel[i]
             end = wp.where(step > 0.0, obstacles.bounds_max[env][i], obstacles.bounds_min[env][i])
             if step != 0.0:
-                earliest = _earlier_time(after, (end - position[i]) / step, earliest)
+                earliest = _earliest_time(after, (end - position[i]) / step, earliest)
     return earliest
 
 
 @wp.func
 def move_instance(obstacles: Obstacles, env: int, a: int, dt: float, steps: int):
     """Move a moving instance by ``steps`` of ``dt`` [s] each."""
-    if instance_moves(obstacles, env, a):
+    if is_present_and_moves(obstacles, env, a):
         x = obstacles.position[env, a]
         q = obstacles.attitude[env, a]
         v = obstacles.lin_vel[env, a]

@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.environment import AT_BOUNDS, MOTIONS, AssetCfg
 from aerial_gym.interop import make_struct, start_warp
-from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
 STILL, TWIST, WAYPOINTS = (wp.constant(i) for i in range(len(MOTIONS)))  # Kinds of motion, in the order of `MOTIONS`
@@ -110,7 +110,7 @@ def view_obstacles(
 
 
 @wp.func
-def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3, upper: wp.vec3) -> wp.vec3:
+def _draw_position(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3, upper: wp.vec3) -> wp.vec3:
     """Draw a position; the weighted sum of both corners gives each corner exactly at ratio 0 and 1."""
     ratio = draw_vec3(random, quantity, row.ratio_low, row.ratio_high)
     return wp.cw_mul(wp.vec3(1.0, 1.0, 1.0) - ratio, lower) + wp.cw_mul(ratio, upper) + row.offset
@@ -132,15 +132,15 @@ def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
     random = substream(substream(episode_stream(obstacles.random, env, wp.static(int(Purpose.OBSTACLES))), a), attempt)
     lower = obstacles.bounds_min[env]
     upper = obstacles.bounds_max[env]
-    place = _draw_place(random, 0, row, lower, upper)
+    place = _draw_position(random, 0, row, lower, upper)
     velocity = draw_vec3(random, 2, row.lin_vel_low, row.lin_vel_high)
     if row.motion == WAYPOINTS:
-        other = _draw_place(random, 4, row, lower, upper)
+        other = _draw_position(random, 4, row, lower, upper)
         speed = row.speed_low + (row.speed_high - row.speed_low) * wp.randf(substream(random, 5))
         velocity = speed * wp.normalize(other - place)
         obstacles.waypoint_a[env, a] = place
         obstacles.waypoint_b[env, a] = other
     obstacles.position[env, a] = place
-    obstacles.attitude[env, a] = quat_of_angles(draw_vec3(random, 1, row.euler_low, row.euler_high))
+    obstacles.attitude[env, a] = quat_from_angles(draw_vec3(random, 1, row.euler_low, row.euler_high))
     obstacles.lin_vel[env, a] = velocity
     obstacles.ang_vel[env, a] = draw_vec3(random, 3, row.ang_vel_low, row.ang_vel_high)

@@ -13,7 +13,7 @@ from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
 from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays
-from aerial_gym.math.random import Purpose, Randomness, split_state, take_mask, uniform_draw
+from aerial_gym.math.random import Purpose, Randomness, copy_mask, state_of_count, uniform_draw
 
 
 @wp.kernel(enable_backward=False)
@@ -63,7 +63,7 @@ class Bounds:
     def draw(self, mask: Tensor) -> None:
         """Launch the draw for the environments in ``mask``, bool (E,), on torch's current stream."""
         if self._command is not None:
-            take_mask(self._mask, mask)
+            copy_mask(self._mask, mask)
             self._command.launch(self._mask)
 
 
@@ -76,19 +76,21 @@ def draw_kinds(assets: tuple[AssetCfg, ...], random: Randomness) -> tuple[Tensor
     device, num_envs = random.seed.device, random.num_envs
     kept = [i for i, asset in enumerate(assets) if asset.keep for _ in range(asset.count)]
     rest = [i for i, asset in enumerate(assets) if not asset.keep for _ in range(asset.count)]
-    key = _random_states(random, Purpose.ASSETS, len(rest))
+    key = _random_state_of_obstacles(random, Purpose.ASSETS, len(rest))
     order = key.argsort(dim=1, stable=True)
     shuffled = torch.tensor(rest, device=device, dtype=torch.int64)[order]
     fixed = torch.tensor(kept, device=device, dtype=torch.int64).expand(num_envs, -1)
     asset = torch.cat((fixed, shuffled), dim=1)
     choices = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)[asset]
-    share = uniform_draw(_random_states(random, Purpose.SHAPES, asset.shape[1]), dtype=torch.float64)
+    share = uniform_draw(_random_state_of_obstacles(random, Purpose.SHAPES, asset.shape[1]), dtype=torch.float64)
     return asset, (share * choices).long()
 
 
-def _random_states(random: Randomness, purpose: Purpose, count: int) -> Tensor:
+def _random_state_of_obstacles(random: Randomness, purpose: Purpose, count: int) -> Tensor:
     """Return a random state for each of ``count`` obstacles, int64, (E, count)."""
-    return split_state(random.seed_stream(purpose).unsqueeze(-1), torch.arange(count, device=random.seed.device))
+    return state_of_count(
+        random.stream_of_all_episodes(purpose).unsqueeze(-1), torch.arange(count, device=random.seed.device)
+    )
 
 
 @wp.kernel(enable_backward=False)

@@ -96,7 +96,7 @@ class Scene:
         self.robot_state: Tensor | None = None
         """States of the robot's links, (E, L, 13); None where it is not seen."""
         if robot:
-            self._view_robot(robot_state, len(robot_links))
+            self._view_robot_links(robot_state, len(robot_links))
 
     @property
     def num_solid(self) -> int:
@@ -119,8 +119,8 @@ class Scene:
         self._lay_out_parts()
 
     def _set_instances(self, shape_index: Tensor, semantic_id: Tensor) -> None:
-        self.shape_index.copy_(self._expand_to_instances("shape_index", shape_index))
-        self.semantic_id.copy_(self._expand_to_instances("semantic_id", semantic_id))
+        self.shape_index.copy_(self._parts_to_instances("shape_index", shape_index))
+        self.semantic_id.copy_(self._parts_to_instances("semantic_id", semantic_id))
         rows = self.shape_index
         if self.num_instances and not 0 <= int(rows.min()) <= int(rows.max()) < self._num_shapes:
             raise ShapeError(f"shape_index must lie in 0 to {self._num_shapes - 1}, the rows of the shape table")
@@ -180,7 +180,7 @@ class Scene:
         if len(self.shape_table):
             self._radius.copy_(self.shape_table.radius[self._part_shape.clamp(min=0).long()])
 
-    def _view_robot(self, state: Tensor | None, num_links: int) -> None:
+    def _view_robot_links(self, state: Tensor | None, num_links: int) -> None:
         if state is None:
             raise ShapeError("robot_state: (E, L, 13) is needed for the visible parts of the robot")
         state = state.unsqueeze(1) if state.dim() == 2 else state
@@ -190,7 +190,7 @@ class Scene:
         self.arrays.link_attitude = vector_view("robot_state", state[..., 3:7], (*size, 4), device=device)
         self.robot_state = state
 
-    def _expand_to_instances(self, name: str, values: Tensor) -> Tensor:
+    def _parts_to_instances(self, name: str, values: Tensor) -> Tensor:
         shape = (self.num_envs, self.num_instances)
         if tuple(values.shape) not in (shape, shape[1:]):
             raise ShapeError(f"{name} has shape {tuple(values.shape)}, expected (E, A) = {shape} or (A,) = {shape[1:]}")

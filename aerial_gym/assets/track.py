@@ -14,7 +14,7 @@ from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.track import LayoutCfg, TrackCfg
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
 NUM_ATTEMPTS = 64
@@ -188,11 +188,11 @@ def _draw_track(
             place = wp.vec3(gate_place[0], gate_place[1], place[2])
             euler = wp.vec3(euler[0], euler[1], heading + turn)
         nominal_out.gate_position[env, g] = place
-        nominal_out.gate_attitude[env, g] = quat_of_angles(euler)
+        nominal_out.gate_attitude[env, g] = quat_from_angles(euler)
         offset = draw_vec3(stream, first + POSITION_OFFSET, track.gate_position_low, track.gate_position_high)
         turn_offset = draw_vec3(stream, first + EULER_OFFSET, track.gate_euler_low, track.gate_euler_high)
         there = place + offset
-        turned = quat_of_angles(euler + turn_offset)
+        turned = quat_from_angles(euler + turn_offset)
         places_out.gate_position[env, g] = there
         places_out.gate_attitude[env, g] = turned
         obstacles_out.position[env, g] = there

@@ -204,7 +204,7 @@ class EnvironmentCfg:
         return any(asset.motion.kind != "none" for asset in self.assets)
 
     @property
-    def ground(self) -> PartCfg | None:
+    def ground_part(self) -> PartCfg | None:
         """The ground as a part of the scene; None without ground."""
         if self.ground_height is None:
             return None

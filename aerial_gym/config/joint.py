@@ -127,11 +127,11 @@ class JointCfg:
         checks.require_finite(self, "axis", "position", "reference", "initial", "initial_rate")
         length = sqrt(sum(a * a for a in self.axis))
         checks.require(self, "axis", isclose(length, 1.0, abs_tol=1e-6), "must have length 1")
-        checks.require(self, "initial", self.start[0] <= self.start[1], "needs low <= high")
+        checks.require(self, "initial", self.initial_range[0] <= self.initial_range[1], "needs low <= high")
         checks.require(self, "initial_rate", self.initial_rate[0] <= self.initial_rate[1], "needs low <= high")
 
     @property
-    def start(self) -> tuple[float, float]:
+    def initial_range(self) -> tuple[float, float]:
         """Range from which a reset draws its coordinate."""
         return (self.reference, self.reference) if self.initial is None else self.initial
 
@@ -172,7 +172,7 @@ class JointsCfg:
         """Names of the links: the base, then one of each joint."""
         return (BASE, *self.names)
 
-    def rigid_note(self, consequence: str) -> str:
+    def note_on_rigidity(self, consequence: str) -> str:
         """Return a note that a command treats the vehicle as rigid, with the consequence."""
         return (
             f"its joints ({', '.join(self.names)}) are held in the reference pose here, and the vehicle taken as rigid: "

@@ -64,7 +64,7 @@ class LidarCfg(RangeSensorCfg):
         rule = f"with azimuth_high_deg = {high!r} needs -360 <= low < high <= 360 and at most one turn between them"
         checks.require(self, "azimuth_low_deg", -360.0 <= low < high <= 360.0 and high - low <= 360.0, rule)
         if self.beam_elevations_deg is None:
-            self._check_interval()
+            self._check_elevation_interval()
         else:
             self._check_beams(self.beam_elevations_deg)
         self._check_beam_azimuths()
@@ -78,7 +78,7 @@ class LidarCfg(RangeSensorCfg):
         return self.azimuth_high_deg - self.azimuth_low_deg >= 360.0
 
     @property
-    def column_s(self) -> float | None:
+    def column_duration_s(self) -> float | None:
         """Time between neighbouring columns [s]; None: all are measured at once."""
         if self.scan_s is None:
             return None
@@ -92,7 +92,7 @@ class LidarCfg(RangeSensorCfg):
         if self.cells and self.beam_elevations_deg is not None:
             raise ConfigError("LidarCfg: give cells or beam_elevations_deg, not both")
 
-    def _check_interval(self) -> None:
+    def _check_elevation_interval(self) -> None:
         low, high = self.elevation_low_deg, self.elevation_high_deg
         if low is None or high is None:
             raise ConfigError("LidarCfg: give elevation_low_deg and elevation_high_deg, or beam_elevations_deg")
@@ -195,7 +195,7 @@ class RosetteCfg(RangeSensorCfg):
         checks.require(self, "scan_columns", self.scan_columns <= self.width, f"must be at most width = {self.width}")
 
     @property
-    def column_s(self) -> float:
+    def column_duration_s(self) -> float:
         """Time between neighbouring columns [s]."""
         assert self.rate_hz is not None
         return 1.0 / (self.rate_hz * self.width)

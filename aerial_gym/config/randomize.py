@@ -60,7 +60,7 @@ class RandomizeCfg:
             require(self, name, not getattr(self, name), f"{subject} has none")
         holds = all(-1.0 <= value <= 1.0 for value in self.correlation.values())
         require(self, "correlation", holds, "must lie in -1 to 1")
-        for numbers in self.components(max(self.widths())):
+        for numbers in self.component_distributions(max(self.component_counts())):
             self._check_component(*numbers)
 
     def _check_component(self, low: float, high: float, mean: float, std: float) -> None:
@@ -82,7 +82,7 @@ class RandomizeCfg:
     def value_limits(self, name: str, declared: Sequence[float], *, spread: float = inf) -> list[tuple[float, float]]:
         """Return least and greatest value of each component; beyond ``spread`` standard deviations a normal one is cut off."""
         try:
-            numbers = self.components(len(declared))
+            numbers = self.component_distributions(len(declared))
         except ConfigError as error:
             raise ConfigError(f"randomize: {name}: {error}") from None
         rows = []
@@ -95,12 +95,12 @@ class RandomizeCfg:
             rows.append((min(ends), max(ends)))
         return rows
 
-    def widths(self) -> set[int]:
+    def component_counts(self) -> set[int]:
         """Return the numbers of components that the fields have; 1 for single numbers."""
         given = (self.low, self.high, self.mean, self.std)
         return {len(value) if isinstance(value, tuple) else 1 for value in given if value is not None}
 
-    def components(self, width: int) -> list[tuple[float, float, float, float]]:
+    def component_distributions(self, width: int) -> list[tuple[float, float, float, float]]:
         """Return low, high, mean and standard deviation of each of ``width`` components; 0 where there are none."""
         rows = []
         for name, missing in (("low", -inf), ("high", inf), ("mean", 0.0), ("std", 0.0)):

@@ -115,7 +115,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
         return value / self.max_range if self.normalize else value
 
     @property
-    def distance_scale(self) -> tuple[float, float]:
+    def largest_and_empty_share(self) -> tuple[float, float]:
         """Largest distance in the image's unit, and the share that represents a pixel without a distance.
 
         Where a sensor marks "too far" by a distance of its own, a pixel without a distance is near (0); where it marks far

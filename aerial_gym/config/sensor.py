@@ -30,7 +30,7 @@ MODELS: dict[str, type[RangeSensorCfg]] = {
 """Class of each ``model``."""
 
 
-ScannedCfg = LidarCfg | RosetteCfg  # A sensor that measures column after column, if its `column_s` is not None
+ScannedCfg = LidarCfg | RosetteCfg  # A sensor that measures column after column, if its `column_duration_s` is not None
 SensorCfg = RangeSensorCfg | ImuCfg  # Any sensor of a robot
 
 

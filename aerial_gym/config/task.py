@@ -126,8 +126,8 @@ class TaskCfg:
         for name in (*self.observations, *self.images):
             if name == OBSERVATIONS or (name in self.observations and name in self.images):
                 raise ConfigError(f"TaskCfg: observation {name!r}: the name is taken. Choose another")
-        self._check_times()
-        self._check_faults()
+        self._check_reward_factors()
+        self._check_fault_names()
         if self.success_reward is not None and not self._successes:
             raise ConfigError("TaskCfg.success_reward: needs a termination of kind success")
         if self.curriculum is not None and not self._successes:
@@ -136,14 +136,14 @@ class TaskCfg:
         if radius is not None and not 0.0 < radius < inf:
             raise ConfigError(f"TaskCfg.terminations: radius = {radius!r}: must be > 0 and finite")
 
-    def _check_faults(self) -> None:
+    def _check_fault_names(self) -> None:
         named = {term.fault for group in self.observations.values() for term in group if term.fault is not None}
         for name in sorted(named - set(self.faults)):
             raise ConfigError(f"TaskCfg.observations: no fault {name!r}. Known: {', '.join(self.faults) or 'none'}")
         for name in sorted(set(self.faults) - named):
             raise ConfigError(f"TaskCfg.faults.{name}: no observation has it. Give one fault: {name}")
 
-    def _check_times(self) -> None:
+    def _check_reward_factors(self) -> None:
         for name, reward in self.rewards.items():
             if name in ENDS:
                 raise ConfigError(f"TaskCfg.rewards.{name}: the name is that of {name}_reward. Choose another")

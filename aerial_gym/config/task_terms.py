@@ -14,12 +14,12 @@ Params = Mapping[str, object]  # Numbers, texts and lists of them by name; the t
 Steps = int | tuple[int, int]  # Steps, or the fewest and the most, of which every episode draws one number
 
 
-def _require_steps(config: object, name: str) -> None:
-    low, high = steps_range(getattr(config, name))
+def _require_step_limits(config: object, name: str) -> None:
+    low, high = fewest_and_most_steps(getattr(config, name))
     checks.require(config, name, 0 <= low <= high <= MAX_MADE, "must be >= 0, or the fewest and the most of them")
 
 
-def steps_range(steps: Steps) -> tuple[int, int]:
+def fewest_and_most_steps(steps: Steps) -> tuple[int, int]:
     """Return the fewest and the most steps."""
     return (steps, steps) if isinstance(steps, int) else steps
 
@@ -45,8 +45,8 @@ class FaultCfg:
 
     def __post_init__(self) -> None:
         checks.require_choice(self, "how", FAULTS)
-        _require_steps(self, "begin_steps")
-        _require_steps(self, "duration_steps")
+        _require_step_limits(self, "begin_steps")
+        _require_step_limits(self, "duration_steps")
         holds = (self.how == "jump") == (0.0 < self.size < inf)
         checks.require(self, "size", holds, "must be > 0 and finite of a jump, and 0 of others")
         checks.require(self, "share", 0.0 < self.share <= 1.0, "must be > 0 and <= 1")
@@ -81,7 +81,7 @@ class ObservationCfg:
         checks.require_finite(self, "dropout_value")
         holds = self.hold_steps == 0 or (self.hold_steps > 0 and self.dropout > 0.0)
         checks.require(self, "hold_steps", holds, "must be >= 0, and needs a dropout: nothing else is held")
-        _require_steps(self, "delay_steps")
+        _require_step_limits(self, "delay_steps")
         checks.require_count(self, "history", most=MAX_MADE)
         checks.require(self, "scale", isfinite(self.scale) and self.scale != 0.0, "must be finite and not 0")
 
@@ -192,5 +192,5 @@ class ActionCfg:
     units of the command, >= 0."""
 
     def __post_init__(self) -> None:
-        _require_steps(self, "delay_steps")
+        _require_step_limits(self, "delay_steps")
         checks.require_not_negative(self, "noise_std", "filter_time_s")

@@ -130,7 +130,7 @@ def select_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCf
 def has_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> bool:
     """Return whether the controller or the robot gives any explicit gain."""
     if cfg.autopilot is not None:
-        return select_autopilot(cfg, control).explicit
+        return select_autopilot(cfg, control).has_explicit_gains
     return select_explicit_gains(cfg, control) is not None
 
 
@@ -138,7 +138,7 @@ def select_autopilot(cfg: ControllerCfg, control: ControlCfg) -> Any:
     """Return the autopilot parameters of a controller, else those of the robot, with the controller's own rate."""
     assert cfg.autopilot is not None
     own, of_robot = getattr(cfg, cfg.autopilot), getattr(control, cfg.autopilot)
-    if own.explicit or of_robot is None:
+    if own.has_explicit_gains or of_robot is None:
         return own
     rate = getattr(own, "rate_hz", None)
     return of_robot if rate is None else replace(of_robot, rate_hz=rate)

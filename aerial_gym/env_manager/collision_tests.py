@@ -31,7 +31,7 @@ def make_trajectory(
 
     Over the ground alone a differentiable robot is tested at the poses only: its substeps are one kernel without a record.
     """
-    scene = bool(env.num_assets or (env.ground and not (differentiable and robot.joints is None)))
+    scene = bool(env.num_assets or (env.ground_part and not (differentiable and robot.joints is None)))
     links = robot.collision.between_links or (robot.collides_with_links and scene)
     if env.contact is not None or not (scene or links):
         return None

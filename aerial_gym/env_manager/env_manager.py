@@ -162,7 +162,7 @@ class EnvManager:
         self._links: LinkPlaces | None = None
         if robot.joints is not None and links is not None:
             assert isinstance(self.robot_manager.tensors.state, ArticulatedState)
-            self._links = links.places(robot.joints, self.robot_manager.tensors.state, trajectory)
+            self._links = links.make_launches(robot.joints, self.robot_manager.tensors.state, trajectory)
         surface = self.robot_manager.felt.surface_height
         self._below: HeightProbe | None = None
         if surface is not None:
@@ -171,7 +171,7 @@ class EnvManager:
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         twist = {"lin_vel": self.gtd["robot_linvel"], "ang_vel": self.gtd["robot_body_angvel"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
-        carriers = {} if links is None else links.carriers({**range_sensors, **imus})
+        carriers = {} if links is None else links.link_of_sensors({**range_sensors, **imus})
         self.sensor_manager = SensorManager(
             {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,

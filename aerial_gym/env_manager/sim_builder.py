@@ -39,7 +39,7 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
 
 
 @contextmanager
-def memory_errors(num_envs: int, device: torch.device) -> Iterator[None]:
+def explain_memory_errors(num_envs: int, device: torch.device) -> Iterator[None]:
     """Convert out-of-memory errors into a ``CapabilityError``, and that of a singular matrix into a ``ConfigError``."""
     too_large = (
         f"{num_envs:,} environments do not fit into the memory of {device} ({{}}). Take fewer, or smaller images"
@@ -110,7 +110,7 @@ class SimBuilder:
         """
         sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
         where = resolve_device(device)
-        with memory_errors(num_envs, where):
+        with explain_memory_errors(num_envs, where):
             return EnvManager(
                 sim=sim if backend is None else replace(sim, backend=backend),
                 env=environment_by_name(env_name),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.config.storage import write_atomic
-from aerial_gym.config.task_terms import steps_range
+from aerial_gym.config.task_terms import fewest_and_most_steps
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -130,7 +130,7 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
                 ObservationTerm(
                     key=key, term=entry.cfg.term, meaning=_meaning_of_term(entry.term.term.summary), first=first,
                     count=count, history=entry.cfg.history, scale=entry.cfg.scale, noise_std=entry.cfg.noise_std,
-                    delay_steps=steps_range(entry.cfg.delay_steps), dropout=entry.cfg.dropout,
+                    delay_steps=fewest_and_most_steps(entry.cfg.delay_steps), dropout=entry.cfg.dropout,
                     dropout_value=entry.cfg.dropout_value, hold_steps=entry.cfg.hold_steps,
                 )
             )  # fmt: skip
@@ -141,7 +141,7 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
         name=name, task=cfg.task, robot=cfg.robot or task.cfg.robot, controller=cfg.controller or task.cfg.controller,
         rate_hz=1.0 / task.env.dt, observation=tuple(seen), images=images, command=tuple(manager.action_names),
         num_actions=policy.num_actions, transform=action.transform, params=dict(action.params),
-        action_delay_steps=steps_range(action.delay_steps), filter_time_s=action.filter_time_s,
+        action_delay_steps=fewest_and_most_steps(action.delay_steps), filter_time_s=action.filter_time_s,
         memory=policy.body.memory_size, source=source, encoder=cfg.encoder or task.cfg.encoder, version=__version__,
     )  # fmt: skip
 

@@ -47,7 +47,7 @@ def draw_vec3(random: wp.uint32, quantity: int, low: wp.vec3, high: wp.vec3) -> 
 
 
 @wp.func
-def quat_of_angles(angles: wp.vec3) -> wp.quat:
+def quat_from_angles(angles: wp.vec3) -> wp.quat:
     """Return the quaternion of ZYX Euler angles [rad], R = Rz(yaw) Ry(pitch) Rx(roll): ``quat_from_euler`` in a kernel."""
     roll = wp.quat(wp.sin(0.5 * angles[0]), 0.0, 0.0, wp.cos(0.5 * angles[0]))
     pitch = wp.quat(0.0, wp.sin(0.5 * angles[1]), 0.0, wp.cos(0.5 * angles[1]))

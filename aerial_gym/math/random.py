@@ -53,7 +53,7 @@ def _next_state(state: Word) -> Word:
     return (word >> 22) ^ word
 
 
-def split_state(state: Tensor, count: Tensor | int) -> Tensor:
+def state_of_count(state: Tensor, count: Tensor | int) -> Tensor:
     """Return the random state of a count within a state, int64: ``wp.rand_init(int(state), count)``."""
     if isinstance(count, Tensor):
         return _next_state((state.long() + _next_state(count.long() & 0xFFFFFFFF)) & 0xFFFFFFFF)
@@ -70,7 +70,7 @@ def uniform_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) 
 
     They equal consecutive ``wp.randf(stream)`` with ``stream = wp.rand_init(int(state), index)``.
     """
-    stream, draws = split_state(state, index), []
+    stream, draws = state_of_count(state, index), []
     for _ in range(width):
         stream = _next_state(stream)
         draws.append((stream >> 8).to(dtype) / 2**24)
@@ -82,7 +82,7 @@ def normal_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -
 
     They equal consecutive ``wp.randn(stream)`` with ``stream = wp.rand_init(int(state), index)`` to round-off.
     """
-    stream, draws = split_state(state, index), []
+    stream, draws = state_of_count(state, index), []
     for _ in range(width):
         stream = _next_state(stream)
         radius = torch.sqrt(-2.0 * torch.log((stream >> 8).to(dtype) / 2**24 + 5.96e-8))
@@ -91,7 +91,7 @@ def normal_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -
     return torch.stack(draws, dim=-1)
 
 
-def take_mask(kept: Tensor, mask: Tensor) -> None:
+def copy_mask(kept: Tensor, mask: Tensor) -> None:
     """Copy ``mask`` into the mask of recorded launches, both bool (E,), unless they are the same tensor."""
     if mask is not kept:
         kept.copy_(mask)
@@ -126,7 +126,7 @@ class Randomness:
         self.episode = torch.zeros(num_envs, dtype=torch.int32, device=device)
         """Number of each environment's present episode, (E,); one before the first until that begins."""
         self.mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
-        """The environments of the last ``begin``, (E,): what draws by a mask reads it here (``take_mask``)."""
+        """The environments of the last ``begin``, (E,): what draws by a mask reads it here (``copy_mask``)."""
         self.restart(seed)
 
     @property
@@ -145,17 +145,17 @@ class Randomness:
 
     def begin(self, mask: Tensor) -> None:
         """Advance the episode in the environments of ``mask``, bool (E,)."""
-        take_mask(self.mask, mask)
+        copy_mask(self.mask, mask)
         self.episode.add_(self.mask)
 
     def stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of a purpose in every environment, int64, (E,): ``draws.episode_stream`` in a kernel."""
-        return split_state(self._environment_stream(purpose), self.episode)
+        return state_of_count(self._environment_stream(purpose), self.episode)
 
-    def seed_stream(self, purpose: Purpose) -> Tensor:
+    def stream_of_all_episodes(self, purpose: Purpose) -> Tensor:
         """Return the random state of draws that hold in all episodes of a seed, int64, (E,)."""
-        return split_state(self._environment_stream(purpose), 0)
+        return state_of_count(self._environment_stream(purpose), 0)
 
     def _environment_stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of seed, purpose and environment; a chance collision concerns one purpose only."""
-        return split_state(split_state(self.seed, int(purpose)), self.environment)
+        return state_of_count(state_of_count(self.seed, int(purpose)), self.environment)

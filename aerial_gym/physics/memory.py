@@ -10,7 +10,7 @@ from math import ceil
 import torch
 from torch import Tensor
 
-from aerial_gym.math.random import Purpose, Randomness, split_state
+from aerial_gym.math.random import Purpose, Randomness, state_of_count
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import CommandSwitch, Ramp, RotorCommand
@@ -71,7 +71,7 @@ def begin_substep(
             commands acts.
         dt: Its length [s].
     """
-    random = split_state(memory.random.stream(Purpose.EFFECTS), memory.since)
+    random = state_of_count(memory.random.stream(Purpose.EFFECTS), memory.since)
     span = torch.tensor(dt, dtype=torch.float64)  # on the CPU: an argument of any device's operations
     moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=span, vehicle=model.vehicle)
     places = model.effects.places(rotor_speed.shape[1])

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes
-from aerial_gym.assets.cores import has_cores
+from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.geometry import outward_normal, signed_distance
 from aerial_gym.assets.nearest import Core, Nearest, as_box, box_corner, nearest_of_core
 from aerial_gym.assets.scene_arrays import BOX, SceneArrays, Shape, part_attitude, part_is_present, part_position
@@ -59,13 +59,13 @@ def contact_scene(scene: Scene, spheres: Tensor, shapes: Sequence[CollisionShape
         lin_vel=vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=device),
         ang_vel=vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=device),
         sphere=wp.from_torch(spheres, dtype=wp.vec4),
-        body=body_shapes(shapes if has_cores(shapes) else (), device=device),
+        body=body_shapes(shapes if has_boxes_or_capsules(shapes) else (), device=device),
         reach=float((spheres[:, :3].norm(dim=1) + spheres[:, 3]).max()),
     )
 
 
 @wp.func
-def shallowest_entry(pairs: ContactPairs) -> int:
+def index_of_shallowest(pairs: ContactPairs) -> int:
     """Return the index of the smallest overlap, or of an empty entry."""
     entry = wp.int32(0)
     for i in range(1, MAX_CONTACTS):
@@ -87,10 +87,10 @@ def replace_pair(
 
 
 @wp.func
-def merge_pairs(pairs: ContactPairs, extra: ContactPairs) -> ContactPairs:
+def deepest_of_both(pairs: ContactPairs, extra: ContactPairs) -> ContactPairs:
     """Return the deepest of two sets of pairs."""
     for k in range(MAX_CONTACTS):
-        i = shallowest_entry(pairs)
+        i = index_of_shallowest(pairs)
         if extra.gaps[k] < pairs.gaps[i]:
             pairs = replace_pair(pairs, i, extra.gaps[k], extra.levers[k], extra.normals[k], extra.surface_vels[k])
     return pairs
@@ -166,7 +166,7 @@ def add_core_pairs(
                     number = wp.int32(0)
                     while number < 9:
                         pair = corner_or_deepest_pair(shape, core, own.radius, number)
-                        i = shallowest_entry(pairs)
+                        i = index_of_shallowest(pairs)
                         if pair.distance < pairs.gaps[i]:
                             place = origin + wp.quat_rotate(turn, pair.point)
                             normal = wp.quat_rotate(turn, pair.normal)
@@ -199,7 +199,7 @@ def find_pairs(
                 if wp.length(away) - scene.radius[env, part] < radius:
                     local = wp.quat_rotate_inv(turn, away)
                     gap = signed_distance(shape, local) - radius
-                    i = shallowest_entry(pairs)
+                    i = index_of_shallowest(pairs)
                     if gap < pairs.gaps[i]:
                         normal = wp.quat_rotate(turn, outward_normal(shape, local))
                         lever = offset - radius * normal

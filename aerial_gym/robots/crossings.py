@@ -23,7 +23,7 @@ import warp as wp
 from aerial_gym.assets.body_shapes import BodyShape
 from aerial_gym.assets.geometry import outward_normal, primitive_distance, primitive_normal, signed_distance, support
 from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
-from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, next_reversal
+from aerial_gym.assets.obstacle_motion import advance_pose, is_present_and_moves, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, MESH, TRIANGLE, Shape
 from aerial_gym.assets.sweep import (
@@ -66,7 +66,7 @@ class ShapeSweep:
 
 
 @wp.struct
-class NormalMemory:
+class NormalsOfSubstep:
     """Contact normals on a shape in the frame of the part, with 1 as fourth entry once known."""
 
     before: wp.vec4  # at the start of the substep
@@ -121,7 +121,7 @@ def core_extent(core: Core, normal: wp.vec3) -> float:
 
 
 @wp.func
-def shift_to_floors(pairs: ContactPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
+def shift_out_of_planes(pairs: ContactPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
     """Return the shift [m] that puts a robot no deeper below any of ``count`` planes than its floor."""
     for _k in range(wp.static(PASSES)):
         for i in range(count):
@@ -174,7 +174,7 @@ def _make_earlier_crossing(*, cores: bool) -> wp.Function:
 
     @wp.func
     def earlier_crossing(
-        solid: Shape, sweep: ShapeSweep, done: Substep, least_approach: float, known: NormalMemory, hit: Crossing
+        solid: Shape, sweep: ShapeSweep, done: Substep, least_approach: float, known: NormalsOfSubstep, hit: Crossing
     ):
         """Return the earlier of the given crossing and that of a part or face, and the known normals.
 
@@ -237,7 +237,7 @@ def _make_earlier_part_crossing(*, cores: bool, meshes: bool) -> wp.Function:
         """Return the earlier of the given crossing and that of a part; of a mesh, over all its faces."""
         shape = sweep.shape
         solid = shape
-        known = NormalMemory()
+        known = NormalsOfSubstep()
         face = wp.int32(0)
         is_mesh = wp.static(meshes) and shape.kind == MESH
         if wp.static(meshes):  # noqa: SIM102 (wp.static must be the whole condition)
@@ -289,7 +289,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                 sweep.lin_vel = around.lin_vel[env, a]
                 sweep.spin = around.ang_vel[env, a]
                 if wp.static(moves):  # noqa: SIM102 (wp.static must be the whole condition)
-                    if is_there and instance_moves(obstacles, env, a):
+                    if is_there and is_present_and_moves(obstacles, env, a):
                         to, _q, _v = advance_pose(obstacles, env, a, x, q, sweep.lin_vel, done.dt)
                         if next_reversal(obstacles, env, a, x, sweep.lin_vel, done.dt, 0.0) < 1.0:
                             sweep.other.start = to
@@ -355,7 +355,7 @@ def make_stop_search(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
                 stop.pairs.surface_vels[count] = hit.surface_vel
                 floors[count] = hit.floor
                 count += 1
-                shift = shift_to_floors(stop.pairs, floors, count, shift)
+                shift = shift_out_of_planes(stop.pairs, floors, count, shift)
         stop.position += shift
         if not clear:
             stop.position = done.first_position

@@ -101,7 +101,7 @@ FOLLOWS = {"robot_mass": ("body.mass", "payload_mass"), "robot_inertia": ("body.
 LIVE = ("drawn_parameters", "downwash_position")  # Writable keys besides those of effects, read by the next step
 
 
-def guard_parameters(
+def watch_parameter_writes(
     gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], drawn: Collection[int], *, notice: Callable[[], None]
 ) -> None:
     """Let writes to independent parameters call ``notice``; refuse those to derived ones and effects ``drawn``."""

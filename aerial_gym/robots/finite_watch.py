@@ -17,7 +17,7 @@ from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.robots.non_finite_rows import KEPT_ROWS, NonFinite, NonFiniteRows, take_place
+from aerial_gym.robots.non_finite_rows import KEPT_ROWS, NonFinite, NonFiniteRows, count_row
 
 KEPT_STEPS = 64  # Last steps of a row that are kept
 LOOK_EVERY = 64  # Steps between two reads of a GPU's table by the host
@@ -80,7 +80,7 @@ def _record_step(
     steps_out[e] = wp.where(ended[e], 0, steps)
     if non_finite[e] == 0:
         return
-    place = take_place(count_out)
+    place = count_row(count_out)
     if place < rows_out.shape[0]:
         known = wp.min(steps, size)
         rows_out[place, 0] = e

@@ -10,10 +10,10 @@ from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.interop.rows import RowWork
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays
-from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays
+from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.physics import BodyState
-from aerial_gym.robots.non_finite_rows import NonFiniteRows, take_place
+from aerial_gym.robots.non_finite_rows import NonFiniteRows, count_row
 from aerial_gym.robots.secondary_states import SecondaryArrays, SecondaryStates, write_derived
 
 
@@ -63,7 +63,7 @@ def start_episode(e: int, given: StartArrays):
     Rows that end by NaN or infinity are counted, and the first ones recorded. Then the flags of episode ends are cleared.
     """
     if given.non_finite[e] != 0:
-        place = take_place(given.count)
+        place = count_row(given.count)
         if place < given.rows.shape[0]:
             given.rows[place, 0] = e
             given.rows[place, 1] = given.random.episode[e] - 1  # the counter is already at the new episode
@@ -77,7 +77,7 @@ def start_episode(e: int, given: StartArrays):
     ranges = given.ranges
     share = draw_vec3(stream, 0, ranges.position_ratio_low, ranges.position_ratio_high)
     position = given.bounds_min[e] + wp.cw_mul(given.bounds_max[e] - given.bounds_min[e], share)
-    attitude = quat_of_angles(draw_vec3(stream, 1, ranges.euler_low, ranges.euler_high))
+    attitude = quat_from_angles(draw_vec3(stream, 1, ranges.euler_low, ranges.euler_high))
     lin_vel = draw_vec3(stream, 2, ranges.lin_vel_low, ranges.lin_vel_high)
     ang_vel = draw_vec3(stream, 3, ranges.ang_vel_low, ranges.ang_vel_high)
     given.position[e] = position
@@ -101,7 +101,7 @@ def _start_episodes(mask: wp.array[wp.bool], given: StartArrays):
 
 
 @wp.kernel(enable_backward=False)
-def _begin_step(
+def _store_actions(
     given: wp.array2d[float],  # (E, U)
     # out
     actions_out: wp.array2d[float],  # (E, U)
@@ -120,14 +120,14 @@ def _begin_step(
         truncations_out[e] = False
 
 
-class StepBegin:
+class ActionStore:
     """Launch that begins a step of all environments, with all views except the action's made at construction."""
 
     def __init__(self, actions: Tensor, prev_actions: Tensor, noticed: NonFiniteRows) -> None:
         """Take the output tensors, the first two (E, U)."""
         self._actions = actions
         self._command = ReusableLaunch(
-            _begin_step,
+            _store_actions,
             dim=tuple(actions.shape),
             inputs=[actions],
             outputs=[actions, prev_actions, noticed.episode_step, *noticed.flags],
@@ -195,7 +195,7 @@ class InitialState:
 
     def reset(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        take_mask(self._mask, mask)
+        copy_mask(self._mask, mask)
         self()
 
     def __call__(self) -> None:

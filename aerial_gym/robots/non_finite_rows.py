@@ -31,7 +31,7 @@ KEPT_ROWS = 8  # Rows K that are written down: the first ones
 
 
 @wp.func
-def take_place(count_out: wp.array[wp.int32]) -> int:
+def count_row(count_out: wp.array[wp.int32]) -> int:
     """Count a row and return the count before it, which stops at 2**30 to avoid overflow."""
     if count_out[0] >= 1073741824:
         return 1073741824

@@ -37,7 +37,7 @@ def correlation_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
         if name == other or (other, name) in stated:
             raise ConfigError(f"{label}: give each pair of two quantities once")
         for one in (name, other):
-            if cfg[one].distribution != "normal" or cfg[one].each_rotor or cfg[one].widths() != {1}:
+            if cfg[one].distribution != "normal" or cfg[one].each_rotor or cfg[one].component_counts() != {1}:
                 raise ConfigError(f"{label}: {one} must be a normal distribution of one number")
     joint = tuple(name for name in cfg if any(name in pair for pair in stated))
     matrix = np.eye(len(joint))
@@ -90,7 +90,7 @@ def uniform_value(draw: DrawLimits, state: wp.uint32) -> float:
 
 
 @wp.func
-def standard_normal(share: float) -> float:
+def normal_quantile(share: float) -> float:
     """Return the inverse of the cumulative normal distribution."""
     return wp.sqrt(2.0) * wp.erfinv(wp.clamp(2.0 * share - 1.0, -0.9999999, 0.9999999))
 
@@ -98,7 +98,7 @@ def standard_normal(share: float) -> float:
 @wp.func
 def independent_normal(state: wp.uint32) -> float:
     """Return a normal draw of mean 0 and standard deviation 1."""
-    return standard_normal(wp.randf(state))
+    return normal_quantile(wp.randf(state))
 
 
 @wp.func
@@ -116,7 +116,7 @@ def log_uniform(draw: DrawLimits, state: wp.uint32) -> float:
 @wp.func
 def normal(draw: DrawLimits, state: wp.uint32) -> float:
     """Return a draw of a truncated normal distribution."""
-    return wp.clamp(draw.mean + draw.std * standard_normal(uniform_value(draw, state)), draw.least, draw.most)
+    return wp.clamp(draw.mean + draw.std * normal_quantile(uniform_value(draw, state)), draw.least, draw.most)
 
 
 @wp.func
@@ -140,7 +140,7 @@ def draw_code(drawn: Sequence[RandomQuantity], random: Randomness, *, device: to
     rows = np.zeros(drawn[-1].columns.stop, dtype=DrawLimits.numpy_dtype())  # type: ignore[call-overload]
     for each in drawn:
         width = each.columns.stop - each.columns.start
-        for i, numbers in enumerate(each.cfg.components(width)):
+        for i, numbers in enumerate(each.cfg.component_distributions(width)):
             _fill_limits(rows[each.columns.start + i], each.cfg.distribution, *numbers)
     first = {each.name: each.columns.start for each in drawn}
     together, small = correlation_factor({each.name: each.cfg for each in drawn})

@@ -79,7 +79,7 @@ def _scale_maps(maps: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw
     return vehicle.with_scaled_maps(**dict.fromkeys(maps, draw))
 
 
-def _turn_axes(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _offset_axes(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     axis = apply_draw(cfg, vehicle.rotor_axis, draw)
     return replace(vehicle, rotor_axis=axis / axis.norm(dim=-1, keepdim=True))
 
@@ -124,7 +124,7 @@ QUANTITIES: dict[str, Quantity] = {
     "rotor.radius": _quantity_of_fields("m", "rotor", "radius of the propeller", "rotor_radius"),
     "mounts.*.position": _quantity_of_fields("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
     "mounts.*.axis": Quantity(
-        "-", "rotor_vector", _turn_axes, "directions of thrust, made unit length", "rotor_axis", how=("offset",)
+        "-", "rotor_vector", _offset_axes, "directions of thrust, made unit length", "rotor_axis", how=("offset",)
     ),
     **{
         f"battery.{name}": Quantity("see BatteryCfg", "one", partial(_set_battery, column), f"{name} of the battery")

@@ -111,7 +111,7 @@ def _range_ends(ranges: RobotDraws) -> Iterator[End]:
     ranges.fill_neutral(neutral)
     for each in ranges.drawn:
         width = each.columns.stop - each.columns.start
-        numbers = each.cfg.components(width)
+        numbers = each.cfg.component_distributions(width)
         low = neutral.new_tensor([max(low, mean - SPREAD * std) if std else low for low, _, mean, std in numbers])
         high = neutral.new_tensor([min(high, mean + SPREAD * std) if std else high for _, high, mean, std in numbers])
         ends = [low, high]

@@ -117,7 +117,7 @@ class RobotDraws:
         """Names of the random gains."""
         return [each.name.split(".")[1] for each in self.drawn if each.name.startswith("gains.")]
 
-    def views(self, values: Tensor) -> dict[str, Tensor]:
+    def draws_by_name(self, values: Tensor) -> dict[str, Tensor]:
         """Return the draws by name, (E, ...), as views of the numbers (E, K)."""
         return {each.name: values[:, each.columns].view(-1, *each.shape) for each in self.drawn}
 
@@ -261,7 +261,7 @@ def check_base_draws(randomized: RobotDraws, articulation: "Articulation", param
     drawn = [each for each in randomized.drawn if each.name.startswith("body.")]
     ends, columns = [], []
     for each in drawn:
-        numbers = each.cfg.components(each.columns.stop - each.columns.start)
+        numbers = each.cfg.component_distributions(each.columns.stop - each.columns.start)
         for column, (low, high, _, _) in enumerate(numbers, each.columns.start):
             if isfinite(low) and isfinite(high):
                 ends.append((low, high))

@@ -18,7 +18,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import with_usual_settings
 from aerial_gym.interop.rows import RowUpdate
-from aerial_gym.math.random import Randomness, take_mask
+from aerial_gym.math.random import Randomness, copy_mask
 from aerial_gym.physics import PhysicsBackend, Vehicle, build_model, vehicle_from_config
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
@@ -32,9 +32,9 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.robots.contact_sources import ContactSources, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.effect_scene import declare_effect_scene, guard_parameters, make_slung_load
-from aerial_gym.robots.initial_state import InitialState, StepBegin
-from aerial_gym.robots.joints.states import JointStates, declare_efforts
+from aerial_gym.robots.effect_scene import declare_effect_scene, make_slung_load, watch_parameter_writes
+from aerial_gym.robots.initial_state import ActionStore, InitialState
+from aerial_gym.robots.joints.states import JointStates
 from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.parameter_draws import draw_code
 from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise, check_base_draws
@@ -100,10 +100,10 @@ class RobotManager:
             state, actions = self.tensors.state, (self.tensors.actions, self.tensors.prev_actions)
             self.backend = self.differentiable = DifferentiableBackend(state, actions, dtype=gradients)
         self._declare_model()
-        self._randomized = self._make_randomized(randomize or {})
+        self._randomized = self._declare_draws(randomize or {})
         self._stale = False
         drawn = [] if self._randomized is None else self._randomized.random_effects
-        guard_parameters(gtd, self._effects, drawn, notice=self._note_write)
+        watch_parameter_writes(gtd, self._effects, drawn, notice=self._note_write)
         self._pushing = ContactSources(robot, gtd, around)
         self._load = make_slung_load(gtd, self._effects, self.tensors.state)
         limited = self.articulation is not None and self.articulation.solves_limits
@@ -140,7 +140,7 @@ class RobotManager:
             assert isinstance(self.tensors.state, ArticulatedState)
             self._joints = JointStates(robot.joints, gtd, self.tensors.state, random, efforts)
         self._update = self._make_update()
-        self._step_begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
+        self._step_begin = ActionStore(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
     def _declare_model(self) -> None:
         """Declare the parameters of vehicle and effects that differ between environments."""
@@ -190,7 +190,7 @@ class RobotManager:
         """Width U of an action."""
         return len(self.action_names)
 
-    def _make_randomized(self, cfg: Randomize) -> RobotDraws | None:
+    def _declare_draws(self, cfg: Randomize) -> RobotDraws | None:
         """Return the layout of the random quantities and declare their numbers; None without any."""
         if not cfg:
             return None
@@ -210,7 +210,7 @@ class RobotManager:
 
     def draws(self) -> dict[str, Tensor]:
         """Return the draws of the present episodes by quantity, (E, ...)."""
-        return {} if self._randomized is None else self._randomized.views(self._gtd["drawn_parameters"])
+        return {} if self._randomized is None else self._randomized.draws_by_name(self._gtd["drawn_parameters"])
 
     def _parameter_sources(self) -> tuple[Tensor, ...]:
         """Return the inputs of each environment's parameters: draws, effect parameters and the scene that effects read."""
@@ -218,7 +218,7 @@ class RobotManager:
         return (*drawn, *(params for _, params in self._effects), *self.felt.sources)
 
     def _make_model(self, *sources: Tensor, declared: Vehicle | None = None) -> tuple[Model, DrawResult]:
-        """Return the model and the drawn values, by torch functions on the rows of ``_sources`` and ``declared``."""
+        """Return the model and the drawn values, by torch functions on the rows of ``_parameter_sources`` and ``declared``."""
         rest = list(sources)
         values = rest.pop(0) if self._randomized is not None else None
         felt = self.felt.pop_rows(rest)
@@ -241,7 +241,7 @@ class RobotManager:
         model, followed = self._make_model(*self._parameter_sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
-        for target, rows in zip(self._targets_of_draws(), self._rows_of_draws(model, followed), strict=True):
+        for target, rows in zip(self._tensors_written_by_draws(), self._rows_of_draws(model, followed), strict=True):
             target.copy_(rows)
         if self.imu_errors is not None:
             exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
@@ -278,7 +278,7 @@ class RobotManager:
             tensors.append(imu_errors(model.effects[ImuEffect]))
         return tensors
 
-    def _targets_of_draws(self) -> list[Tensor]:
+    def _tensors_written_by_draws(self) -> list[Tensor]:
         """Return the tensors that receive the results of ``_rows_of_draws``, in that order."""
         tensors = [] if self._allocation is None else [*self._allocation.rows.values()]
         if self._randomized is not None:
@@ -301,7 +301,7 @@ class RobotManager:
 
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
-        drawn = self._targets_of_draws()
+        drawn = self._tensors_written_by_draws()
         types = [target.dtype for target in drawn]
         targets = (*(shown[name] for name in own), *drawn, *self.backend.parameter_targets())
         return RowUpdate(
@@ -367,7 +367,7 @@ class RobotManager:
 
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
-        take_mask(self._random.mask, mask)
+        copy_mask(self._random.mask, mask)
         (self._update or self._initial)()
         if self._update is not None and self.differentiable is not None:
             self._update.mark_written()

@@ -16,7 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.cores import has_cores
+from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.obstacle_motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.views import check_tensor, vector_view
@@ -35,9 +35,9 @@ from aerial_gym.robots.contact_pairs import (
     ContactScene,
     add_core_pairs,
     contact_scene,
+    deepest_of_both,
     find_pairs,
     has_fast_approach,
-    merge_pairs,
 )
 from aerial_gym.robots.crossings import make_stop_search
 
@@ -87,7 +87,7 @@ def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Functi
         if wp.static(cores):
             pairs = add_core_pairs(pairs, around.near, done.com, env, x, q)
         if stop.crosses:
-            pairs = merge_pairs(pairs, stop.pairs)
+            pairs = deepest_of_both(pairs, stop.pairs)
         turn = rotate(q, done.first_ang_vel)
         if stop.crashes or has_fast_approach(pairs, done.first_lin_vel, turn, around.law.least_approach):
             around.crashes[env] = True
@@ -238,7 +238,11 @@ class SceneContact:
         )
         if moving is not None:
             self._data = make_struct(DynamicSurroundings, around=around, obstacles=moving)
-        self._kinds = {"moves": moving is not None, "cores": has_cores(robot.shapes), "meshes": scene.has_meshes}
+        self._kinds = {
+            "moves": moving is not None,
+            "cores": has_boxes_or_capsules(robot.shapes),
+            "meshes": scene.has_meshes,
+        }
         self._kept_alive = (crashes_out, impulse_out, moving)
         self._command: ReusableLaunch | None = None
 

@@ -102,10 +102,10 @@ def ray_flow(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distanc
     return wp.vec2(wp.dot(flow.right[pixel], rate), wp.dot(flow.down[pixel], rate))
 
 
-def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
+def make_flow_inputs(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     """Return the input struct of a camera's optical-flow kernel."""
     device, mounts = wp.device_from_torch(scene.device), scene.num_envs * cfg.count
-    table = flow_table(cfg, device=scene.device).view(-1, 2, 3)
+    table = pixel_derivatives(cfg, device=scene.device).view(-1, 2, 3)
     columns = scene.num_instances + scene.num_links + 2
     return make_struct(
         Flow,
@@ -118,7 +118,7 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     )
 
 
-def record_motion(flow: Flow, scene: Scene, sensors: SensorsOnCarrier) -> ReusableLaunch:
+def record_relative_twist(flow: Flow, scene: Scene, sensors: SensorsOnCarrier) -> ReusableLaunch:
     """Record the launch that writes the relative motions before the rays are traced."""
     inputs, outputs = [scene.arrays, scene_twists(scene), sensors], [flow.drift, flow.turn]
     return ReusableLaunch(relative_twist, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=scene.device)
@@ -135,7 +135,7 @@ def scene_twists(scene: Scene) -> SceneTwists:
     return twists
 
 
-def flow_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
+def pixel_derivatives(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
     """Return the derivatives of column and row by the point in the sensor's frame, at distance 1 [pixel], (H, W, 2, 3).
 
     At the distance d they are 1/d of that.

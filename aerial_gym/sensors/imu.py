@@ -31,11 +31,11 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp, with_usual_settings
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
-from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
 from aerial_gym.physics.effects.imu_errors import WIDTH
 from aerial_gym.sensors.images import CLOCK_MARGIN, latency_steps
-from aerial_gym.sensors.mounts import Pose, nominal_pose
+from aerial_gym.sensors.mounts import Pose, file_pose
 from aerial_gym.sensors.sensor_poses import PoseRange, draw_pose, pose_range
 
 
@@ -128,7 +128,7 @@ def _point_velocity(motion: ImuMotion, position: wp.vec3, e: int) -> wp.vec3:
 
 
 @wp.func
-def _apply_errors(motion: ImuMotion, unit: ImuParameters, e: int, first: int, true: wp.vec3) -> wp.vec3:
+def _apply_effect_errors(motion: ImuMotion, unit: ImuParameters, e: int, first: int, true: wp.vec3) -> wp.vec3:
     """Return a vector in body axes after the robot's IMU errors, ``M v + b``; rows ``first`` on hold b and the columns of M."""
     if not unit.errs:
         return true
@@ -156,12 +156,12 @@ def _write_sample(
     """
     share = 1.0 / wp.sqrt(steps)
     accel = (
-        rotate_inverse(mount, _apply_errors(motion, unit, e, 0, force))
+        rotate_inverse(mount, _apply_effect_errors(motion, unit, e, 0, force))
         + accel_bias
         + _normal_vector(random, 0, share * unit.accel_noise)
     )
     gyro = (
-        rotate_inverse(mount, _apply_errors(motion, unit, e, 4, ang_vel))
+        rotate_inverse(mount, _apply_effect_errors(motion, unit, e, 4, ang_vel))
         + gyro_bias
         + _normal_vector(random, 1, share * unit.gyro_noise)
     )
@@ -288,7 +288,7 @@ class Imu:
         self.cfg, self.measurement = cfg, measurement_out
         self.bias = torch.zeros(envs, 6, device=device)
         """Present bias [m/s²] and [rad/s], IMU axes, (E, 6)."""
-        pose = nominal_pose(cfg) if pose is None else pose
+        pose = file_pose(cfg) if pose is None else pose
         self.mount_position = pose.position.float().to(device).expand(envs, 3).clone()
         """Place in this episode from the body origin [m], body, (E, 3)."""
         self.mount_attitude = pose.attitude.float().to(device).expand(envs, 4).clone()
@@ -358,7 +358,7 @@ class Imu:
         attitude, as no step has shown one yet, with its present angular velocity.
         Launched on torch's current stream, not waited for.
         """
-        take_mask(self._mask, mask)
+        copy_mask(self._mask, mask)
         self._reset_command.launch(self._mask)
 
 

@@ -78,7 +78,7 @@ def sensor_by_name(name: str) -> SensorCfg:
     return known.get(name)
 
 
-def nominal_pose(cfg: SensorCfg) -> Pose:
+def file_pose(cfg: SensorCfg) -> Pose:
     """Return the placement in the sensor's own file."""
     attitude = quat_from_euler(torch.tensor(cfg.euler, dtype=torch.float64))
     return Pose(position=torch.tensor(cfg.position, dtype=torch.float64), attitude=attitude)
@@ -88,7 +88,7 @@ def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
     """Return the pose of a mount, completed from the sensor's file; None for a mount without a pose."""
     if mount.position is None and mount.euler is None and mount.quaternion is None:
         return None
-    pose = nominal_pose(cfg)
+    pose = file_pose(cfg)
     if mount.position is not None:
         pose = replace(pose, position=torch.tensor(mount.position, dtype=torch.float64))
     if mount.euler is not None:
@@ -98,17 +98,19 @@ def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
     return pose
 
 
-def _with_place_bounds(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
+def _with_drawn_placement(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
     """Return a sensor with uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of its own file."""
     ends = {}
     for field, each in drawn.items():
         nominal = getattr(cfg, field)
         for k, end in enumerate(("low", "high")):
-            ends[f"{field}_{end}"] = tuple(n + x[k] for n, x in zip(nominal, each.components(3), strict=True))
+            ends[f"{field}_{end}"] = tuple(
+                n + x[k] for n, x in zip(nominal, each.component_distributions(3), strict=True)
+            )
     return replace(cfg, **ends)
 
 
-def _check_places(places: Randomize, mounts: Sequence[SensorMountCfg]) -> None:
+def _check_placement_draws(places: Randomize, mounts: Sequence[SensorMountCfg]) -> None:
     known = [f"sensors.{mount.key}.{field}" for mount in mounts for field in PLACE]
     for name, each in places.items():
         if name not in known:
@@ -128,7 +130,7 @@ def mounted_sensors(
         places: Random offsets of placements, by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
     """
     places = places or {}
-    _check_places(places, mounts)
+    _check_placement_draws(places, mounts)
     ranges: dict[str, RobotSensor[RangeSensorCfg]] = {}
     imus: dict[str, RobotSensor[ImuCfg]] = {}
     for mount in mounts:
@@ -136,7 +138,7 @@ def mounted_sensors(
         timing = {name: getattr(mount, name) for name in ("rate_hz", "latency_s") if getattr(mount, name) is not None}
         pose = mount_pose(mount, cfg)
         drawn = {field: places[name] for field in PLACE if (name := f"sensors.{mount.key}.{field}") in places}
-        cfg = _with_place_bounds(replace(cfg, **timing), drawn)
+        cfg = _with_drawn_placement(replace(cfg, **timing), drawn)
         if isinstance(cfg, ImuCfg):
             imus[mount.key] = RobotSensor(cfg=cfg, pose=pose, link=mount.link)
         else:

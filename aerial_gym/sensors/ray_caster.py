@@ -29,7 +29,7 @@ from aerial_gym.interop import (
 )
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
-from aerial_gym.sensors.flow import Flow, make_flow, record_motion
+from aerial_gym.sensors.flow import Flow, make_flow_inputs, record_relative_twist
 from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
 from aerial_gym.sensors.mounts import Pose
 from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs
@@ -37,7 +37,7 @@ from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_ker
 from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
 from aerial_gym.sensors.scan import ColumnScan
 from aerial_gym.sensors.sensor_poses import SensorPoses, SensorsOnCarrier, write_sensor_poses
-from aerial_gym.sensors.sensor_view import SensorView, view_parts
+from aerial_gym.sensors.sensor_view import SensorView, write_parts_in_sensor_frames
 from aerial_gym.sensors.shading import Light
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
@@ -89,7 +89,7 @@ class RayCaster:
         """Environments whose images the next ``cast`` takes, bool, (E,)."""
         self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
         frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
-        self._frames = Frames(envs, frames, device)
+        self._frames = RayPatterns(envs, frames, device)
         sensors = make_struct(
             SensorsOnCarrier,
             position=vector_view("position", position, (envs, 3), device=device),
@@ -100,7 +100,7 @@ class RayCaster:
             **_twist_views(cfg, lin_vel, ang_vel, envs, device),
         )
         self._scan: ColumnScan | None = None
-        if isinstance(cfg, ScannedCfg) and cfg.column_s is not None:
+        if isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None:
             self._scan = ColumnScan(cfg, scene, sensors)
             sensors = self._scan.seats
         self._groups = 1 if self._scan is None else self._scan.groups
@@ -108,8 +108,8 @@ class RayCaster:
         self._prepare = self._record_preparations(scene, sensors)
         self._flow = Flow()
         if images.optical_flow is not None:
-            self._flow = make_flow(cfg, scene)
-            self._prepare.append(record_motion(self._flow, scene, sensors))
+            self._flow = make_flow_inputs(cfg, scene)
+            self._prepare.append(record_relative_twist(self._flow, scene, sensors))
         self._launches = self._record_rays(scene)
 
     @property
@@ -139,7 +139,9 @@ class RayCaster:
         elif scene.num_parts:
             out, dim = [self._view.rows, self._view.kind], (mounts, scene.num_parts)
             inputs = [scene.arrays, sensors, self._largest_range()]
-            launches.append(ReusableLaunch(view_parts, dim=dim, inputs=inputs, outputs=out, device=device))
+            launches.append(
+                ReusableLaunch(write_parts_in_sensor_frames, dim=dim, inputs=inputs, outputs=out, device=device)
+            )
         return launches
 
     def _largest_range(self) -> float:
@@ -232,7 +234,7 @@ def _twist_views(
     cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
 ) -> dict[str, wp.array]:
     """Return views of the velocities that a sensor needs, by name."""
-    scan = isinstance(cfg, ScannedCfg) and cfg.column_s is not None
+    scan = isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None
     if not (cfg.optical_flow or scan):
         return {}
     if lin_vel is None or ang_vel is None:
@@ -281,7 +283,7 @@ def _make_view(scene: Scene, mounts: int) -> SensorView:
     return view
 
 
-class Frames:
+class RayPatterns:
     """Index of the ray pattern of each environment; it advances with every image and restarts at a reset."""
 
     def __init__(self, num_envs: int, count: int, device: torch.device) -> None:

@@ -98,7 +98,7 @@ def rosette_rays(cfg: RosetteCfg, *, device: torch.device, frames: int | None = 
     """Return the unit directions of the frames of a rosette, float32, (K, H, W, 3); K is ``frames``, or all of them."""
     count = cfg.frames if frames is None else frames
     if cfg.path is not None:
-        listed = read_rays(cfg.path)
+        listed = read_ray_directions(cfg.path)
         if len(listed) < cfg.frames * cfg.width * cfg.height:
             raise ConfigError(
                 f"{cfg.path} has {len(listed)} rays, expected at least frames * width * height = "
@@ -106,7 +106,7 @@ def rosette_rays(cfg: RosetteCfg, *, device: torch.device, frames: int | None = 
             )
         rays = listed[: count * cfg.width * cfg.height].view(count, cfg.width, cfg.height, 3).transpose(1, 2)
         return _unit_float32(rays, device)
-    time = (torch.arange(count * cfg.width, dtype=torch.float64) + 1.0) * cfg.column_s
+    time = (torch.arange(count * cfg.width, dtype=torch.float64) + 1.0) * cfg.column_duration_s
     azimuth, elevation = torch.tensor(cfg.lasers_deg, dtype=torch.float64).unbind(-1)
     lasers = _directions_from_angles(azimuth, elevation)
     rows = [through_prisms(cfg.prisms, time, laser) for laser in lasers]
@@ -153,14 +153,14 @@ def _refract(ray: Tensor, normal: Tensor, ratio: float) -> Tensor:
 
 def custom_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
     """Return the listed directions, made unit length, float32, (H, W, 3); raise ``ConfigError`` if a file does not fit."""
-    rays = torch.tensor(cfg.rays, dtype=torch.float64) if cfg.path is None else read_rays(cfg.path)
+    rays = torch.tensor(cfg.rays, dtype=torch.float64) if cfg.path is None else read_ray_directions(cfg.path)
     if len(rays) != cfg.height * cfg.width:
         raise ConfigError(f"{cfg.path} has {len(rays)} rays, expected height * width = {cfg.height * cfg.width}")
     rays = rays / rays.abs().amax(dim=-1, keepdim=True)  # squares of very long or short ones would overflow
     return _unit_float32(rays.view(cfg.height, cfg.width, 3), device)
 
 
-def read_rays(path: str | Path) -> Tensor:
+def read_ray_directions(path: str | Path) -> Tensor:
     """Return the directions in a CSV file, float64, (N, 3), not normalised; the header is one of ``_HEADERS``."""
     try:
         with Path(path).open(encoding="utf-8", newline="") as file:

@@ -20,7 +20,7 @@ from aerial_gym.interop import ReusableLaunch
 from aerial_gym.sensors.flow import SceneTwists, scene_twists
 from aerial_gym.sensors.rays import Tiles, make_tiles
 from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
-from aerial_gym.sensors.sensor_view import SensorView, view_part
+from aerial_gym.sensors.sensor_view import SensorView, write_part_in_sensor_frame
 
 
 @wp.func
@@ -114,7 +114,7 @@ def view_columns(
             else:
                 origin = place + wp.quat_rotate(forth, origin - place) + shift_over_time(velocity, spin, ago, 1)
             attitude = forth * attitude
-    view_part(scene, env, a, origin, attitude, reach, row, rows_out, kind_out)
+    write_part_in_sensor_frame(scene, env, a, origin, attitude, reach, row, rows_out, kind_out)
 
 
 class ColumnScan:
@@ -124,7 +124,7 @@ class ColumnScan:
         """Take the sensors, whose motion gives the column poses."""
         self._cfg, self._scene, self._sensors = cfg, scene, sensors
         self._device = wp.device_from_torch(scene.device)
-        ages = group_ages(cfg)
+        ages = column_group_ages(cfg)
         self.groups = len(ages)
         """Number of groups G."""
         self._age = wp.array(ages, dtype=wp.float32, device=self._device)
@@ -158,9 +158,9 @@ class ColumnScan:
         return tiles, (column * narrow // self._cfg.scan_columns).int()
 
 
-def group_ages(cfg: ScannedCfg) -> list[float]:
+def column_group_ages(cfg: ScannedCfg) -> list[float]:
     """Return the age of each column group at the capture [s], at the middle of its columns, G numbers."""
-    assert cfg.column_s is not None
+    assert cfg.column_duration_s is not None
     firsts = range(0, cfg.width, cfg.scan_columns)
     middles = [0.5 * (first + min(first + cfg.scan_columns, cfg.width) - 1) for first in firsts]
-    return [cfg.column_s * (cfg.width - 1 - middle if cfg.scan_clockwise else middle) for middle in middles]
+    return [cfg.column_duration_s * (cfg.width - 1 - middle if cfg.scan_clockwise else middle) for middle in middles]

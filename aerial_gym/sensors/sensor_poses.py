@@ -10,9 +10,9 @@ from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.config.sensor_mount import PlacementCfg
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
-from aerial_gym.math.random import Purpose, Randomness, take_mask
-from aerial_gym.sensors.mounts import Pose, nominal_pose
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream
+from aerial_gym.math.random import Purpose, Randomness, copy_mask
+from aerial_gym.sensors.mounts import Pose, file_pose
 
 
 @wp.struct
@@ -74,7 +74,7 @@ def draw_pose(place: PoseRange, random: wp.uint32):
         position = place.shift + wp.quat_rotate(
             place.turn, draw_vec3(random, 0, place.position_low, place.position_high)
         )
-        attitude = wp.normalize(place.turn * quat_of_angles(draw_vec3(random, 1, place.euler_low, place.euler_high)))
+        attitude = wp.normalize(place.turn * quat_from_angles(draw_vec3(random, 1, place.euler_low, place.euler_high)))
     return position, attitude
 
 
@@ -105,7 +105,7 @@ class SensorPoses:
     def __init__(self, cfg: RangeSensorCfg, random: Randomness, *, number: int, pose: Pose | None) -> None:
         """Set every sensor to its nominal pose or that of its mount; ``number`` separates the draws of kinds on a robot."""
         device, rows = random.seed.device, (random.num_envs, cfg.count)
-        nominal = pose or nominal_pose(cfg)
+        nominal = pose or file_pose(cfg)
         self.position = nominal.position.float().to(device).expand(*rows, 3).clone()
         """From the body origin [m], body, (E, S, 3)."""
         self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
@@ -125,13 +125,13 @@ class SensorPoses:
 
     def reset(self, mask: Tensor) -> None:
         """Reset the sensor poses of the environments in ``mask``, bool (E,), to nominal or drawn ones, without waiting."""
-        take_mask(self._mask, mask)
+        copy_mask(self._mask, mask)
         self._command.launch(self._mask)
 
 
 def pose_range(cfg: PlacementCfg, nominal: Pose) -> PoseRange:
     """Return the pose range of a sensor: draws deviate from ``nominal`` as in its file from the placement there."""
-    place, back = PoseRange(), nominal_pose(cfg).inverse()
+    place, back = PoseRange(), file_pose(cfg).inverse()
     shift, turn = nominal.transform(back.position, back.attitude)
     place.position, place.attitude = wp.vec3(*nominal.position.tolist()), wp.quat(*nominal.attitude.tolist())
     place.shift, place.turn = wp.vec3(*shift.tolist()), wp.quat(*turn.tolist())

@@ -10,7 +10,7 @@ M = E * S mounts, P parts.
 
 import warp as wp
 
-from aerial_gym.assets.geometry import shape_distance, unit_distance
+from aerial_gym.assets.geometry import ray_distance_to_other_shape, ray_distance_to_unit_shape
 from aerial_gym.assets.scene_arrays import (
     CYLINDER,
     PLANE,
@@ -36,7 +36,7 @@ class SensorView:
 
 
 @wp.func
-def view_part(
+def write_part_in_sensor_frame(
     scene: SceneArrays,
     env: int,
     a: int,
@@ -64,7 +64,7 @@ def view_part(
 
 
 @wp.kernel(enable_backward=False)
-def view_parts(
+def write_parts_in_sensor_frames(
     scene: SceneArrays,
     sensors: SensorsOnCarrier,
     reach: float,  # [m] beyond which nothing is seen
@@ -76,7 +76,7 @@ def view_parts(
     mount, a = wp.tid()
     env = mount // sensors.mount_position.shape[1]
     origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
-    view_part(scene, env, a, origin, attitude, reach, mount, rows_out, kind_out)
+    write_part_in_sensor_frame(scene, env, a, origin, attitude, reach, mount, rows_out, kind_out)
 
 
 @wp.func
@@ -141,8 +141,8 @@ def ray_distance(view: SensorView, env: int, mount: int, a: int, ray: wp.vec3, l
     )
     kind = view.kind[mount, a]
     if kind <= CYLINDER:
-        return unit_distance(kind, origin, direction, limit)
-    return shape_distance(view.shapes[view.part_shape[env, a]], origin, direction, limit)
+        return ray_distance_to_unit_shape(kind, origin, direction, limit)
+    return ray_distance_to_other_shape(view.shapes[view.part_shape[env, a]], origin, direction, limit)
 
 
 @wp.func
@@ -161,9 +161,9 @@ def is_blocked(view: SensorView, env: int, mount: int, start: wp.vec3, ray: wp.v
             direction = wp.vec3(wp.dot(i, ray), wp.dot(j, ray), wp.dot(k, ray))
             distance = limit
             if kind <= CYLINDER:
-                distance = unit_distance(kind, origin, direction, limit)
+                distance = ray_distance_to_unit_shape(kind, origin, direction, limit)
             else:
-                distance = shape_distance(view.shapes[view.part_shape[env, a]], origin, direction, limit)
+                distance = ray_distance_to_other_shape(view.shapes[view.part_shape[env, a]], origin, direction, limit)
             if distance < limit:
                 return True
     return False

@@ -112,7 +112,7 @@ class ImageBuffers:
 
     def _declare_cells(self, values: Values, reader: str, *, rows: int, columns: int) -> Tensor:
         name = self._first_sensor(reader)
-        largest, empty = self._sensors.casters[name].cfg.distance_scale
+        largest, empty = self._sensors.casters[name].cfg.largest_and_empty_share
         image = self._gtd["depth_range_pixels"]
         cells = NearestInCells(image, cells=(rows, columns), largest=largest, empty=empty)
         self._cells.append(cells)

@@ -51,12 +51,12 @@ class Episodes:
         crashed = []
         for _ in range(CHECKED_STEPS):
             observation, reward, terminated, _, _ = self._task.step(self.actions)
-            check_step(observation["observations"], reward)
+            check_finite_step(observation["observations"], reward)
             crashed.append(terminated.float().mean())
         check_crashes(float(torch.stack(crashed).mean()))
 
 
-def check_step(observation: Tensor, reward: Tensor) -> None:
+def check_finite_step(observation: Tensor, reward: Tensor) -> None:
     """Raise ``WorkloadError`` unless observations (E, O) and rewards (E,) are finite."""
     for name, tensor in (("observations", observation), ("rewards", reward)):
         if not torch.isfinite(tensor).all():

@@ -110,12 +110,14 @@ def make_flight(
     state = state_near_hover(num_envs, hover[1], generator)
     action = hover_action(law.law, len(control.action_names), hover, num_envs, generator)
     if articulation is not None:
-        state, action = _add_joints(articulation, state, action)
+        state, action = _states_and_actions_with_joints(articulation, state, action)
     stepper.allocate(model, control, integrator=integrator)
     return HoverFlight(stepper, state, action, dt=dt, substeps=substeps)
 
 
-def _add_joints(articulation: Articulation, state: BodyState, action: Tensor) -> tuple[ArticulatedState, Tensor]:
+def _states_and_actions_with_joints(
+    articulation: Articulation, state: BodyState, action: Tensor
+) -> tuple[ArticulatedState, Tensor]:
     """Return state and action of vehicles in their reference pose, whose drives hold it."""
     joint_pos = articulation.reference.repeat(state.num_envs, 1)
     held = [

@@ -42,7 +42,7 @@ class MemoryBench:
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.measure import require_at_least
-        from aerial_gym.workloads.output import backend_packages, device_name, provenance
+        from aerial_gym.workloads.output import device_name, packages_of_backend, provenance
 
         require_at_least(1, num_envs=self.num_envs)
         require_at_least(0, largest=self.largest)
@@ -77,7 +77,7 @@ class MemoryBench:
             "images_bytes_per_env": images / self.num_envs,
             "others_bytes_per_env": (total - images) / self.num_envs,
             "device_bytes": taken,
-            **provenance(*backend_packages(self.backend)),
+            **provenance(*packages_of_backend(self.backend)),
         }
         rows = sorted(arrays.items(), key=lambda entry: -entry[1])[: self.largest]
         return [figures, *({"name": name, "bytes": size, "bytes_per_env": size / self.num_envs} for name, size in rows)]

@@ -39,7 +39,7 @@ def provenance(*packages: str) -> dict[str, object]:
     }
 
 
-def backend_packages(backend: str | None) -> tuple[str, ...]:
+def packages_of_backend(backend: str | None) -> tuple[str, ...]:
     """Return the additional packages that a registered backend needs."""
     return () if backend in (None, "auto") else getattr(BACKENDS.get(backend), "packages", ())
 

@@ -37,11 +37,11 @@ class PhysicsBench:
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.flight import make_flight
         from aerial_gym.workloads.measure import rate_figures, require_at_least, time_launches, torch_threads
-        from aerial_gym.workloads.output import backend_packages, device_name, provenance
+        from aerial_gym.workloads.output import device_name, packages_of_backend, provenance
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
         device = resolve_device(self.device)
-        versions = provenance(*backend_packages(self.backend))
+        versions = provenance(*packages_of_backend(self.backend))
         with torch_threads(self.threads) as threads:  # no progress bar: its thread would take part of a measured core
             names = ("backend", "robot", "controller", "effects", "integrator", "num_envs", "substeps")
             flight = make_flight(**{name: getattr(self, name) for name in names}, dt=self.dt_s, device=device)

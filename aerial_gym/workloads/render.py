@@ -81,7 +81,7 @@ class RenderBench:
         from aerial_gym.workloads.scenes import make_scene
 
         provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
-        sensor = self._render_sensor(scene.max_range)
+        sensor = self._sensor_cfg(scene.max_range)
         image = (self.num_envs, 1, self.height, self.width)
         depth = torch.zeros(image, device=device)
         ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
@@ -132,7 +132,7 @@ class RenderBench:
         }
         return [own_row, *(other.row(median, self.num_envs) for other in peer_results)], failures
 
-    def _render_sensor(self, max_range: float) -> "RangeSensorCfg":
+    def _sensor_cfg(self, max_range: float) -> "RangeSensorCfg":
         """Return the camera or the lidar."""
         from aerial_gym.config.sensor import CameraCfg, LidarCfg
         from aerial_gym.errors import ConfigError

@@ -34,11 +34,11 @@ class TaskBench:
         from aerial_gym.task import task_registry
         from aerial_gym.workloads.episodes import Episodes, time_parts
         from aerial_gym.workloads.measure import rate_figures, time_launches, torch_threads
-        from aerial_gym.workloads.output import backend_packages, device_name, provenance
+        from aerial_gym.workloads.output import device_name, packages_of_backend, provenance
 
         device = resolve_device(self.device)
         options = {"num_envs": self.num_envs, "seed": self.seed, "backend": self.backend}
-        versions = provenance(*backend_packages(self.backend))
+        versions = provenance(*packages_of_backend(self.backend))
         with (
             torch_threads(self.threads) as threads,
             task_registry.make_task(self.task, **options, device=device) as task,

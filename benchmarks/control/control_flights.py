@@ -25,7 +25,7 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.joints.tail_servo import tail_servo
+from aerial_gym.robots.joints.tail_servo import derive_tail_servo
 
 GRAVITY = 9.81  # That of every registered sim [m/s²]
 STEP, IN_WIND, AT_LIMITS, DRAWN = 0, 1, 2, slice(3, 19)  # Environments
@@ -212,7 +212,7 @@ class DriveCommands:
         joints = () if robot.joints is None else robot.joints.layout
         self._held = torch.tensor([joint.reference for joint in joints if joint.drive is not None])
         try:
-            self._servo = tail_servo(robot, dt=dt)
+            self._servo = derive_tail_servo(robot, dt=dt)
         except ConfigError:  # no tail on a servo
             self._servo = None
 
@@ -220,7 +220,9 @@ class DriveCommands:
         """Write the commands of a step into the actions."""
         if self._servo is not None:
             ahead = torch.zeros(len(actions))
-            self._held = self._servo.angle(gtd["robot_orientation"], gtd["robot_body_angvel"], ahead).unsqueeze(-1)
+            self._held = self._servo.command_angle(gtd["robot_orientation"], gtd["robot_body_angvel"], ahead).unsqueeze(
+                -1
+            )
         actions[:, actions.shape[1] - self._held.shape[-1] :] = self._held
 
 

@@ -11,7 +11,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest
 from aerial_gym.sensors import RayCaster, SensorImages
-from aerial_gym.workloads.episodes import check_crashes, check_step
+from aerial_gym.workloads.episodes import check_crashes, check_finite_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
 from aerial_gym.workloads.measure import WorkloadError, rate_figures, time_launches, torch_threads
 from aerial_gym.workloads.scene_meshes import SceneMeshes
@@ -174,6 +174,18 @@ def test_a_failed_check_ends_with_status_1(monkeypatch: pytest.MonkeyPatch, caps
     status, out, err = run(capsys, "bench", "physics", "--num-envs", "8", "--json", *QUICK)
     assert (status, out) == (1, "")
     assert "speed reached" in err
+
+
+def test_episodes_that_break_give_no_figure() -> None:
+    check_finite_step(torch.zeros(2, 13), torch.zeros(2))
+    with pytest.raises(WorkloadError, match="rewards are not finite"):
+        check_finite_step(torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
+    with pytest.raises(WorkloadError, match="observations are not finite"):
+        check_finite_step(torch.full((2, 13), float("inf")), torch.zeros(2))
+    check_crashes(0.01)
+    for share in (0.05, 1.0, float("nan")):
+        with pytest.raises(WorkloadError, match="of the steps ended in a crash"):
+            check_crashes(share)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")

@@ -27,7 +27,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, RayCaster, make_images
-from aerial_gym.sensors.scan import group_ages
+from aerial_gym.sensors.scan import column_group_ages
 from tests.builders import simulation
 
 HINGE, END, RADIUS = 0.1, 0.5, 0.05
@@ -248,7 +248,7 @@ def test_a_turning_lidar_sees_a_swinging_arm_where_it_was_at_each_column(device)
     rate, angle = 2.0, 0.1
     image = take_image(build(bending(arm(LEFT, angle, rate=rate)), device), lidar).images.distance[0, 0]
     seen = 0
-    for column, age in enumerate(group_ages(lidar)):
+    for column, age in enumerate(column_group_ages(lidar)):
         still = build(bending(arm(LEFT, angle - rate * age)), device, num_envs=1)
         exact = take_image(still, replace(lidar, scan_s=None)).images.distance[0, 0, :, column]
         torch.testing.assert_close(image[:, column], exact, rtol=0.0, atol=1e-5)

@@ -14,7 +14,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SENSORS, SensorManager
 from aerial_gym.sensors.rays import ray_table, rosette_rays, through_prisms
-from aerial_gym.sensors.scan import group_ages
+from aerial_gym.sensors.scan import column_group_ages
 from tests.physics.sensor_rig import LEVEL, make_caster, make_wall
 
 CPU = torch.device("cpu")
@@ -193,7 +193,7 @@ def test_every_turning_lidar_of_a_maker_turns() -> None:
     for name, (scan_s, width) in TURNING.items():
         cfg = SENSORS.get(name)
         assert (cfg.rate_hz, cfg.scan_s, cfg.width) == (1.0 / scan_s, scan_s, width), name
-        ages = group_ages(replace(cfg, scan_columns=1))
+        ages = column_group_ages(replace(cfg, scan_columns=1))
         assert ages[-1] == 0.0
         assert ages[0] == pytest.approx(scan_s * (width - 1) / width)
 

@@ -10,7 +10,7 @@ import torch
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.joints.tail_servo import tail_servo
+from aerial_gym.robots.joints.tail_servo import derive_tail_servo
 from tests.builders import simulation
 
 ARM, RATIO, GRAVITY = 0.2460732, 0.025, 9.81
@@ -26,11 +26,11 @@ def tricopters(controller: str, num_envs: int, backend: str = "auto") -> EnvMana
 
 
 def hover(controller: str, seconds: float, backend: str = "auto") -> EnvManager:
-    env, servo = tricopters(controller, 3, backend), tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
+    env, servo = tricopters(controller, 3, backend), derive_tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
     gtd, actions = env.gtd, torch.zeros(3, 5)
     for _ in range(round(100 * seconds)):
         actions[:, 3] = YAW
-        actions[:, 4] = servo.angle(gtd["robot_orientation"], gtd["robot_body_angvel"], YAW)
+        actions[:, 4] = servo.command_angle(gtd["robot_orientation"], gtd["robot_body_angvel"], YAW)
         env.step(actions)
     torch.testing.assert_close(gtd["dof_position"][:, 0], torch.full((3,), TRIM), rtol=0.0, atol=1e-3)
     torch.testing.assert_close(gtd["robot_euler_angles"][:, 0], torch.full((3,), LEAN), rtol=0.0, atol=1e-3)
@@ -79,12 +79,12 @@ def test_a_tail_that_leans_turns_the_vehicle(angle: float) -> None:
 
 def test_the_law_of_the_servo() -> None:
     """Left of the wanted heading the tail leans to the right, and it brakes; the range ends both."""
-    servo = tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
+    servo = derive_tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
     assert servo.trim == pytest.approx(TRIM, rel=1e-6)
     level, still = torch.tensor([[0.0, 0.0, 0.0, 1.0]]), torch.zeros(1, 3)
 
     def angle(yaw: float, rate: float) -> float:
-        return float(servo.angle(level, still + torch.tensor([0.0, 0.0, rate]), torch.tensor([yaw])))
+        return float(servo.command_angle(level, still + torch.tensor([0.0, 0.0, rate]), torch.tensor([yaw])))
 
     assert angle(0.0, 0.0) == pytest.approx(TRIM, abs=1e-6)
     assert angle(0.1, 0.0) == pytest.approx(TRIM + 0.1 * servo.heading, abs=1e-6)
@@ -97,4 +97,4 @@ def test_the_law_of_the_servo() -> None:
 @pytest.mark.parametrize("robot", ["x500", "morphy"])
 def test_only_a_tail_on_a_servo_has_such_a_law(robot: str) -> None:
     with pytest.raises(ConfigError, match="needs one rotor on a joint about body x"):
-        tail_servo(ROBOTS.get(robot), dt=0.01)
+        derive_tail_servo(ROBOTS.get(robot), dt=0.01)

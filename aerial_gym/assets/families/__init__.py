@@ -8,7 +8,7 @@ from aerial_gym.assets.families.rules import Draw, Family
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, ShapeCfg
 from aerial_gym.registry import Registry
 
-__all__ = ["FAMILIES", "Draw", "Family", "family_shapes", "list_family_shapes"]
+__all__ = ["FAMILIES", "Draw", "Family", "assets_with_family_shapes", "family_shapes"]
 
 FAMILIES: Registry[Family] = Registry("family")
 
@@ -25,7 +25,7 @@ def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
     return FAMILIES.get(cfg.name).shapes(cfg)
 
 
-def list_family_shapes(assets: Sequence[AssetCfg]) -> tuple[AssetCfg, ...]:
+def assets_with_family_shapes(assets: Sequence[AssetCfg]) -> tuple[AssetCfg, ...]:
     """Return the assets with lists of shapes in place of their families."""
     return tuple(
         replace(asset, shapes=family_shapes(asset.family), family=None) if asset.family else asset for asset in assets

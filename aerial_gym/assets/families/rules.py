@@ -185,10 +185,10 @@ def place_parts(parts: tuple[PartCfg, ...], at: Vec3, yaw: float) -> tuple[PartC
 def make_corridor(draw: Draw) -> ShapeCfg:
     """Return floor, ceiling and two sides along x, open at both ends, around the origin."""
     inside = (draw("length"), draw("width"), draw("height"))
-    return _compound(*wall_parts(inside, draw("thickness"), "left", "right", "bottom", "top"))
+    return _compound(*room_wall_parts(inside, draw("thickness"), "left", "right", "bottom", "top"))
 
 
-def wall_parts(size: Vec3, thickness: float, *faces: str) -> tuple[PartCfg, ...]:
+def room_wall_parts(size: Vec3, thickness: float, *faces: str) -> tuple[PartCfg, ...]:
     """Return walls around a centred interior of the given size [m]; faces are named as in ``WALL_IDS``."""
     axes = {"front": (0, 1), "back": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1), "bottom": (2, -1)}
     parts = []
@@ -203,7 +203,7 @@ def wall_parts(size: Vec3, thickness: float, *faces: str) -> tuple[PartCfg, ...]
 def make_room(draw: Draw) -> ShapeCfg:
     """Return six walls around the origin, tables anywhere on the floor, and shelves against the long walls."""
     room = (draw("length"), draw("width"), draw("height"))
-    parts = list(wall_parts(room, draw("thickness"), *WALL_IDS))
+    parts = list(room_wall_parts(room, draw("thickness"), *WALL_IDS))
     for _ in range(draw.count("tables")):
         parts += _place_table(draw, room)
     for i in range(draw.count("shelves")):

@@ -25,6 +25,6 @@ class AutopilotTuning:
             require(self, name, getattr(self, name, None) != 0.0, "must be > 0")
 
     @property
-    def explicit(self) -> bool:
+    def has_explicit_gains(self) -> bool:
         """Whether any gain, limit or filter is not as the class has it: then the parameters are someone's tuning."""
         return any(getattr(self, f.name) != f.default for f in fields(self) if f.name not in self.NOT_GAINS)

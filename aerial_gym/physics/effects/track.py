@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.math.decay import exponential_sum
+from aerial_gym.math.decay import sum_with_decay
 from aerial_gym.physics.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -37,4 +37,4 @@ def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:
     share = step / tau
     decay, gained = np.exp(-share), -np.expm1(-share)
     later = 1.0 - gained / share
-    return exponential_sum(np.concatenate((start[None], (gained - later) * rest[:-1] + later * rest[1:])), float(decay))
+    return sum_with_decay(np.concatenate((start[None], (gained - later) * rest[:-1] + later * rest[1:])), float(decay))

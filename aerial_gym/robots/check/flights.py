@@ -2,7 +2,7 @@
 
 ``control.stability`` tests the linearised loop; this module simulates the full loop with limits and effects, from disturbed
 starts near hover, in the physics backend of later flights. A robot with joints is rigid in its reference pose, except for a
-tail servo: ``tail_servo`` then holds the heading.
+tail servo: ``derive_tail_servo`` then holds the heading.
 Letters: E environments, U entries of an action.
 """
 
@@ -29,7 +29,7 @@ from aerial_gym.physics.effects import EffectParams, WindEffect
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import Vehicle
-from aerial_gym.robots.joints.tail_servo import TailServo, tail_servo
+from aerial_gym.robots.joints.tail_servo import TailServo, derive_tail_servo
 
 NUM_FLIGHTS = 8  # Starts of each time step, side by side
 DISTURBANCE = (0.1, 0.1, 0.1, 0.2)  # Largest offset of a start from hover on each axis [m, rad, m/s, rad/s]
@@ -124,7 +124,7 @@ def _steps_between_samples(dt: float) -> int:
 def make_tail_servo(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
     """Return the heading servo of a tricopter at a time step [s]; None without a tail servo."""
     try:
-        return tail_servo(robot, dt=dt, gravity=gravity)
+        return derive_tail_servo(robot, dt=dt, gravity=gravity)
     except ConfigError:
         return None
 
@@ -146,8 +146,8 @@ def _distances_in_last_tenth(
     backend.allocate(model, law, integrator="euler")
     backend.prepare(dt)
     felt = apparent_gravity(robot.control, robot.body.mass, gravity)
-    state = _start_states(size, _hover_speeds(vehicle, felt))
-    action = hover_action(law, 0.0).float().repeat(NUM_FLIGHTS, 1)
+    state = _starts_with_disturbance(size, _hover_speeds(vehicle, felt))
+    action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
     if tail is not None:
         action, state = torch.nn.functional.pad(action, (0, 1)), _add_tail_state(state, tail)
 
@@ -156,7 +156,7 @@ def _distances_in_last_tenth(
             backend.step(state, action, dt, steps)
             return
         for _ in range(steps):
-            action[:, -1] = tail.angle(state.attitude, state.ang_vel, ahead)
+            action[:, -1] = tail.command_angle(state.attitude, state.ang_vel, ahead)
             backend.step(state, action, dt, 1)
 
     ahead, steps, distances = torch.zeros(NUM_FLIGHTS), _steps_between_samples(dt), []
@@ -185,7 +185,7 @@ def _effects_without_wind(robot: RobotCfg) -> list[EffectParams]:
     return [(effect, params) for effect, params in effects if not isinstance(effect, WindEffect)]
 
 
-def _start_states(size: Tensor, rotors: Tensor) -> BodyState:
+def _starts_with_disturbance(size: Tensor, rotors: Tensor) -> BodyState:
     """Return the disturbed starts: the corners of a cube, in another order for each quantity."""
     corners = torch.tensor([[1.0 if (i >> axis) & 1 else -1.0 for axis in range(3)] for i in range(NUM_FLIGHTS)])
     place, turn, lin_vel, ang_vel = (part * corners.roll(3 * i, 0) for i, part in enumerate(size.split(3)))

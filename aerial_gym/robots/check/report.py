@@ -88,7 +88,7 @@ def check_robot(
         wrench, ratio = matrix @ hover, allocation.largest_thrust() / weight
         authority, limiting = allocation.wrench_authority(held), allocation.critical_rotors(held).tolist()
     else:
-        asked = tail.hover_unknowns(held)
+        asked = tail.unknowns_of_lift(held)
         hover, matrix = torch.from_numpy(tail.rotor_thrusts(asked)), torch.from_numpy(tail.columns)
         wrench, ratio = tail.wrench(asked), tail.largest_lift() / weight
         given, limiting = zip(
@@ -184,13 +184,13 @@ def _step_warnings(steps: Sequence[StableStep]) -> Iterator[str]:
 
 def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:
     if robot.joints is not None:
-        yield robot.joints.rigid_note("hover, authority and time steps are those of a vehicle that does not bend")
+        yield robot.joints.note_on_rigidity("hover, authority and time steps are those of a vehicle that does not bend")
 
 
 def _tail_warnings(tail: TailRotorModel, held: float, controllers: Sequence[str] | None) -> Iterator[str]:
-    asked = tail.hover_unknowns(held)
+    asked = tail.unknowns_of_lift(held)
     yield (
-        f"its tail leans by {tail.angle(asked):.3g} rad at hover, which takes the torque about z, and the vehicle by "
+        f"its tail leans by {tail.tail_angle(asked):.3g} rad at hover, which takes the torque about z, and the vehicle by "
         f"{tail.roll(asked):.3g} rad about x against the side force"
     )
     if controllers is None or controllers:

@@ -2,7 +2,7 @@
 
 The unknowns at hover are the thrusts of the other rotors and two components of the tail's thrust, along body z and along -y
 (a positive angle). Force and torque are linear in these; thrust and angle are their length and direction.
-The rotor points along body z in the reference pose and the axis of its joint runs through its hub, as ``tail_servo`` takes it.
+The rotor points along body z in the reference pose, its joint's axis runs through its hub: ``derive_tail_servo`` takes it so.
 Frames: body is x forward, y left, z up. Letters: R rotors.
 """
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.joints.tail_servo import tail_rotor, tail_servo
+from aerial_gym.robots.joints.tail_servo import derive_tail_servo, tail_rotor
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class TailRotorModel:
         self, robot: RobotCfg, matrix: Array, low: Array, high: Array, *, gravity: float = STANDARD_GRAVITY
     ) -> None:
         self.tail = tail_rotor(robot)
-        self.angles = tail_servo(robot, dt=0.0, gravity=gravity).limits
+        self.angles = derive_tail_servo(robot, dt=0.0, gravity=gravity).limits
         self._low, self._high = low, high
         upright = matrix[:, self.tail]
         arm = np.subtract(robot.mounts.layout[self.tail].position, robot.body.com)
@@ -52,7 +52,7 @@ class TailRotorModel:
         self.columns = np.column_stack((matrix, lean))
         self._inverse = np.linalg.pinv(self.columns[2:])
 
-    def hover_unknowns(self, lift: float, torque: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
+    def unknowns_of_lift(self, lift: float, torque: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
         """Return the unknowns for a force along z [N] and a torque [N m]: thrusts, the tail's z and -y components [N]."""
         return self._inverse @ np.array([lift, *torque])
 
@@ -62,7 +62,7 @@ class TailRotorModel:
         values[self.tail] = hypot(unknowns[self.tail], unknowns[-1])
         return values
 
-    def angle(self, unknowns: Array) -> float:
+    def tail_angle(self, unknowns: Array) -> float:
         """Return the angle of the tail [rad]."""
         return atan2(unknowns[-1], unknowns[self.tail])
 
@@ -83,15 +83,15 @@ class TailRotorModel:
         beyond = np.flatnonzero((thrusts < self._low) | (thrusts > self._high))
         if beyond.size:
             return int(beyond[0])
-        return None if self.angles[0] <= self.angle(unknowns) <= self.angles[1] else self.tail
+        return None if self.angles[0] <= self.tail_angle(unknowns) <= self.angles[1] else self.tail
 
     def control_margin(self, lift: float, axis: int) -> tuple[float, int | None]:
         """Return the symmetric control margin at a lift [N], and the number from 0 of the limiting rotor or its servo.
 
         Axis 0 is the force along z [N], 1 to 3 are the torques about x, y, z [N m].
         """
-        hover, step = self.hover_unknowns(lift), self._inverse[:, axis]
-        return _largest_allowed_size(
+        hover, step = self.unknowns_of_lift(lift), self._inverse[:, axis]
+        return _largest_command_within_limits(
             lambda size: next(
                 (
                     rotor
@@ -104,14 +104,14 @@ class TailRotorModel:
 
     def largest_lift(self) -> float:
         """Return the largest force along z without torque [N]."""
-        return _largest_allowed_size(
+        return _largest_command_within_limits(
             lambda size: next(
-                iter(np.flatnonzero(self.rotor_thrusts(self.hover_unknowns(size)) > self._high).tolist()), None
+                iter(np.flatnonzero(self.rotor_thrusts(self.unknowns_of_lift(size)) > self._high).tolist()), None
             )
         )[0]
 
 
-def _largest_allowed_size(stopped_by: Callable[[float], int | None]) -> tuple[float, int | None]:
+def _largest_command_within_limits(stopped_by: Callable[[float], int | None]) -> tuple[float, int | None]:
     """Return the largest size without a violation, and the first violation beyond it."""
     size, ends, last = 0.0, LARGEST, None
     for _ in range(HALVINGS):

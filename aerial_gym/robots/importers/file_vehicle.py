@@ -35,7 +35,7 @@ class FileRotor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weightless:
+class WeightlessMass:
     """Mass without weight: gravity compensation of MJCF, links without gravity of SDF and URDF."""
 
     mass: float  # [kg]; below 0 where the file adds weight
@@ -51,7 +51,7 @@ class FileVehicle:
     rotors: Sequence[FileRotor]
     shapes: Sequence[CollisionShape]
     joints: tuple[JointCfg, ...] = ()  # Joints that move, if asked for
-    weightless: Sequence[Weightless] = ()
+    weightless: Sequence[WeightlessMass] = ()
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects_source: str = ""
     notes: Sequence[str] = ()  # Unused elements of the file, a line each
@@ -67,18 +67,18 @@ def read_xml(path: Path) -> ElementTree.Element:
         raise ConfigError(f"{path}: not valid XML ({error})") from None
 
 
-def vec3(vector: Sequence[float] | np.ndarray) -> Vec3:
+def round_vec3(vector: Sequence[float] | np.ndarray) -> Vec3:
     """Return three floats, with 0 for rounding errors relative to the largest."""
     values = np.asarray(vector, dtype=float)
     x, y, z = np.where(np.abs(values) < 1e-12 * np.abs(values).max(initial=0.0), 0.0, values).tolist()
     return x, y, z
 
 
-def roll_pitch_yaw(turn: np.ndarray) -> Vec3:
+def euler_of_matrix(turn: np.ndarray) -> Vec3:
     """Return ZYX angles [rad] of a rotation, (3, 3)."""
     from trimesh.transformations import euler_from_matrix
 
-    return vec3(euler_from_matrix(turn, axes="sxyz"))
+    return round_vec3(euler_from_matrix(turn, axes="sxyz"))
 
 
 def make_pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
@@ -191,7 +191,7 @@ def _box_around_mesh(part: PartCfg) -> BoxCfg:
 
     low, high = load_mesh(part.shape.path or "", scale=part.shape.scale, up=part.shape.up).bounds
     center = euler_matrix(*part.euler, axes="sxyz")[:3, :3] @ (0.5 * (low + high)) + part.position
-    return BoxCfg(center=vec3(center), size=vec3(high - low), euler=part.euler)
+    return BoxCfg(center=round_vec3(center), size=round_vec3(high - low), euler=part.euler)
 
 
 def make_collision(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
@@ -205,7 +205,7 @@ def make_collision(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
 
 
 @dataclass(frozen=True)
-class Lift:
+class BuoyantForces:
     """Upward forces on a vehicle."""
 
     force: float = 0.0  # All of them [N]
@@ -213,7 +213,7 @@ class Lift:
     source: str = ""
 
 
-def lift_forces(vehicle: FileVehicle, gravity: float) -> Lift:
+def buoyant_forces(vehicle: FileVehicle, gravity: float) -> BuoyantForces:
     """Return the upward forces that cancel the weight of weightless masses; raise ``ConfigError`` for added weight."""
     params: dict[str, float] = {}
     total = 0.0
@@ -235,9 +235,11 @@ def lift_forces(vehicle: FileVehicle, gravity: float) -> Lift:
         }
         total += force
     if not params:
-        return Lift()
+        return BuoyantForces()
     kind = "link_buoyancy" if vehicle.joints else "buoyancy"
-    return Lift(total, {kind: params}, f"{total / gravity:.6g} kg without weight in the file, at g = {gravity:g} m/s²")
+    return BuoyantForces(
+        total, {kind: params}, f"{total / gravity:.6g} kg without weight in the file, at g = {gravity:g} m/s²"
+    )
 
 
 def _link_com(vehicle: FileVehicle, link: str) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from aerial_gym.assets.urdf import weld
 from aerial_gym.config.joint import EndsCfg, JointCfg, LinkCfg, SpringCfg
 from aerial_gym.config.shape import BASE
-from aerial_gym.robots.importers.file_vehicle import vec3
+from aerial_gym.robots.importers.file_vehicle import round_vec3
 
 END_HZ = 10.0  # Natural frequency of the critically damped springs that replace hard end stops [Hz]
 LEAST_INERTIA = 1e-6  # Smallest inertia behind a joint, for these springs [kg m²] or [kg]
@@ -21,7 +21,7 @@ ENDS = f"chosen: ends of joints as critically damped springs of {END_HZ:g} Hz on
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weight:
+class LinkMass:
     """A link with mass."""
 
     mass: float
@@ -44,15 +44,15 @@ class FileJoint:
     rest: float = 0.0
     damping: float = 0.0
     friction: float = 0.0
-    weights: Sequence[Weight] = field(default_factory=tuple)  # Of the links that it carries and no other joint moves
+    weights: Sequence[LinkMass] = field(default_factory=tuple)  # Of the links that it carries and no other joint moves
 
 
-def make_layout(joints: Sequence[FileJoint]) -> tuple[JointCfg, ...]:
+def joint_configs(joints: Sequence[FileJoint]) -> tuple[JointCfg, ...]:
     """Return joints as a robot file has them, parents first."""
     return tuple(_joint_cfg(joint, joints) for joint in joints)
 
 
-def _total_mass(weights: Sequence[Weight]) -> float:
+def _total_mass(weights: Sequence[LinkMass]) -> float:
     return sum(weight.mass for weight in weights)
 
 
@@ -63,7 +63,7 @@ def _joint_cfg(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
         spring = SpringCfg(stiffness=joint.stiffness, damping=joint.damping, friction=joint.friction, rest=joint.rest)
     ends = None
     if joint.limits is not None:
-        inertia = max(_joint_inertia(joint, joints, axis), LEAST_INERTIA)
+        inertia = max(_inertia_behind_joint(joint, joints, axis), LEAST_INERTIA)
         rate = 2.0 * pi * END_HZ
         ends = EndsCfg(
             low=joint.limits[0],
@@ -75,8 +75,8 @@ def _joint_cfg(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
         name=joint.name,
         parent=joint.parent,
         kind=joint.kind,
-        axis=vec3(axis),
-        position=vec3(joint.position),
+        axis=round_vec3(axis),
+        position=round_vec3(joint.position),
         reference=joint.reference,
         link=_link_cfg(joint.weights),
         spring=spring,
@@ -84,15 +84,15 @@ def _joint_cfg(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
     )
 
 
-def _link_cfg(weights: Sequence[Weight]) -> LinkCfg | None:
+def _link_cfg(weights: Sequence[LinkMass]) -> LinkCfg | None:
     if _total_mass(weights) <= 0.0:
         return None
     body = weld([w.mass for w in weights], [w.pose for w in weights], [w.inertia for w in weights])
-    rows = [vec3(row) for row in body.inertia]
-    return LinkCfg(mass=body.mass, com=vec3(body.com), inertia=(rows[0], rows[1], rows[2]))
+    rows = [round_vec3(row) for row in body.inertia]
+    return LinkCfg(mass=body.mass, com=round_vec3(body.com), inertia=(rows[0], rows[1], rows[2]))
 
 
-def _joint_inertia(joint: FileJoint, joints: Sequence[FileJoint], axis: np.ndarray) -> float:
+def _inertia_behind_joint(joint: FileJoint, joints: Sequence[FileJoint], axis: np.ndarray) -> float:
     """Return inertia about the axis [kg m²], or mass [kg], of all that a joint moves."""
     names, weights = {joint.name}, list(joint.weights)
     for other in joints:
@@ -109,7 +109,7 @@ def _joint_inertia(joint: FileJoint, joints: Sequence[FileJoint], axis: np.ndarr
     return total
 
 
-def link_carriers(
+def joint_moving_each_link(
     links: Sequence[str], joint_above: Callable[[str], tuple[str, str] | None], moving: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the name of the joint that moves each link, or the base.

@@ -19,13 +19,13 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
-    Weightless,
+    WeightlessMass,
+    euler_of_matrix,
     group_lines_by_kind,
     moves_thrust_line,
-    roll_pitch_yaw,
-    vec3,
+    round_vec3,
 )
-from aerial_gym.robots.importers.joints import FileJoint, Weight, make_layout
+from aerial_gym.robots.importers.joints import FileJoint, LinkMass, joint_configs
 from aerial_gym.robots.importers.mjcf_actuators import Actuator
 
 
@@ -39,7 +39,7 @@ def read_mjcf(path: Path, lag: float | None, *, take_actuators: bool, joints: bo
     if joints:
         reader.find_joints()
     actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
-    own = [one for one in actuators if one.is_enabled and one.may_push and reader.acts_on_vehicle(one)]
+    own = [one for one in actuators if one.is_enabled and one.can_push_vehicle and reader.acts_on_vehicle(one)]
     pushing = own if take_actuators else []
     for one in pushing:
         one.check()
@@ -65,15 +65,15 @@ def read_mjcf(path: Path, lag: float | None, *, take_actuators: bool, joints: bo
         effects={"actuation_delay": {"delay": delays[0]}} if delayed else {},
         effects_source=f"{where}: delay of its actuators" if delayed else "",
         notes=(
-            *group_lines_by_kind((note, one.name) for one in pushing for note in one.notes()),
+            *group_lines_by_kind((note, one.name) for one in pushing for note in one.lines_on_unused()),
             *([f"delays of actuators, which differ: {delays} s"] if len(delays) > 1 else []),
             *([f"{label}: {', '.join(left)}"] if left else []),
-            *reader.notes(
+            *reader.lines_on_unused(
                 [one.site for one in pushing], [] if joints else [j for j in reader.joints() if j not in tilting]
             ),
         ),
         assumed=tuple(group_lines_by_kind((label, one.name) for one in pushing for label in one.assumptions())),
-        losses=tuple(reader.losses(tilting)),
+        losses=tuple(reader.parts_lost(tilting)),
     )
 
 
@@ -112,14 +112,14 @@ class _MjcfReader:
             [*(np.diag(m.body_inertia[b]) for b in self._bodies), extra * np.eye(3)],
         )
 
-    def gravity_free_masses(self) -> Iterator[Weightless]:
+    def gravity_free_masses(self) -> Iterator[WeightlessMass]:
         """Yield masses without weight: bodies with gravity compensation, and the armature."""
         for b in self._bodies:
             mass = float(self._model.body_gravcomp[b] * self._model.body_mass[b])
             if mass:
-                yield Weightless(mass=mass, position=self._com_frame(b)[:3, 3], link=self.carrier_joint(b))
+                yield WeightlessMass(mass=mass, position=self._com_frame(b)[:3, 3], link=self.carrier_joint(b))
         if self._armature:
-            yield Weightless(mass=self._armature, position=np.zeros(3))
+            yield WeightlessMass(mass=self._armature, position=np.zeros(3))
 
     def _com_frame(self, body: int) -> np.ndarray:
         """Return the frame of a body's centre of mass in that of the vehicle, (4, 4)."""
@@ -132,7 +132,7 @@ class _MjcfReader:
             at = self._on.get(int(m.body_parentid[body]), BASE)
             own = self._joints_of_body(body)
             pose = self._com_frame(body)
-            weight = Weight(mass=float(m.body_mass[body]), pose=pose, inertia=np.diag(m.body_inertia[body]))
+            weight = LinkMass(mass=float(m.body_mass[body]), pose=pose, inertia=np.diag(m.body_inertia[body]))
             for j in own:
                 if int(m.jnt_type[j]) not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
                     raise ConfigError(f"{self._where}: joint {m.joint(j).name!r} is a ball: give three hinges")
@@ -144,7 +144,7 @@ class _MjcfReader:
                 place = next(i for i, joint in enumerate(self._joints) if joint.name == at)
                 self._joints[place] = replace(self._joints[place], weights=(*self._joints[place].weights, weight))
 
-    def _file_joint(self, j: int, parent: str, weights: tuple[Weight, ...]) -> FileJoint:
+    def _file_joint(self, j: int, parent: str, weights: tuple[LinkMass, ...]) -> FileJoint:
         m, slides = self._model, int(self._model.jnt_type[j]) == int(self._mujoco.mjtJoint.mjJNT_SLIDE)
         place, dof = int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
         turn = self._from_world[:3, :3]
@@ -165,7 +165,7 @@ class _MjcfReader:
 
     def layout(self) -> tuple[JointCfg, ...]:
         """Return the joints as a robot file has them."""
-        return make_layout(self._joints)
+        return joint_configs(self._joints)
 
     def carrier_joint(self, body: int) -> str:
         """Return the joint that moves a body, or the base."""
@@ -201,7 +201,7 @@ class _MjcfReader:
                 body = int(self._model.body_parentid[body])
         return rotors_by_joint
 
-    def losses(self, tilting: dict[int, list[str]]) -> Iterator[str]:
+    def parts_lost(self, tilting: dict[int, list[str]]) -> Iterator[str]:
         """Yield wings, and welded joints that move rotors."""
         m = self._model
         for j, names in tilting.items():
@@ -231,7 +231,7 @@ class _MjcfReader:
         """Return the joints of the vehicle but its free one."""
         return [j for b in self._bodies for j in self._joints_of_body(b)]
 
-    def notes(self, sites: Sequence[int], welded: Sequence[int]) -> Iterator[str]:
+    def lines_on_unused(self, sites: Sequence[int], welded: Sequence[int]) -> Iterator[str]:
         """Yield the unused elements other than actuators, a line for each kind; ``welded`` are joints not named elsewhere."""
         m, root = self._model, self._root
         if m.opt.density or m.opt.viscosity:
@@ -285,9 +285,13 @@ def _homogeneous_pose(place: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def _collision_shape(kinds: Any, kind: int, size: np.ndarray, bounds: np.ndarray, pose: np.ndarray) -> CollisionShape:
-    euler = roll_pitch_yaw(pose[:3, :3])
+    euler = euler_of_matrix(pose[:3, :3])
     if kind == kinds.mjGEOM_SPHERE:
-        return SphereCfg(center=vec3(pose[:3, 3]), radius=float(size[0]))
+        return SphereCfg(center=round_vec3(pose[:3, 3]), radius=float(size[0]))
     if kind == kinds.mjGEOM_CAPSULE:
-        return CapsuleCfg(center=vec3(pose[:3, 3]), euler=euler, radius=float(size[0]), height=2.0 * float(size[1]))
-    return BoxCfg(center=vec3(pose[:3, 3] + pose[:3, :3] @ bounds[:3]), euler=euler, size=vec3(2.0 * bounds[3:]))
+        return CapsuleCfg(
+            center=round_vec3(pose[:3, 3]), euler=euler, radius=float(size[0]), height=2.0 * float(size[1])
+        )
+    return BoxCfg(
+        center=round_vec3(pose[:3, 3] + pose[:3, :3] @ bounds[:3]), euler=euler, size=round_vec3(2.0 * bounds[3:])
+    )

@@ -43,7 +43,7 @@ class Actuator:
         ]
 
     @property
-    def may_push(self) -> bool:
+    def can_push_vehicle(self) -> bool:
         """Whether the actuator can act on the whole vehicle: at a site, or at its free joint."""
         if self._has_kind("trntype", "mjtTrn", "mjTRN_JOINT", "mjTRN_JOINTINPARENT"):
             free = int(self.mujoco.mjtJoint.mjJNT_FREE)
@@ -120,7 +120,7 @@ class Actuator:
             link=link,
         )
 
-    def notes(self) -> Iterator[str]:
+    def lines_on_unused(self) -> Iterator[str]:
         """Yield the unused attributes of this actuator."""
         m, i = self.model, self.index
         if self._has_kind("biastype", "mjtBias", "mjBIAS_AFFINE") and m.actuator_biasprm[i][2] != 0.0:

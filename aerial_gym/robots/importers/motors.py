@@ -68,7 +68,7 @@ def is_motor(plugin: ElementTree.Element) -> bool:
     )
 
 
-def force_source(plugin: ElementTree.Element) -> str | None:
+def force_source_to_omit(plugin: ElementTree.Element) -> str | None:
     """Return the source of a plugin's force that the import leaves out, None for other plugins."""
     name = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower().replace("_", "").replace("-", "")
     kind = next((hint for part, hint in AERODYNAMICS.items() if part in name), None)
@@ -130,7 +130,7 @@ def motor_assumptions(motors: Sequence[Motor]) -> Iterator[str]:
     yield from group_lines_by_kind((f"{name} = {DEFAULTS[name]:g}, the plugin's own", link) for name, link in pairs)
 
 
-def sideways_effects(motors: Sequence[Motor]) -> dict[str, dict[str, float]]:
+def sideways_drag_effect(motors: Sequence[Motor]) -> dict[str, dict[str, float]]:
     """Return the effect of sideways flow on rotors, if all have the same coefficient."""
     drags = {motor.sideways_drag for motor in motors}
     if len(drags) != 1 or drags == {0.0}:

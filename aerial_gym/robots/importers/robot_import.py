@@ -15,7 +15,14 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import mjcf, sdf, urdf
-from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, lift_forces, make_collision, read_xml, vec3
+from aerial_gym.robots.importers.file_vehicle import (
+    FileRotor,
+    FileVehicle,
+    buoyant_forces,
+    make_collision,
+    read_xml,
+    round_vec3,
+)
 from aerial_gym.robots.importers.joints import ENDS
 
 ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"  # Names of links of a URDF without motors that are taken for rotors
@@ -83,14 +90,14 @@ def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: fl
             f"(accept_losses of RotorHints){move}"
         )
     inertia = vehicle.body.inertia
-    weight = lift_forces(vehicle, gravity)
+    weight = buoyant_forces(vehicle, gravity)
     effects = {**vehicle.effects, **weight.effects}
     robot = RobotCfg(
         summary=f"robot of {path.name}",
         body=BodyCfg(
             mass=vehicle.body.mass,
-            inertia=(vec3(inertia[0]), vec3(inertia[1]), vec3(inertia[2])),
-            com=vec3(vehicle.body.com),
+            inertia=(round_vec3(inertia[0]), round_vec3(inertia[1]), round_vec3(inertia[2])),
+            com=round_vec3(vehicle.body.com),
             source=f"{where}: all links, joints welded at zero, by the parallel axis theorem",
         ),
         collision=make_collision(vehicle.shapes, where),
@@ -149,8 +156,8 @@ def _rotor_fields(vehicle: Sequence[FileRotor], hints: RotorHints, where: str) -
     several = {f"type_{number}": kind for number, kind in enumerate(types, 1)} if len(types) > 1 else {}
     layout = tuple(
         MountCfg(
-            position=vec3(rotor.position),
-            axis=vec3(rotor.axis),
+            position=round_vec3(rotor.position),
+            axis=round_vec3(rotor.axis),
             spin=int(spin or 0),
             rotor=f"type_{types.index(kind) + 1}" if several else None,
             link=rotor.link,

@@ -18,33 +18,33 @@ from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
     Tags,
-    Weightless,
+    WeightlessMass,
+    euler_of_matrix,
     group_lines_by_kind,
     moves_thrust_line,
     part_collision_shape,
     read_xml,
-    roll_pitch_yaw,
+    round_vec3,
     unread_elements,
-    vec3,
 )
-from aerial_gym.robots.importers.joints import Weight
+from aerial_gym.robots.importers.joints import LinkMass
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
     Motor,
-    force_source,
+    force_source_to_omit,
     is_motor,
     motor_notes,
     read_motors,
-    sideways_effects,
+    sideways_drag_effect,
 )
 from aerial_gym.robots.importers.motors import motor_assumptions as motors_assumed
 from aerial_gym.robots.importers.sdf_inertia import (
     SIZES,
     collision_shape,
+    data_without_use,
     link_assumptions,
     link_weight,
     load_collision_mesh,
-    redundant_values,
     shape_lengths,
 )
 from aerial_gym.robots.importers.sdf_tree import MODEL, TRUE, Element, Scope, SdfTree
@@ -87,25 +87,25 @@ def read_sdf(path: Path) -> FileVehicle:
     rotors = [_file_rotor(tree, motor, weights, from_root) for motor in motors]
     reader = _SdfReader(tree, from_root, {motor.joint for motor in motors}, rotors)
     shapes = list(reader.shapes())
-    effects = sideways_effects(motors)
+    effects = sideways_drag_effect(motors)
     return FileVehicle(
         body=weld([weight.mass for weight in weights.values()], poses, [weight.inertia for weight in weights.values()]),
         rotors=rotors,
         shapes=shapes,
         weightless=[
-            Weightless(mass=weights[name].mass, position=pose[:3, 3])
+            WeightlessMass(mass=weights[name].mass, position=pose[:3, 3])
             for name, pose in zip(weights, poses, strict=True)
             if (tree.links[name].findtext("gravity") or "1").strip().lower() not in TRUE
         ],
         effects=effects,
         effects_source=f"{tree.where}: rotorDragCoefficient" if effects else "",
-        notes=(*motor_notes(motors), *reader.notes(), *_unread_elements(root, vehicle, tree)),
+        notes=(*motor_notes(motors), *reader.lines_on_unused(), *_unread_elements(root, vehicle, tree)),
         assumed=(
             *motors_assumed(motors),
             *group_lines_by_kind((label, name) for name in tree.links for label in link_assumptions(tree, name)),
             *reader.loose_links(),
         ),
-        losses=tuple(reader.losses()),
+        losses=tuple(reader.parts_lost()),
     )
 
 
@@ -137,7 +137,7 @@ def _read_tree(element: Element, path: Path) -> SdfTree:
     return tree
 
 
-def _file_rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FileRotor:
+def _file_rotor(tree: SdfTree, motor: Motor, weights: dict[str, LinkMass], from_root: np.ndarray) -> FileRotor:
     """Return position and axis of a motor: centre of mass and z axis of its link."""
     if motor.link not in tree.links or motor.joint not in tree.joints:
         raise ConfigError(
@@ -156,8 +156,8 @@ def _file_rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_ro
 def _unread_elements(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:
     """Yield the unused elements of the file."""
     rest = [child for base in (root, *root.findall("world")) for child in base if child is not vehicle]
-    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin) and force_source(plugin) is None]
-    named = [plugin for _, plugin in tree.plugins if force_source(plugin) is not None]
+    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin) and force_source_to_omit(plugin) is None]
+    named = [plugin for _, plugin in tree.plugins if force_source_to_omit(plugin) is not None]
     used = {"model": _MODEL, "include": _MODEL["include"]}
     yield from unread_elements(
         root, {**used, "world": used}, left_out=[*plugins, *(o for o in rest if o.tag in used)], named=named
@@ -210,13 +210,13 @@ class _SdfReader:
 
         return lambda joint: self._is_moving(joint) and tilts_rotor(joint)
 
-    def losses(self) -> Iterator[str]:
+    def parts_lost(self) -> Iterator[str]:
         """Yield the wings and joints that the import loses."""
-        yield from filter(None, (force_source(plugin) for _, plugin in self.tree.plugins))
+        yield from filter(None, (force_source_to_omit(plugin) for _, plugin in self.tree.plugins))
         for joint, names in self._tilting.items():
             yield f"joint {joint}, which moves {', '.join(names)}, is welded"
 
-    def notes(self) -> Iterator[str]:
+    def lines_on_unused(self) -> Iterator[str]:
         """Yield the unused data of joints, links and shapes."""
         if welded := [joint for joint in self.tree.joints if self._is_moving(joint) and joint not in self._tilting]:
             yield f"joints that are welded: {', '.join(welded)}"
@@ -225,7 +225,7 @@ class _SdfReader:
         if self._unread:
             yield f"collision meshes: {', '.join(self._unread)}"
         yield from group_lines_by_kind(
-            (label, name) for name in self.tree.links for label in redundant_values(self.tree, name)
+            (label, name) for name in self.tree.links for label in data_without_use(self.tree, name)
         )
 
     def loose_links(self) -> Iterator[str]:
@@ -237,7 +237,7 @@ class _SdfReader:
         """Yield the collision shapes of all links, with bounding boxes in place of unsupported shapes."""
         for name, link in self.tree.links.items():
             for collision in link.findall("collision"):
-                pose = self.from_root @ self.tree.link_pose(collision, name)
+                pose = self.from_root @ self.tree.pose_in_link(collision, name)
                 shape = self._collision_shape(collision, name, pose)
                 if shape is not None:
                     yield shape
@@ -256,12 +256,12 @@ class _SdfReader:
             )
             return _box_in_frame(pose, np.zeros(3), np.array(around))
         shape = (
-            ShapeCfg(kind="box", size=vec3(sizes))
+            ShapeCfg(kind="box", size=round_vec3(sizes))
             if geometry.tag == "box"
             else ShapeCfg(kind=geometry.tag, radius=sizes[0], height=None if geometry.tag == "sphere" else sizes[1])
         )
         return part_collision_shape(
-            PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3]))
+            PartCfg(shape=shape, position=round_vec3(pose[:3, 3]), euler=euler_of_matrix(pose[:3, :3]))
         )
 
     def _box_around_mesh(
@@ -278,4 +278,4 @@ class _SdfReader:
 def _box_in_frame(pose: np.ndarray, center: np.ndarray, size: np.ndarray) -> BoxCfg:
     """Return a box whose centre is given in a frame."""
     place = pose[:3, :3] @ center + pose[:3, 3]
-    return BoxCfg(center=vec3(place), size=vec3(size), euler=roll_pitch_yaw(pose[:3, :3]))
+    return BoxCfg(center=round_vec3(place), size=round_vec3(size), euler=euler_of_matrix(pose[:3, :3]))

@@ -23,7 +23,7 @@ from aerial_gym.assets.mesh_files import is_collada
 from aerial_gym.assets.urdf import weld
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import parse_number, parse_numbers
-from aerial_gym.robots.importers.joints import Weight
+from aerial_gym.robots.importers.joints import LinkMass
 from aerial_gym.robots.importers.sdf_tree import TRUE, Element, SdfTree
 
 if TYPE_CHECKING:
@@ -53,21 +53,21 @@ class _Solid:
     inertia: np.ndarray  # About the centre [m⁵], (3, 3)
 
 
-def link_weight(tree: SdfTree, link: str) -> Weight:
+def link_weight(tree: SdfTree, link: str) -> LinkMass:
     """Return mass, centre of mass and inertia of a link; the frame is in that of the outermost model."""
     inertial = tree.links[link].find("inertial")
     if inertial is None:
-        return Weight(mass=1.0, pose=tree.pose(link), inertia=np.eye(3))
+        return LinkMass(mass=1.0, pose=tree.pose(link), inertia=np.eye(3))
     if _is_auto_inertial(inertial):
         return _weight_from_shapes(tree, link, inertial)
     at = f"{tree.where}: inertial of {link}"
     mass = parse_number(inertial.findtext("mass"), 1.0, f"{at}: mass")
     if not mass >= 0.0:
         raise ConfigError(f"{at}: mass = {mass:g} kg: must be >= 0")
-    return Weight(mass=mass, pose=tree.link_pose(inertial, link), inertia=_file_inertia(inertial, at))
+    return LinkMass(mass=mass, pose=tree.pose_in_link(inertial, link), inertia=_file_inertia(inertial, at))
 
 
-def redundant_values(tree: SdfTree, link: str) -> Iterator[str]:
+def data_without_use(tree: SdfTree, link: str) -> Iterator[str]:
     """Yield the numbers of a link that SDF ignores."""
     element = tree.links[link]
     inertial = element.find("inertial")
@@ -101,7 +101,7 @@ def _file_inertia(inertial: Element, at: str) -> np.ndarray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _weight_from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
+def _weight_from_shapes(tree: SdfTree, link: str, inertial: Element) -> LinkMass:
     at = f"{tree.where}: inertial of {link}"
     common = parse_number(inertial.findtext("density"), WATER, f"{at}: density")
     masses, poses, inertias = [], [], []
@@ -110,7 +110,7 @@ def _weight_from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
         if solid is None:
             continue
         density = parse_number(collision.findtext("density"), common, f"{at}: density of {collision.get('name')}")
-        pose = tree.link_pose(collision, link)
+        pose = tree.pose_in_link(collision, link)
         pose[:3, 3] += pose[:3, :3] @ solid.center
         masses.append(density * solid.volume)
         poses.append(pose)
@@ -123,7 +123,7 @@ def _weight_from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
     share = parse_number(inertial.findtext("mass"), body.mass, f"{at}: mass") / body.mass
     pose = np.eye(4)
     pose[:3, 3] = body.com
-    return Weight(mass=share * body.mass, pose=pose, inertia=share * body.inertia)
+    return LinkMass(mass=share * body.mass, pose=pose, inertia=share * body.inertia)
 
 
 def collision_shape(collision: Element) -> Element | None:

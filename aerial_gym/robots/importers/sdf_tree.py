@@ -119,10 +119,10 @@ class SdfTree:
         self.plugins += [(inner.prefix, plugin) for plugin in include.findall("plugin")]
 
     def _add_frame(self, name: str, element: Element, scope: Scope, default: str, placement: str | None = None) -> None:
-        base, pose = self._own_frame(element, name, scope, default)
+        base, pose = self._frame_and_pose(element, name, scope, default)
         self._places[name] = _FramePlace(base, pose, placement)
 
-    def _own_frame(self, element: Element, name: str, scope: Scope, default: str) -> tuple[str, np.ndarray]:
+    def _frame_and_pose(self, element: Element, name: str, scope: Scope, default: str) -> tuple[str, np.ndarray]:
         """Return the reference frame of an element and its pose there."""
         pose = element.find("pose")
         if pose is None:
@@ -146,9 +146,9 @@ class SdfTree:
     def _from_placement(self, place: _FramePlace, name: str) -> np.ndarray:
         return np.eye(4) if place.placement is None else np.linalg.inv(self.pose(place.placement, within=name))
 
-    def link_pose(self, element: Element, link: str) -> np.ndarray:
+    def pose_in_link(self, element: Element, link: str) -> np.ndarray:
         """Return a collision or inertial frame of a link in the outermost model's, (4, 4)."""
-        base, pose = self._own_frame(element, link, self.scopes[link], link)
+        base, pose = self._frame_and_pose(element, link, self.scopes[link], link)
         return self.pose(base) @ pose
 
     def find_link(self, name: str) -> str | None:

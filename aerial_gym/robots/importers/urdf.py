@@ -21,22 +21,22 @@ from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
     Tags,
-    Weightless,
+    WeightlessMass,
     moves_thrust_line,
     part_collision_shape,
     read_xml,
     unread_elements,
 )
-from aerial_gym.robots.importers.joints import FileJoint, Weight, link_carriers, make_layout
+from aerial_gym.robots.importers.joints import FileJoint, LinkMass, joint_configs, joint_moving_each_link
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
     Motor,
-    force_source,
+    force_source_to_omit,
     is_motor,
     motor_assumptions,
     motor_notes,
     read_motors,
-    sideways_effects,
+    sideways_drag_effect,
 )
 from aerial_gym.robots.importers.properties import read_properties
 
@@ -75,22 +75,28 @@ def read_urdf_vehicle(
     told = read_properties(root, body.mass, len(names) if take_properties else 0, lag, where)
     rotors = [_rotor_of_motor(motor, robot, poses, on, where) for motor in motors]
     rotors += [
-        FileRotor(name=n, position=_thrust_point(robot, [n], poses), axis=poses[n][:3, 2], rotor=told.rotor, link=on[n])
+        FileRotor(
+            name=n,
+            position=_mass_centre_of_links(robot, [n], poses),
+            axis=poses[n][:3, 2],
+            rotor=told.rotor,
+            link=on[n],
+        )
         for n in names
     ]
     moves = {joint.name for joint in moving}
-    held = {"fixed"} if _has_mass_above_floating(robot) else {"fixed", "floating"}
+    held = {"fixed"} if _has_inner_floating_joint(robot) else {"fixed", "floating"}
     welded = [j for j in robot.joint_map.values() if j.type not in held and j.name not in spun and j.name not in moves]
-    losses = [loss for _, plugin in plugins if (loss := force_source(plugin)) is not None]
+    losses = [loss for _, plugin in plugins if (loss := force_source_to_omit(plugin)) is not None]
     tilting = {joint.name: _rotors_on_joint(joint, rotors, robot, poses) for joint in welded}
     still = [joint.name for joint in welded if not tilting[joint.name]]
-    sideways = sideways_effects(motors)
+    sideways = sideways_drag_effect(motors)
     return FileVehicle(
         body=body,
         rotors=rotors,
         shapes=_collision_shapes(path, list(robot.link_map), on),
-        joints=make_layout(moving),
-        weightless=_links_without_weight(root, robot, poses, on),
+        joints=joint_configs(moving),
+        weightless=_links_without_gravity(root, robot, poses, on),
         effects={**sideways, **told.effects},
         effects_source=f"{where}: rotorDragCoefficient" if sideways else told.source,
         notes=(
@@ -118,20 +124,20 @@ def _unread_elements(root: ElementTree.Element, *, joints: bool) -> Iterator[str
     }
     seen = [v for link in root.iter("link") if link.find("collision") is not None for v in link.findall("visual")]
     rest = [plugin for plugin in root.iter("plugin") if not is_motor(plugin)]
-    named = [plugin for plugin in rest if force_source(plugin) is not None]
+    named = [plugin for plugin in rest if force_source_to_omit(plugin) is not None]
     yield from unread_elements(root, used, left_out=[*seen, *rest], named=named)
 
 
-def _has_mass_above_floating(robot: "URDF") -> bool:
+def _has_inner_floating_joint(robot: "URDF") -> bool:
     """Return whether a floating joint is within the vehicle: one below a root without mass is its free flight."""
     parents = [robot.link_map[joint.parent] for joint in robot.joint_map.values() if joint.type == "floating"]
     children = {joint.child for joint in robot.joint_map.values()}
     return any(link.name in children or (link.inertial is not None and link.inertial.mass) for link in parents)
 
 
-def _links_without_weight(
+def _links_without_gravity(
     root: ElementTree.Element, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str]
-) -> list[Weightless]:
+) -> list[WeightlessMass]:
     """Return the links whose weight Gazebo leaves out."""
     results = []
     for name, link in robot.link_map.items():
@@ -140,7 +146,9 @@ def _links_without_weight(
         off |= any((e.findtext("gravity") or "1").strip().lower() not in _OFF for e in texts)
         if off and link.inertial is not None and link.inertial.mass:
             mass = float(link.inertial.mass)
-            results.append(Weightless(mass=mass, position=_thrust_point(robot, [name], poses), link=on[name]))
+            results.append(
+                WeightlessMass(mass=mass, position=_mass_centre_of_links(robot, [name], poses), link=on[name])
+            )
     return results
 
 
@@ -158,7 +166,7 @@ def _rotor_of_motor(
         group += [j.child for j in robot.joint_map.values() if j.type == "fixed" and j.parent == link]
     return FileRotor(
         name=motor.link,
-        position=_thrust_point(robot, group, poses),
+        position=_mass_centre_of_links(robot, group, poses),
         axis=poses[motor.link][:3, 2],
         spin=motor.spin,
         rotor=motor.rotor,
@@ -182,7 +190,7 @@ def _rotors_on_joint(
     return results
 
 
-def _thrust_point(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
+def _mass_centre_of_links(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
     """Return the centre of mass of links [m], (3,), where simulators apply thrust; without mass the first link's origin."""
     inertials = [(robot.link_map[link].inertial, poses[link]) for link in links]
     frames = [
@@ -211,16 +219,16 @@ def _find_joints(
             notes.append(f"joint {joint.name}: mimics another one, and is welded")
             continue
         moving[joint.name] = joint.name
-    on = link_carriers(
+    on = joint_moving_each_link(
         list(poses), lambda link: (above[link].name, above[link].parent) if link in above else None, moving
     )
-    weights: dict[str, list[Weight]] = {}
+    weights: dict[str, list[LinkMass]] = {}
     for name, link in robot.link_map.items():
         own = link.inertial
         if own is not None and own.mass:
             pose = poses[name] if own.origin is None else poses[name] @ own.origin
             inertia = np.zeros((3, 3)) if own.inertia is None else np.asarray(own.inertia, dtype=float)
-            weights.setdefault(on[name], []).append(Weight(mass=float(own.mass), pose=pose, inertia=inertia))
+            weights.setdefault(on[name], []).append(LinkMass(mass=float(own.mass), pose=pose, inertia=inertia))
     results, waiting = [], [joint for joint in robot.joint_map.values() if joint.name in moving]
     placed = {BASE}
     while waiting:
@@ -231,7 +239,7 @@ def _find_joints(
     return results, on, notes
 
 
-def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Weight]) -> FileJoint:
+def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[LinkMass]) -> FileJoint:
     limit, dynamics = joint.limit, joint.dynamics
     limits = None
     if joint.type != "continuous" and limit is not None and limit.lower is not None and limit.upper is not None:

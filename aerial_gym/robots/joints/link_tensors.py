@@ -34,7 +34,9 @@ class LinkTensors:
     names: tuple[str, ...]  # Of the links, L of them
     pivots: tuple[Vec3, ...]  # Hinge of each link in its frame [m]; the origin for the base and links that slide
 
-    def carriers(self, mounted: Mapping[str, RobotSensor[RangeSensorCfg] | RobotSensor[ImuCfg]]) -> dict[str, Carrier]:
+    def link_of_sensors(
+        self, mounted: Mapping[str, RobotSensor[RangeSensorCfg] | RobotSensor[ImuCfg]]
+    ) -> dict[str, Carrier]:
         """Return the carrier link of each sensor by name, without sensors on the base."""
         carriers = {}
         for name, each in mounted.items():
@@ -59,7 +61,7 @@ class LinkTensors:
             if shapes
         ]
 
-    def places(self, cfg: JointsCfg, state: "ArticulatedState", trajectory: "Trajectory | None") -> "LinkPlaces":
+    def make_launches(self, cfg: JointsCfg, state: "ArticulatedState", trajectory: "Trajectory | None") -> "LinkPlaces":
         """Return the launches that write these tensors from a robot's state, and follow a trajectory with joints."""
         from aerial_gym.robots.joints.links import LinkPlaces
 

@@ -79,7 +79,7 @@ def _place_links_in_substeps(
 
 
 @wp.kernel(enable_backward=False)
-def _place_links(
+def _write_link_states(
     joints: _JointArrays,
     # state
     position: wp.array[wp.vec3],  # (E,) of the base, world [m]
@@ -193,7 +193,7 @@ class LinkPlaces:
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
         self._written = links.state
         self._command = ReusableLaunch(
-            _place_links,
+            _write_link_states,
             dim=len(links.state),
             inputs=[table, *base, state.joint_pos, state.joint_vel],
             outputs=[*links.state.split((3, 4, 3, 3), dim=-1), links.ang_vel],

@@ -31,7 +31,7 @@ from aerial_gym.robots.joints.links import LinkPlaces
 
 
 @wp.kernel(enable_backward=False)
-def _flag_overlaps(
+def _flag_fast_contacts(
     around: ContactScene,  # with the shapes of one link
     # params
     least_approach: float,  # [m/s]
@@ -139,7 +139,7 @@ class LinkObstacleSweep:
             first, last = (state[:, number].split((3, 4, 3, 3), dim=-1) for state in (self._first, self._links))
             place = {"dim": scene.num_envs, "outputs": [crashes_out], "device": scene.device}
             tested = [around, cfg.least_approach, *last]
-            self._overlap_tests.append(ReusableLaunch(_flag_overlaps, inputs=tested, **place))
+            self._overlap_tests.append(ReusableLaunch(_flag_fast_contacts, inputs=tested, **place))
             inputs = [around, obstacles, wp.vec3(*links.pivots[number]), cfg.least_approach, dt, *first]
             kernel = _make_sweep(moves=moving is not None, meshes=scene.has_meshes)
             self._sweeps.append(ReusableLaunch(kernel, inputs=[*inputs, *last[:2]], **place))

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.joint import JointsCfg
-from aerial_gym.math.random import Purpose, Randomness, split_state, uniform_draw
-from aerial_gym.physics.state import ArticulatedState, JointEfforts
+from aerial_gym.math.random import Purpose, Randomness, state_of_count, uniform_draw
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 
@@ -56,7 +56,7 @@ class JointStates:
         self._ranges = tuple(
             (state_part, like.new_tensor([low for low, _ in ranges]), like.new_tensor([high for _, high in ranges]))
             for state_part, ranges in (
-                (state.joint_pos, [joint.start for joint in cfg.layout]),
+                (state.joint_pos, [joint.initial_range for joint in cfg.layout]),
                 (state.joint_vel, [joint.initial_rate for joint in cfg.layout]),
             )
         )
@@ -67,7 +67,7 @@ class JointStates:
         stream, mask = self._random.stream(Purpose.JOINTS), self._random.mask.unsqueeze(1)
         for number, (target, low, high) in enumerate(self._ranges):
             first = number * len(low)
-            shares = [uniform_draw(split_state(stream, first + k), dtype=low.dtype) for k in range(len(low))]
+            shares = [uniform_draw(state_of_count(stream, first + k), dtype=low.dtype) for k in range(len(low))]
             drawn = low + (high - low) * torch.stack(shares, dim=1)
             target.copy_(torch.where(mask, drawn, target))
         for effort in () if self._efforts is None else vars(self._efforts).values():

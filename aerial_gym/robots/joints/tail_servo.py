@@ -26,13 +26,13 @@ class TailServo:
     rate: float  # Angle per yaw rate [s]
     limits: tuple[float, float]  # Of the servo [rad]
 
-    def angle(self, attitude: Tensor, ang_vel: Tensor, yaw: Tensor) -> Tensor:
+    def command_angle(self, attitude: Tensor, ang_vel: Tensor, yaw: Tensor) -> Tensor:
         """Return the tail's command [rad], (E,), from attitude (E, 4), body rates [rad/s] (E, 3), wanted yaw [rad] (E,)."""
         error = wrap_angle(yaw - yaw_from_quat(attitude)).clamp(-1.0, 1.0)
         return (self.trim + self.heading * error - self.rate * ang_vel[:, 2]).clamp(*self.limits)
 
 
-def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY) -> TailServo:
+def derive_tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY) -> TailServo:
     """Return the servo law of a tricopter: one tail rotor on a joint about body x, behind the centre of mass.
 
     With the tail at the distance L behind it, its share T of the weight and the moment of inertia J, ``J r' = L T angle`` about

@@ -135,7 +135,7 @@ class EncoderImageCfg:
         return f"{self.columns} x {self.rows} pixels of {self.model}{wide}, {self.kind} to {self.max_range:g} m"
 
 
-def encoder_image(cfg: RangeSensorCfg) -> EncoderImageCfg:
+def encoder_image_format(cfg: RangeSensorCfg) -> EncoderImageCfg:
     """Return the image format of a sensor that an encoder depends on."""
     return EncoderImageCfg(
         model=cfg.model,
@@ -149,7 +149,7 @@ def encoder_image(cfg: RangeSensorCfg) -> EncoderImageCfg:
 
 def normalize_image(image: Tensor, cfg: RangeSensorCfg) -> Tensor:
     """Return an image of distances as shares of the largest, 0 to 1, in its shape."""
-    largest, empty = cfg.distance_scale
+    largest, empty = cfg.largest_and_empty_share
     return torch.where(image >= 0.0, (image / largest).clamp_max(1.0), empty)
 
 
@@ -178,8 +178,8 @@ class Encoder(nn.Module):
         return self.layers(shares.unsqueeze(1))
 
     def check_fits(self, cfg: RangeSensorCfg, *, name: str, label: str) -> None:
-        """Raise ``ConfigError`` if the sensor ``name`` has other images; ``what`` names the encoder."""
-        actual = encoder_image(cfg)
+        """Raise ``ConfigError`` if the sensor ``name`` has other images; ``label`` names the encoder."""
+        actual = encoder_image_format(cfg)
         if actual != self.seen:
             raise ConfigError(
                 f"{label}: knows images of {self.seen}; sensor {name} has {actual}. Choose the robot of its training, "

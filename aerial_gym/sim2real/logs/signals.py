@@ -12,7 +12,7 @@ from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.math.decay import exponential_sum
+from aerial_gym.math.decay import sum_with_decay
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, longest_bridgeable_gap, row_arrays, take_rows
@@ -109,7 +109,7 @@ def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
 
 def apply_lag(values: Array, kept: float, start: Array) -> Array:
     """Return the first-order lag of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``."""
-    return exponential_sum(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
+    return sum_with_decay(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
 
 
 def num_edge_rows(rate: float, bandwidth: float) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task_terms import ActionCfg, steps_range
+from aerial_gym.config.task_terms import ActionCfg, fewest_and_most_steps
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.draws import UniformDraws, WhiteNoise
@@ -27,7 +27,7 @@ NOISE = "command_noise"  # Buffer of the command noise, drawn in every step
 def declare_delay(cfg: ActionCfg, values: Values) -> None:
     """Declare the command delay in steps, readable by terms."""
     delay = values.declare(DELAY, (1,), unit="steps", meaning="how late commands are in this episode")
-    delay.fill_(steps_range(cfg.delay_steps)[0])
+    delay.fill_(fewest_and_most_steps(cfg.delay_steps)[0])
 
 
 class ActionConverter:
@@ -39,7 +39,7 @@ class ActionConverter:
     ) -> None:  # fmt: skip
         """Take the conversion and the time ``dt`` of a step [s]; declare its buffers, after all inputs are declared."""
         self.transform, self.params = action.value, params
-        low, high = steps_range(cfg.delay_steps)
+        low, high = fewest_and_most_steps(cfg.delay_steps)
         self._line, self._drawn = HistoryLine(longest_delay=high), low < high
         self._gain = 1.0 - exp(-dt / cfg.filter_time_s) if cfg.filter_time_s > 0.0 else None
         self._draws: UniformDraws | None = None

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task_terms import FaultCfg, ObservationCfg, steps_range
+from aerial_gym.config.task_terms import FaultCfg, ObservationCfg, fewest_and_most_steps
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.draws import UniformDraws, WhiteNoise
 from aerial_gym.task.step.history import HistoryLine
@@ -143,7 +143,7 @@ class Observer:
         for group, terms in groups.items():
             self.groups[group] = []
             for number, (term, cfg, width) in enumerate(terms):
-                low, high = steps_range(cfg.delay_steps)
+                low, high = fewest_and_most_steps(cfg.delay_steps)
                 line = HistoryLine(longest_delay=high, history=cfg.history)
                 past = []
                 for piece, count in enumerate(line.buffer_lengths(width)):

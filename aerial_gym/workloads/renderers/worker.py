@@ -2,8 +2,8 @@
 """The process of one peer: ``python worker.py NAME SCENE.npz IMAGES.npz``, run by the interpreter that has the peer.
 
 Nothing of ours is imported, so that the peer's interpreter needs none of it: this folder is the first place where Python
-looks for the peer's file. Each ``peer_NAME.py`` has ``build(scene, device)``, which returns a call that draws all images and
-a call that returns them, and ``PACKAGES``, whose versions are printed.
+looks for the peer's file. Each ``peer_NAME.py`` has ``make_renderer(scene, device)``, which returns a call that draws all
+images and one that returns them, and ``PACKAGES``, whose versions are printed.
 
 A scene is a dictionary of arrays. Letters: E environments, P parts, H x W pixels.
     kind (P,) box, sphere, cylinder, or floor (a rectangle seen from above); size (P, 3) edges, radius, or radius and height [m]

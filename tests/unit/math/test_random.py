@@ -10,9 +10,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import start_warp
-from aerial_gym.math.decay import exponential_sum
+from aerial_gym.math.decay import sum_with_decay
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
-from aerial_gym.math.random import Purpose, Randomness, normal_draws, split_state, uniform_draw
+from aerial_gym.math.random import Purpose, Randomness, normal_draws, state_of_count, uniform_draw
 from aerial_gym.math.rows import atan2, make_batch_invariant, times
 
 
@@ -41,7 +41,7 @@ def test_kernels_and_torch_draw_the_same() -> None:
     random, out = start_random(500, seed=2**31 + 5, episodes=4), torch.full((500, 5), torch.nan)
     given = [random_arrays(random), int(Purpose.GOAL)]
     wp.launch(_draw, dim=500, inputs=given, outputs=[wp.from_torch(out)], device="cpu")
-    state = split_state(random.stream(Purpose.GOAL), 7)
+    state = state_of_count(random.stream(Purpose.GOAL), 7)
     assert torch.equal(out[:, 0], (state >> 16).float())
     assert torch.equal(out[:, 1], uniform_draw(state, dtype=torch.float32))
     torch.testing.assert_close(out[:, 2:], normal_draws(state, 2, 3, dtype=torch.float32), atol=3e-6, rtol=3e-6)
@@ -49,7 +49,7 @@ def test_kernels_and_torch_draw_the_same() -> None:
 
 def test_a_draw_follows_from_its_numbers_alone() -> None:
     def draw(random: Randomness, purpose: Purpose = Purpose.START, *, index: int = 2) -> torch.Tensor:
-        return uniform_draw(split_state(random.stream(purpose), index), dtype=torch.float64)
+        return uniform_draw(state_of_count(random.stream(purpose), index), dtype=torch.float64)
 
     many = draw(start_random(40, episodes=3))
     assert draw(start_random(1, first_env=17, first_episode=2))[0] == many[17]
@@ -107,7 +107,7 @@ def test_it_is_what_a_loop_over_rows_makes(rows: int, kept: float) -> None:
     before, expected = added.copy(), added[:1].copy()
     for row in added[1:]:
         expected = np.append(expected, (kept * expected[-1] + row)[None], axis=0)
-    np.testing.assert_allclose(exponential_sum(added, kept), expected, atol=1e-12)
+    np.testing.assert_allclose(sum_with_decay(added, kept), expected, atol=1e-12)
     np.testing.assert_array_equal(added, before)
 
 

@@ -11,7 +11,7 @@ from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BodyState, state_at_rest
-from aerial_gym.robots.initial_state import InitialState, StepBegin
+from aerial_gym.robots.initial_state import ActionStore, InitialState
 from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.secondary_states import SecondaryStates
 
@@ -117,7 +117,7 @@ def test_a_reset_notices_what_ended_its_rows_and_clears_it_there_alone() -> None
 
 def test_a_step_begins_with_its_action_whatever_its_layout_and_keeps_the_earlier_one() -> None:
     marked, actions, before = make_record(3), torch.full((3, 2), 5.0), torch.zeros(3, 2)
-    begin = StepBegin(actions, before, marked)
+    begin = ActionStore(actions, before, marked)
     numbers = torch.arange(6.0)
     last = actions.clone()
     views = (numbers.view(3, 2), numbers.view(2, 3).T, numbers[:2].expand(3, 2))

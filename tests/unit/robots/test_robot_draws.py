@@ -192,7 +192,7 @@ def test_mass_can_leave_the_inertia_alone() -> None:
 
 def test_names_and_ranges_come_from_files(tmp_path) -> None:
     cfg = from_mapping(RandomizeCfg, {"how": "offset", "low": -0.1, "high": [0.1, 0.2, 0.3]}, where="here")
-    assert cfg.components(3) == [(-0.1, 0.1, 0.0, 0.0), (-0.1, 0.2, 0.0, 0.0), (-0.1, 0.3, 0.0, 0.0)]
+    assert cfg.component_distributions(3) == [(-0.1, 0.1, 0.0, 0.0), (-0.1, 0.2, 0.0, 0.0), (-0.1, 0.3, 0.0, 0.0)]
     drawn = {"body.mass": RandomizeCfg(how="value", low=0.3, high=0.3)}
     where = replace(ENVIRONMENTS.get("empty_env"), randomize=drawn)
     robot = replace(QUAD, randomize={"body.mass": RandomizeCfg(low=2.0, high=2.0), "body.com": MANY["body.com"]})

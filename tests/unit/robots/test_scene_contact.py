@@ -15,7 +15,7 @@ from aerial_gym.config.robot import CollisionCfg, RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler
 from aerial_gym.robots.contact_pairs import ContactPairs
-from aerial_gym.robots.crossings import CORNER_ANGLE, CORNER_REMAINDER, MAX_PLANES, PASSES, ROUNDS, shift_to_floors
+from aerial_gym.robots.crossings import CORNER_ANGLE, CORNER_REMAINDER, MAX_PLANES, PASSES, ROUNDS, shift_out_of_planes
 from tests.builders import simulation
 
 WALL = AssetCfg(
@@ -132,7 +132,7 @@ def _shift(normal_a: wp.vec3, normal_b: wp.vec3, shift_out: wp.array[wp.vec3]):
     pairs.gaps[0] = -1.0
     pairs.normals[0] = normal_a
     pairs.normals[1] = normal_b
-    shift_out[0] = shift_to_floors(pairs, wp.vec4(), 2, wp.vec3())
+    shift_out[0] = shift_out_of_planes(pairs, wp.vec4(), 2, wp.vec3())
 
 
 @pytest.mark.parametrize("degrees", [90.0, 60.0, 45.0, 30.0])

@@ -144,7 +144,7 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
     camera = SENSORS.get("base_depth_camera")
     assert camera.far_pixel == camera.near_pixel == -1.0
     sensors = make(1, camera=True).env.sensor_manager
-    assert next(iter(sensors.casters.values())).cfg.distance_scale == (10.0, 1.0)
+    assert next(iter(sensors.casters.values())).cfg.largest_and_empty_share == (10.0, 1.0)
 
 
 def scene_distance(task: Task, points: Tensor) -> Tensor:
