@@ -17,8 +17,11 @@ KINDS = {
     "robots": (ImportPath("aerial_gym.robots:ROBOTS"),),
     "controllers": (ImportPath("aerial_gym.control:CONTROLLERS"),),
     "sensors": (ImportPath("aerial_gym.sensors:SENSORS"), ImportPath("aerial_gym.sensors:IMUS")),
-    "imus": (ImportPath("aerial_gym.sensors:IMUS"),), "effects": (ImportPath("aerial_gym.physics:EFFECTS"),),
-    "backends": (ImportPath("aerial_gym.physics:BACKENDS"),), "tasks": (ImportPath("aerial_gym.task:task_registry"),),
+    "imus": (ImportPath("aerial_gym.sensors:IMUS"),),
+    "effects": (ImportPath("aerial_gym.physics:EFFECTS"),),
+    "backends": (ImportPath("aerial_gym.physics:BACKENDS"),),
+    "tasks": (ImportPath("aerial_gym.task:task_registry"),),
+    "log-formats": (ImportPath("aerial_gym.registry.log_formats:LOG_READERS"),),
     "trainers": (ImportPath("aerial_gym.rl_training:TRAINERS"),),
 }  # fmt: skip
 """Registries by kind. None of them imports torch or Warp for its names."""

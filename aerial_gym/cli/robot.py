@@ -121,7 +121,7 @@ class TuneCmd:
             loop = f"# rotor lag {tuning.lag:.4g} s, dead time {tuning.delay:.4g} s"
             print(f"{loop}; spectral radius {tuning.radius:.6f}{yaw}")
             if robot.joints is not None:
-                print(f"# {robot.joints.rigid_note('gains are those for a vehicle that does not bend')}")
+                print(f"# {robot.joints.note_on_rigidity('gains are those for a vehicle that does not bend')}")
             print("control:")
             print("\n".join(f"  {name}: {numbers}" for name, numbers in rows.items()))
             print(f'  source: "{tuning.control.source}"')

@@ -161,8 +161,8 @@ class WarpBackend:
         if hook is not None and self._differentiable:
             raise CapabilityError("backend warp: a differentiable rollout follows no obstacles. Use backend 'torch'.")
         start_warp()
-        self._control, self._integrator, self._given_ground, self._hook, self._random = (
-            control, integrator, ground, hook, random
+        self._control, self._integrator, self._given_ground, self._hook, self._random, self._efforts = (
+            control, integrator, ground, hook, random, efforts
         )  # fmt: skip
         self._compose(model, self._trace_law(model))
 
@@ -193,7 +193,7 @@ class WarpBackend:
             from aerial_gym.physics.articulated.fused.kernel import make_jointed_kernel
 
             self.kernel = make_jointed_kernel(
-                model, law, self._packing, num_spheres=num_spheres, hook=fused_hook, efforts=efforts is not None
+                model, law, self._packing, num_spheres=num_spheres, hook=fused_hook, efforts=self._efforts is not None
             )
         else:
             self.kernel = make_kernel(

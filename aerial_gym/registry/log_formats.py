@@ -9,6 +9,7 @@ LOG_READERS: Registry[Any] = Registry("log format")
 """Readers of binary logs, each a ``LogReader``."""
 
 READERS = {
+    "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),
     "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
 }
 """Readers of this package. Each format has other first bytes, so that their order does not count."""

@@ -34,7 +34,7 @@ from aerial_gym.robots.contact_sources import ContactSources, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.effect_scene import declare_effect_scene, make_slung_load, watch_parameter_writes
 from aerial_gym.robots.initial_state import ActionStore, InitialState
-from aerial_gym.robots.joints.states import JointStates
+from aerial_gym.robots.joints.states import JointStates, declare_efforts
 from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.parameter_draws import draw_code
 from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise, check_base_draws

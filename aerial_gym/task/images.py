@@ -73,7 +73,7 @@ def image_scale(image: Tensor, cfg: ImageCfg, sensors: SensorManager) -> tuple[f
     """Return the value of an image that maps to 1, in its unit, and the share for an empty (negative) pixel."""
     if "depth" in cfg.key or "disparity" in cfg.key:
         own = [name for name in sensors.casters if cfg.key.startswith(f"{name}_")]
-        largest, empty = sensors.casters[own[0] if own else next(iter(sensors.casters))].cfg.distance_scale
+        largest, empty = sensors.casters[own[0] if own else next(iter(sensors.casters))].cfg.largest_and_empty_share
     else:
         largest, empty = (255.0 if image.dtype == torch.int32 else 1.0), 0.0
     return (largest if cfg.largest is None else cfg.largest), empty

@@ -86,6 +86,11 @@ class _OffsetRanges:
         given = self._given[name]["kwargs"]
         return _as_vec3(given["minval"]), _as_vec3(given["maxval"])
 
+    def scalar_range(self, name: str) -> tuple[float, float]:
+        """Return the range of a given quantity that is one number."""
+        given = self._given[name]["kwargs"]
+        return float(given["minval"]), float(given["maxval"])
+
 
 def _as_vec3(numbers: Sequence[float]) -> Vec3:
     x, y, z = (float(number) for number in numbers)

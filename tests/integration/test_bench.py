@@ -161,9 +161,9 @@ def test_a_workload_that_stays_or_breaks_gives_no_figure(monkeypatch: pytest.Mon
     flight = small_flight()
     monkeypatch.setattr(flight, "run_batch", lambda: flight.state.position.fill_(float("nan")))
     assert_refused(WorkloadError, "position is not finite in 8", time_launches, flight, repeats=1, repeat_time_s=0.001)
-    check_step(torch.zeros(2, 13), torch.zeros(2))
-    assert_refused(WorkloadError, "rewards", check_step, torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
-    assert_refused(WorkloadError, "observations", check_step, torch.full((2, 13), float("inf")), torch.zeros(2))
+    check_finite_step(torch.zeros(2, 13), torch.zeros(2))
+    assert_refused(WorkloadError, "rewards", check_finite_step, torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
+    assert_refused(WorkloadError, "observations", check_finite_step, torch.full((2, 13), float("inf")), torch.zeros(2))
     check_crashes(0.01)
     for share in (0.05, 1.0, float("nan")):
         assert_refused(WorkloadError, "of the steps ended in a crash", check_crashes, share)
@@ -175,17 +175,6 @@ def test_a_failed_check_ends_with_status_1(monkeypatch: pytest.MonkeyPatch, caps
     assert (status, out) == (1, "")
     assert "speed reached" in err
 
-
-def test_episodes_that_break_give_no_figure() -> None:
-    check_finite_step(torch.zeros(2, 13), torch.zeros(2))
-    with pytest.raises(WorkloadError, match="rewards are not finite"):
-        check_finite_step(torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
-    with pytest.raises(WorkloadError, match="observations are not finite"):
-        check_finite_step(torch.full((2, 13), float("inf")), torch.zeros(2))
-    check_crashes(0.01)
-    for share in (0.05, 1.0, float("nan")):
-        with pytest.raises(WorkloadError, match="of the steps ended in a crash"):
-            check_crashes(share)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")

@@ -19,6 +19,7 @@ from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, a
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import CommandSwitch, DecayLag, follow_command, slew_limited_lag, stop_in_dead_band
+from aerial_gym.physics.rotor_maps import POLYNOMIAL
 from aerial_gym.physics.rotors import (
     lag_speed,
     map_terms,

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.math.random import Purpose, Randomness, state_of_count, uniform_draw
-from aerial_gym.physics.state import ArticulatedState
+from aerial_gym.physics.state import ArticulatedState, JointEfforts
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 

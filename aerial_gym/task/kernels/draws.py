@@ -13,7 +13,7 @@ from aerial_gym.config.checks import Vec3
 from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays, substream
-from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.math.random import Purpose, Randomness, copy_mask
 
 
 class MaskLaunch:
@@ -33,7 +33,7 @@ class MaskLaunch:
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        take_mask(self._mask, mask)
+        copy_mask(self._mask, mask)
         self._launch.launch(self._mask)
 
 

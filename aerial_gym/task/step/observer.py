@@ -40,7 +40,7 @@ class SensorFaults:
         for name, width in widths.items():
             cfg = self._cfgs[name]
             self._first[name] = len(shares)
-            ranges += [steps_range(cfg.begin_steps), steps_range(cfg.duration_steps)]
+            ranges += [fewest_and_most_steps(cfg.begin_steps), fewest_and_most_steps(cfg.duration_steps)]
             shares += [(0.0, 1.0), *[(-cfg.size, cfg.size)] * width]
         self._draws: list[UniformDraws] = []
         self.reads: dict[str, Tensor] = {}  # Inputs of `apply_fault`

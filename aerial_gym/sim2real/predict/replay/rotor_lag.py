@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import start_warp
-from aerial_gym.physics.fused.rotors import make_limited_lag
+from aerial_gym.physics.fused.rotors import make_stage_rates
 from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 
 
@@ -24,7 +24,7 @@ def _make_lag_kernel(*, limited: bool) -> wp.Kernel:
     """Return the kernel of the first-order lag, or of that with slew rates."""
     numbers = wp.types.vector(length=5 if limited else 2, dtype=wp.float64)
     if limited:
-        limited_lag = make_limited_lag(wp.float64)
+        limited_lag = make_stage_rates(wp.float64)
 
         @wp.func
         def lag_step(speed: wp.float64, command: wp.float64, law: numbers):
