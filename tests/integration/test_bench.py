@@ -176,7 +176,6 @@ def test_a_failed_check_ends_with_status_1(monkeypatch: pytest.MonkeyPatch, caps
     assert "speed reached" in err
 
 
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 @pytest.mark.parametrize("options", [("physics", "--backend", "warp"), ("physics", "--backend", "torch"), ("task",)])
 def test_a_gpu_is_measured_too(options: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
