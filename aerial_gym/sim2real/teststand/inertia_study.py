@@ -14,7 +14,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
 from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.teststand.report import ReportTable, Study
-from aerial_gym.sim2real.teststand.thrown_body import (
+from aerial_gym.sim2real.teststand.throws import (
     PAIRS,
     FreeFlight,
     MomentumFit,
@@ -89,9 +89,9 @@ def study_inertia(
         raise ConfigError(
             "identify inertia needs one scale: give --wheel-inertia-kg-m2, or --proof with its mass and inertia"
         )
-    for series, what in ((proof, "proof"), (device, "device")):
+    for series, role in ((proof, "proof"), (device, "device")):
         if series is not None and series.mass is None:
-            raise ConfigError(f"identify inertia --{what} needs the mass of that body: give --{what}-mass-kg")
+            raise ConfigError(f"identify inertia --{role} needs the mass of that body: give --{role}-mass-kg")
     if proof is not None and (device is None or proof.inertia is None):
         raise ConfigError(
             "a proof body needs throws of the device alone (--device), and its inertia (--proof-inertia-kg-m2)"
@@ -113,7 +113,7 @@ def body_inertia(
     matrix, elements = scale.value * total.inertia, total.covariance
     centre = -total.imu_position
     if device is not None:
-        offset = coupling_term(total, device, series[0].mass or 0.0, series[1].mass or 0.0)
+        offset = inertia_of_distance(total, device, series[0].mass or 0.0, series[1].mass or 0.0)
         matrix, elements = scale.value * (total.inertia - device.inertia) - offset, elements + device.covariance
         centre = centre - (total.imu_position - device.imu_position) * (series[1].mass or 0.0) / (series[0].mass or 1.0)
     values, axes = np.linalg.eigh(matrix)
@@ -127,7 +127,7 @@ def body_inertia(
     )  # fmt: skip
 
 
-def coupling_term(total: MomentumFit, device: MomentumFit, mass: float, device_mass: float) -> Array:
+def inertia_of_distance(total: MomentumFit, device: MomentumFit, mass: float, device_mass: float) -> Array:
     """Return the inertia by the distance of body and device from their common centre of mass [kg m²], (3, 3)."""
     lever = total.imu_position - device.imu_position
     return steiner_term(device_mass, lever) + steiner_term(mass, lever * device_mass / mass)
@@ -139,7 +139,7 @@ def wheel_scale(series: Sequence[ThrowSeries], fits: Sequence[MomentumFit]) -> E
     assert proof.mass is not None
     assert device.mass is not None
     assert proof.inertia is not None
-    known = np.diag(proof.inertia) + coupling_term(proof_fit, device_fit, proof.mass, device.mass)
+    known = np.diag(proof.inertia) + inertia_of_distance(proof_fit, device_fit, proof.mass, device.mass)
     measured = proof_fit.inertia - device_fit.inertia
     value = float((measured * known).sum() / (measured * measured).sum())
     weights = np.array([measured[i, j] * (1.0 if i == j else 2.0) for i, j in PAIRS]) / (measured * measured).sum()

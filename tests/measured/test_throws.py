@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
-from aerial_gym.sim2real.teststand.thrown_body import steiner_term
+from aerial_gym.sim2real.teststand.throws import steiner_term
 
 LOGS = Path(__file__).parents[3] / "shared" / "data" / "real_logs" / "tumbling"
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not LOGS.exists(), reason="needs the logs of thrown bodies")]

@@ -8,7 +8,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.teststand import inertia_study
 from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
-from aerial_gym.sim2real.teststand.thrown_body import FreeFlight, find_free_flight, fit_momentum, steiner_term
+from aerial_gym.sim2real.teststand.throws import FreeFlight, find_free_flight, fit_momentum, steiner_term
 
 WHEEL = 1.7e-6  # Inertia of the flywheel [kg m²]
 AXIS = np.array([0.02, -0.01, -1.0]) / np.linalg.norm([0.02, -0.01, -1.0])
