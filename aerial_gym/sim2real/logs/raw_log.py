@@ -1,10 +1,14 @@
 """The content of a log file as it was recorded: topics at their own rates, parameters and messages. Letters: T samples."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+
+FASTER = 1.5  # Ratio of rates from which the faster of two topics with one quantity is taken
 
 
 class LazyColumns(Mapping[str, Array]):
@@ -96,3 +100,13 @@ class LogChannel:
         None  # Delay from sampling to recording [s], if the format states both; ``time`` is the former
     )
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude
+
+
+def faster_first(channels: Sequence[LogChannel]) -> list[LogChannel]:
+    """Return the channels, sorted so that one comes before another of its quantity if it is ``FASTER`` times as fast."""
+
+    def key(channel: LogChannel) -> float:
+        same = (one.time.size for one in channels if one.quantity == channel.quantity)
+        return -float(np.floor(np.log(channel.time.size / next(same)) / np.log(FASTER)))
+
+    return sorted(channels, key=key)

@@ -125,8 +125,6 @@ class BlackboxReader(LogReader):
         """Return the quantities of the vehicle; Betaflight logs no attitude."""
         main = log.topics[0]
         known = main.columns.keys()
-        high_resolution = 10.0 if log.parameters.get("blackbox_high_resolution") == 1.0 else 1.0
-        gyro_unit = radians(_gyro_scale(log)) / _indiflight_gyro(log, high_resolution)
 
         def vector(quantity: str, names: Sequence[str], unit: float) -> list[LogChannel]:
             name = next((n for n in names if f"{n}[2]" in known), None)
@@ -137,7 +135,7 @@ class BlackboxReader(LogReader):
 
         unit = UNIT_G / float(log.parameters.get("acc_1G") or 2048.0)
         return [
-            *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC"), gyro_unit),
+            *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC"), _gyro_unit(log)),
             *vector("specific_force", ("accADCafterRpm", "accSmooth", "accADC"), unit),
             *_estimates(main),
             *_rotors(log, main),
@@ -321,19 +319,14 @@ def _number_or_text(text: str) -> float | str:
         return text
 
 
-def _gyro_scale(log: RawLog) -> float:
-    """Return the unit of the gyro [deg/s]; logs before Cleanflight 1.x, which state rad/us, are refused by its size."""
-    text = str(log.parameters.get("gyro_scale", ""))
-    try:
-        scale = struct.unpack(">f", int(text, 16).to_bytes(4, "big"))[0]
-    except (ValueError, OverflowError):
-        return 1.0
-    return scale if 1e-3 < scale < 1e3 else 1.0
-
-
-def _indiflight_gyro(log: RawLog, usual: float) -> float:
-    revision = str(log.parameters.get("Firmware revision", ""))
-    return next((scale for build, scale in INDIFLIGHT_GYRO.items() if build in revision), usual)
+def _gyro_unit(log: RawLog) -> float:
+    """Return the unit of the gyro [rad/s] from the scale in the header, deg/s, and the resolution."""
+    revision, text = (str(log.parameters.get(name, "")) for name in ("Firmware revision", "gyro_scale"))
+    usual = 10.0 if log.parameters.get("blackbox_high_resolution") == 1.0 else 1.0
+    counts = next((scale for build, scale in INDIFLIGHT_GYRO.items() if build in revision), usual)
+    hexadecimal = re.fullmatch(r"0x([0-9a-fA-F]{8})", text)
+    scale = struct.unpack(">f", bytes.fromhex(hexadecimal[1]))[0] if hexadecimal else 1.0
+    return radians(scale if 1e-3 < scale < 1e3 else 1.0) / counts
 
 
 def _stack(topic: Topic, names: Sequence[str], unit: float = 1.0) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first
 from aerial_gym.sim2real.logs.readers.frames import attitude_from_ned_frd, enu_from_ned, flu_from_frd
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
@@ -24,7 +24,6 @@ from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_second
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, Header
 LONGEST_LATENCY_US = 1_000_000  # Largest delay from sampling to publication [us] on one clock
-FASTER = 1.5  # Ratio of rates from which the faster of two topics with one quantity is taken
 MOTOR_1 = 101  # Output function of motor 1; further motors follow
 MOST_MOTORS = 12
 LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is connected
@@ -92,9 +91,9 @@ class UlogReader(LogReader):
             if set(fields) <= topic.columns.keys()
         ]
         return [
-            *_faster_first([one for one in usable if np.isfinite(one.values).any()]),
+            *faster_first([one for one in usable if np.isfinite(one.values).any()]),
             *_rotor_speeds(log),
-            *_faster_first([*_motor_commands(log), *_output_commands(log)]),
+            *faster_first([*_motor_commands(log), *_output_commands(log)]),
             *_control_commands(log),
             *_batteries(log),
             *_flight_states(log),
@@ -146,16 +145,6 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogCh
         return channel
     changes = np.any(np.diff(np.stack(known, axis=1), axis=0) != 0.0, axis=1)
     return replace(channel, resets=channel.time[1:][changes])
-
-
-def _faster_first(channels: Sequence[LogChannel]) -> list[LogChannel]:
-    """Return the channels, sorted so that one comes before another of its quantity if it is ``FASTER`` times as fast."""
-
-    def key(channel: LogChannel) -> float:
-        same = (one.time.size for one in channels if one.quantity == channel.quantity)
-        return -float(np.floor(np.log(channel.time.size / next(same)) / np.log(FASTER)))
-
-    return sorted(channels, key=key)
 
 
 def _order_note() -> tuple[Finding, ...]:
