@@ -120,6 +120,7 @@ LOGS: dict[str, Template] = {
     "battery_left_out": "The battery voltage is left out: {error}.",
     "file_damaged": "The file is damaged; pyulog left out the parts that it could not read.",
     "bytes_left_out": "{bytes} of {total} bytes of the log are damaged and left out.",
+    "checksum_wrong": "The checksum of the log does not fit its content: some values may be damaged.",
     "frames_damaged": "{damaged} frames of the log are damaged; with them, {lost} of {total} rows are lost.",
     "position_jumps_left": (
         "The position jumps more than {most} times against the velocity (position_jump); it is left as logged."

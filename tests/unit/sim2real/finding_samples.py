@@ -171,6 +171,7 @@ SAMPLES = [
     Finding("topic_left_out", "all logs", {"topic": "esc_status", "error": "topic esc_status has 1 usable rows, needs 2"}),
     Finding("battery_left_out", "f1", {"error": "f1.csv, line 3: vbat is empty"}), Finding("file_damaged", "f1"),
     Finding("bytes_left_out", "f1", {"bytes": 700, "total": 90000}),
+    Finding("checksum_wrong", "f1"),
     Finding("frames_damaged", "f1", {"damaged": 3, "lost": 40, "total": 9000}),
     Finding("position_jumps_left", "f1", {"most": 20}),
     Finding("sensor_bias", "f1", {"sensor": "gyro", "bias_rad_s": [-0.1, 0.0, 0.2], "half_width_rad_s": [0.01, 0.01, None]}),

@@ -37,6 +37,7 @@ LOG_READERS: Registry[LogReader] = Registry("log format")
 
 READERS = {
     "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),
+    "crazyflie": ImportPath("aerial_gym.sim2real.logs.readers.crazyflie:CrazyflieReader"),
     "dataflash": ImportPath("aerial_gym.sim2real.logs.readers.dataflash:DataflashReader"),
     "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
 }
