@@ -19,7 +19,7 @@ from aerial_gym.control.effectiveness import (
     pseudo_inverse,
     right_inverse,
 )
-from aerial_gym.interop.rows.conditional import compute_if
+from aerial_gym.math.rows import compute_if
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED, make_thrusts_by_priority
 from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row

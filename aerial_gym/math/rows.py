@@ -7,7 +7,7 @@ not. Slices of three or four elements are added several times faster than an axi
 Letters: E rows, K columns.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import TypeVar
 
@@ -19,7 +19,11 @@ WHOLE_ROWS = 64  # Rows that fill whole vectors at any width: a vector has 16 fl
 
 Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
 
-MOST_TERMS = 8  # Largest number of terms of an unrolled product of rows on a GPU
+RowsFunction = Callable[..., tuple[Tensor, ...]]
+"""Function of tensors (E, ...) to tensors (E, ...)."""
+
+MOST_TERMS = 8
+"""Largest number of terms of an unrolled product of rows on a GPU."""
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:
@@ -47,13 +51,33 @@ def times(rows: Tensor, matrix: Tensor) -> Tensor:
     return rows @ matrix
 
 
+def compute_if(
+    condition: Tensor, function: RowsFunction, arguments: Sequence[Tensor], otherwise: Sequence[Tensor]
+) -> tuple[Tensor, ...]:
+    """Return ``function(*arguments)`` where a condition holds, and other values elsewhere.
+
+    Torch computes all rows, a kernel those that need it.
+
+    Args:
+        condition: Whether to compute a row, bool (E, 1).
+        function: Pure function; it reads tensors among its arguments only. It may have a method ``make_warp`` that returns
+            its hand-written Warp function (see ``physics.fused.torch_trace``).
+        arguments: Its arguments, float (E, ...).
+        otherwise: The results where the condition does not hold, (E, n) each.
+    """
+    record = _call_recorder()
+    if record is not None:
+        return record(function, arguments, condition, otherwise)
+    return tuple(torch.where(condition, *pair) for pair in zip(function(*arguments), otherwise, strict=True))
+
+
 def by_element(function: Callable[..., Tensor], *values: Tensor) -> Tensor:
     """Return ``function(*values)``, whose elements depend on the same element of the values only.
 
     A kernel calls it for each element, in place of a copy of its code.
     """
-    trace = getattr(_get_current_dispatch_mode(), "call", None)
-    return function(*values) if trace is None else trace(function, values)
+    record = _call_recorder()
+    return function(*values) if record is None else record(function, values, by_element=True)[0]
 
 
 def choose(condition: Tensor, function: Callable[..., Tensor], other: Tensor, *values: Tensor) -> Tensor:
@@ -61,10 +85,15 @@ def choose(condition: Tensor, function: Callable[..., Tensor], other: Tensor, *v
 
     A kernel calls it only where the condition is true.
     """
-    trace = getattr(_get_current_dispatch_mode(), "call", None)
-    if trace is None:
+    record = _call_recorder()
+    if record is None:
         return torch.where(condition, function(*values), other)
-    return trace(function, values, (condition, other))
+    return record(function, values, condition, (other,), by_element=True)[0]
+
+
+def _call_recorder() -> Callable[..., tuple[Tensor, ...]] | None:
+    """Return the function by which a running trace records a call; None without one."""
+    return getattr(_get_current_dispatch_mode(), "call_recorder", None)
 
 
 def make_batch_invariant(function: Callable[..., Result], num_rows: int, device: torch.device) -> Callable[..., Result]:

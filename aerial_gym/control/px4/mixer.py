@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows.conditional import compute_if
+from aerial_gym.math.rows import compute_if
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE
 
 ROLL, PITCH, YAW, THRUST = range(4)

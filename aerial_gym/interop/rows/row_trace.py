@@ -7,8 +7,7 @@ Letters: B rows of the trace.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -20,7 +19,6 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
-from aerial_gym.interop.rows.conditional import ConditionalCall, RowsFunction, recorders
 from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, MOVES, POINTWISE, REDUCTIONS
 from aerial_gym.interop.rows.simplification import simplify
 
@@ -53,6 +51,23 @@ class Scalar:
     dtype: torch.dtype
 
 
+@dataclass(frozen=True, kw_only=True)
+class FunctionCall:
+    """A function that a trace calls in place of a copy of its code.
+
+    Arguments of its scalars are the condition, the other results and the arguments; ``result K I`` is entry I of result K.
+    """
+
+    function: Callable[..., Any]
+    body: "Trace | None"  # None for a function with ``make_warp``, a hand-written Warp function
+    is_conditional: bool
+    shapes: tuple[tuple[int, ...], ...]  # Row shapes of its arguments
+    dtypes: tuple[torch.dtype, ...]
+    constants: dict[tuple[int, int], float]  # Known numbers of the arguments, by position and entry
+    results: tuple[tuple[int, ...], ...]  # Row shapes of its results
+    dtype: torch.dtype  # Of the results
+
+
 @dataclass
 class Trace:
     """All scalars of a function, each after its arguments."""
@@ -63,14 +78,11 @@ class Trace:
 
     widths: dict[int, int] = field(default_factory=dict)  # Number of entries in a row of each input, by position
 
-    bodies: list["Trace"] = field(default_factory=list)
-    """Functions of scalars that operations ``call K`` and ``choose K`` call, by K."""
-
     lifted: list[Tensor] = field(default_factory=list)
     """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""
 
     sources: list[Tensor] = field(default_factory=list)  # The same with all rows (E, ...), by their order
-    calls: list[ConditionalCall] = field(default_factory=list)  # Functions of the scalars of kind ``call:i``
+    calls: list["FunctionCall"] = field(default_factory=list)  # Functions of the scalars of kind ``call K``, by K
     simplifies: bool = False  # Whether products with 0 and 1, sums with 0 and operations on constants are replaced
     _numbers: dict[tuple[str, str | tuple[Any, ...], torch.dtype], int] = field(default_factory=dict)
 
@@ -108,7 +120,7 @@ def trace(
         lifts: Whether tensors (E, ...) from elsewhere become inputs; else they are refused.
         fixes: Whether tensors from elsewhere become constants.
         constants: Known values of entries of inputs, by position and entry. With it, arithmetic on constants is simplified
-            as if all numbers were finite, and ``compute_if`` records conditional work.
+            as if all numbers were finite, and functions of ``compute_if``, ``by_element`` and ``choose`` are called.
         known: Function from a tensor from elsewhere to the known entries of its rows, which become constants.
 
     Raises:
@@ -123,7 +135,6 @@ def trace(
     try:
         with (
             torch.no_grad(),
-            _recording(watch if into.simplifies else None),
             watch,
             _ExternalTensors(watch, len(inputs), num_rows if lifts else None, fixes=fixes, known=known),
         ):
@@ -138,17 +149,6 @@ def trace(
         numbers = watch.find_scalars(result, result.dtype).one
         into.outputs.append((numbers.ravel().tolist(), tuple(result.shape[1:]), result.dtype))
     return into
-
-
-@contextmanager
-def _recording(watch: "_Recorder | None") -> Iterator[None]:
-    """Let ``compute_if`` record into a trace, or compute all rows for None."""
-    outer = recorders[:]
-    recorders[:] = [*outer, watch] if watch is not None else []
-    try:
-        yield
-    finally:
-        recorders[:] = outer
 
 
 class _Scalars:
@@ -223,12 +223,17 @@ def _broadcast(make: Callable[..., int], given: Sequence[_Scalars], shape: torch
     return _Scalars(made, rows=has_rows, marked=rows)
 
 
+def _result(into: Trace, kind: str, row: tuple[int, ...], dtype: torch.dtype, result: int = 0, entry: int = 0) -> int:
+    """Return the scalar of an entry of a result of a call."""
+    return into.number(f"result {result} {entry}", (into.number(kind, row, dtype),), dtype)
+
+
 class _Recorder(TorchDispatchMode):
     """Dispatch mode that runs every torch operation and records its effect on scalars."""
 
     def __init__(self, into: Trace, constants: dict[tuple[int, int], float]) -> None:
         super().__init__()
-        self.into, self.constants = into, constants
+        self.into, self.whole, self.constants = into, into, constants
         # by id of a kept tensor; None: a constant whose numbers may still change
         self._scalars: dict[int, tuple[Tensor, _Scalars | None]] = {}
         self._owners: dict[int, Trace] = {}  # of tensors that depend on an input
@@ -257,35 +262,6 @@ class _Recorder(TorchDispatchMode):
         scalars = _Scalars(np.array(numbers, dtype=np.int64).reshape(tuple(shape)), rows=rows)
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
 
-    def record_conditional(
-        self, condition: Tensor, function: RowsFunction, arguments: Sequence[Tensor], otherwise: Sequence[Tensor]
-    ) -> tuple[Tensor, ...]:
-        """Record a function that is called only where a condition (E, 1) holds; return placeholders of its results."""
-        copies = [tensor.clone() for tensor in (condition, *otherwise, *arguments)]  # the trace sees each of them
-        with torch._C.DisableTorchFunction(), _disable_current_modes():
-            given = [self.find_scalars(tensor) for tensor in copies]
-        rows = [each.one if each.rows else each.one[0] for each in given]
-        inputs = rows[1 + len(otherwise) :]
-        known = {
-            (position, entry): float(scalar.args[0])
-            for position, numbers in enumerate(inputs)
-            for entry, n in enumerate(numbers.ravel().tolist())
-            if (scalar := self.into.scalars[n]).kind == "constant"
-        }
-        shapes = [tuple(numbers.shape) for numbers in rows]
-        call = ConditionalCall(
-            function, tuple(shapes[1 + len(otherwise) :]), known, tuple(shapes[1 : 1 + len(otherwise)])
-        )
-        kind, dtype = f"call:{len(self.into.calls)}", otherwise[0].dtype
-        self.into.calls.append(call)
-        number = self.into.number(kind, tuple(n for numbers in rows for n in numbers.ravel().tolist()), dtype)
-        results = []
-        for k, (shape, other) in enumerate(zip(call.results, copies[1:], strict=False)):
-            made = [self.into.number(f"result:{k}:{i}", (number,), dtype) for i in range(math.prod(shape))]
-            scalars = _Scalars(np.array(made, dtype=np.int64).reshape(shape), rows=True)
-            results.append(self._note(other.clone(), scalars))
-        return tuple(results)
-
     def knows(self, tensor: Tensor) -> bool:
         """Return whether the tensor is an input or results from inputs and constants."""
         return id(tensor) in self._scalars or id(tensor) in self._large
@@ -295,33 +271,108 @@ class _Recorder(TorchDispatchMode):
         return self._scalars.get(id(tensor), (None, None))[1] is not None
 
     @property
-    def call(self) -> Callable[..., Tensor] | None:
-        """Function that records a call of a body for each element; None where kernels have no bodies of their own."""
+    def call_recorder(self) -> Callable[..., tuple[Tensor, ...]] | None:
+        """Function that records a call; None where kernels call no functions."""
         return self._record_call if self.into.simplifies else None
 
     def _record_call(
-        self, function: Callable[..., Tensor], values: Sequence[Tensor], choice: Sequence[Tensor] = ()
-    ) -> Tensor:
-        """Trace a function of elements as a body of its own, and call it for each element.
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[Tensor],
+        condition: Tensor | None = None,
+        otherwise: Sequence[Tensor] = (),
+        *,
+        by_element: bool = False,
+    ) -> tuple[Tensor, ...]:
+        """Trace a function as a body of its own, and return placeholders of the results of a call.
 
         Args:
-            choice: Condition for the call, and the value elsewhere.
+            condition: Condition for the call; None: always.
+            otherwise: Results where it does not hold.
+            by_element: Whether each element has its own call; the tensors are broadcast.
         """
+        first = (() if condition is None else (condition,)) + tuple(otherwise)
+        copies = [tensor.clone() for tensor in (*first, *arguments)]  # the trace sees each of them
+        with torch._C.DisableTorchFunction(), _disable_current_modes():
+            given = [self.find_scalars(tensor) for tensor in copies]
+        rows = [each.one if each.rows or by_element else each.one[0] for each in given]
+        call = self._trace_call(
+            function,
+            [() if by_element else numbers.shape for numbers in rows[len(first) :]],
+            [tensor.dtype for tensor in copies[len(first) :]],
+            {} if by_element else self._find_constants(rows[len(first) :]),
+            None if condition is None else [() if by_element else numbers.shape for numbers in rows[1 : len(first)]],
+            arguments[0].dtype,
+        )
+        into, kind = self.into, f"call {len(self.into.calls)}"
+        into.calls.append(call)
+        if by_element:
+            shape = torch.Size(np.broadcast_shapes(*(tensor.shape for tensor in copies)))
+            scalars = _broadcast(lambda *row: _result(into, kind, row, call.dtype), given, shape)
+            return (self._note(torch.zeros(shape, dtype=call.dtype), scalars),)
+        flat, placeholders = tuple(n for numbers in rows for n in numbers.ravel().tolist()), []
+        for k, shape in enumerate(call.results):
+            made = np.array([_result(into, kind, flat, call.dtype, k, i) for i in range(math.prod(shape))])
+            scalars = _Scalars(made.astype(np.int64).reshape(shape), rows=True)
+            placeholders.append(self._note(torch.zeros(ROWS, *shape, dtype=call.dtype), scalars))
+        return tuple(placeholders)
+
+    def _find_constants(self, rows: Sequence[Array]) -> dict[tuple[int, int], float]:
+        """Return the constants among the entries of rows, by position and entry."""
+        return {
+            (position, entry): float(scalar.args[0])
+            for position, numbers in enumerate(rows)
+            for entry, n in enumerate(numbers.ravel().tolist())
+            if (scalar := self.into.scalars[n]).kind == "constant"
+        }
+
+    def _trace_call(
+        self,
+        function: Callable[..., Any],
+        shapes: Sequence[tuple[int, ...]],
+        dtypes: Sequence[torch.dtype],
+        constants: dict[tuple[int, int], float],
+        results: Sequence[tuple[int, ...]] | None,
+        dtype: torch.dtype,
+    ) -> FunctionCall:
+        """Return a call; ``results`` are the shapes of the results of a conditional one, else None."""
+        body = None
+        if not hasattr(function, "make_warp"):
+            body = self._trace_body(function, shapes, dtypes, constants)
+            dtype = body.outputs[0][2]
+        return FunctionCall(
+            function=function,
+            body=body,
+            is_conditional=results is not None,
+            shapes=tuple(shapes),
+            dtypes=tuple(dtypes),
+            constants=constants,
+            results=tuple(shape for _, shape, _ in body.outputs) if body else tuple(results or ()),
+            dtype=dtype,
+        )
+
+    def _trace_body(
+        self,
+        function: Callable[..., Any],
+        shapes: Sequence[tuple[int, ...]],
+        dtypes: Sequence[torch.dtype],
+        constants: dict[tuple[int, int], float],
+    ) -> Trace:
+        """Return the trace of a function that reads its arguments only."""
         outer = self.into, self.constants, self._literals
-        self.into, self.constants, self._literals = Trace(simplifies=self.into.simplifies), {}, {}
+        self.into, self.constants, self._literals = Trace(simplifies=True), constants, {}
         try:
-            result = function(
-                *(self.input(i, torch.zeros(2, dtype=value.dtype), rows=True) for i, value in enumerate(values))
-            )
-            body = self.into
-            body.outputs.append((self.find_scalars(result).one.ravel().tolist(), (), result.dtype))
+            inputs = [
+                self.input(i, torch.zeros(2, *shape, dtype=dtype), rows=True)
+                for i, (shape, dtype) in enumerate(zip(shapes, dtypes, strict=True))
+            ]
+            results = function(*inputs)
+            for result in results if isinstance(results, tuple) else (results,):
+                numbers = self.find_scalars(result).one.ravel().tolist()
+                self.into.outputs.append((numbers, tuple(result.shape[1:]), result.dtype))
+            return self.into
         finally:
             self.into, self.constants, self._literals = outer
-        kind, given = f"{'choose' if choice else 'call'} {len(self.into.bodies)}", (*choice, *values)
-        self.into.bodies.append(body)
-        rows = torch.zeros(np.broadcast_shapes(*(tensor.shape for tensor in given)), dtype=result.dtype)
-        scalars = [self.find_scalars(tensor) for tensor in given]
-        return self._note(rows, _broadcast(lambda *row: self.into.number(kind, row, result.dtype), scalars, rows.shape))
 
     def constant(self, tensor: Tensor) -> Tensor:
         """Return a copy of a tensor as a constant of the trace."""
@@ -332,7 +383,7 @@ class _Recorder(TorchDispatchMode):
         known = self._scalars.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
         if known is not None:
             if self._owners[id(value)] is not self.into:
-                raise UntraceableError("a function of elements reads a tensor that is not among its arguments")
+                raise UntraceableError(_NOT_AN_ARGUMENT)
             scalars, given = known, value.dtype
         elif isinstance(value, Tensor):
             scalars, given = self._constant(value.detach()), value.dtype
@@ -491,6 +542,8 @@ class _ExternalTensors(TorchFunctionMode):
         refused = tensor.requires_grad and not self._watch.into.simplifies
         if self._num_rows is None or tensor.shape[:1] != (self._num_rows,) or refused:
             raise UntraceableError(f"it reads a tensor of shape {tuple(tensor.shape)} that is not among its arguments")
+        if self._watch.into is not self._watch.whole:
+            raise UntraceableError(_NOT_AN_ARGUMENT)
         own = tensor.stride(0) != 0 or self._num_rows == 1
         kept = tensor if own else tensor[0]
         if self._known is not None:
@@ -525,6 +578,7 @@ def _remove_marks(numbers: Tensor) -> Array:
     return np.asarray(first - own * _MARK)
 
 
+_NOT_AN_ARGUMENT = "a called function reads a tensor that is not among its arguments"
 _VALUE = "a branch on a value, or a number taken out of a tensor"
 _BRANCHES = (
     Tensor.__bool__,

@@ -29,7 +29,7 @@ QUICK = {
 def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], str]) -> list[str]:
     """Return the lines that compute the scalars ``needed``, named ``v0``, ``v1``, ... by their numbers.
 
-    Conditional work calls functions ``call_0``, ..., with arguments of types ``call_0_argument_0``, ... and results of types
+    Calls are those of functions ``call_0``, ..., with arguments of types ``call_0_argument_0``, ... and results of types
     ``call_0_result_0``, ...
 
     Args:
@@ -41,37 +41,36 @@ def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], s
 
 def _lines(trace: Trace, n: int, read: Callable[[int, int], str]) -> list[str]:
     scalar = trace.scalars[n]
-    if scalar.kind.startswith("call:"):
-        return _call_lines(trace, n)
-    if scalar.kind.startswith("result:"):
-        _, k, entry = scalar.kind.split(":")
-        return [f"    v{n} = v{scalar.args[0]}_{k}[{entry}]"]
-    kind, _, body = scalar.kind.partition(" ")
-    names = [f"v{a}" for a in scalar.args]
+    kind, *places = scalar.kind.split(" ")
     if kind == "call":
-        return [f"    v{n} = body_{body}({', '.join(names)})"]
-    if kind == "choose":
-        condition, other, *values = names
-        return [f"    v{n} = {other}", f"    if {condition}:", f"        v{n} = body_{body}({', '.join(values)})"]
+        return _call_lines(trace, n, int(places[0]))
+    if kind == "result":
+        call = trace.calls[int(trace.scalars[int(scalar.args[0])].kind.split(" ")[1])]
+        entry = f"[{places[1]}]" if call.results[int(places[0])] else ""
+        return [f"    v{n} = v{scalar.args[0]}_{places[0]}{entry}"]
     return [f"    v{n} = {_code(trace, scalar, read)}"]
 
 
-def _call_lines(trace: Trace, number: int) -> list[str]:
-    """Return the lines of a conditional call, whose results are ``v1_0``, ``v1_1``, ... for number 1."""
-    scalar = trace.scalars[number]
-    index = int(scalar.kind.split(":")[1])
-    call, name = trace.calls[index], f"call_{index}"
-    (condition, *numbers), parts = (int(n) for n in scalar.args), []
-    for shape in (*call.results, *call.shapes):
-        parts.append(", ".join(f"v{n}" for n in numbers[: prod(shape)]))
-        numbers = numbers[prod(shape) :]
+def _call_lines(trace: Trace, number: int, index: int) -> list[str]:
+    """Return the lines of a call, whose results are ``v1_0``, ``v1_1``, ... for number 1."""
+    call, name, numbers = trace.calls[index], f"call_{index}", [f"v{n}" for n in trace.scalars[number].args]
     results = [f"v{number}_{k}" for k in range(len(call.results))]
-    lines = [
-        f"    {result} = {name}_result_{k}({part})"
-        for k, (result, part) in enumerate(zip(results, parts, strict=False))
-    ]
-    arguments = [f"{name}_argument_{k}({part})" for k, part in enumerate(parts[len(results) :])]
-    return [*lines, f"    if v{condition}:", f"        {', '.join(results)} = {name}({', '.join(arguments)})"]
+    condition = [numbers.pop(0)] if call.is_conditional else []
+
+    def take(shapes: Sequence[tuple[int, ...]], kind: str) -> list[str]:
+        parts = []
+        for k, shape in enumerate(shapes):
+            part = ", ".join(numbers[: prod(shape)])
+            parts.append(f"{name}_{kind}_{k}({part})" if shape else part)
+            del numbers[: prod(shape)]
+        return parts
+
+    others = take(call.results, "result") if condition else []
+    code = f"{', '.join(results)} = {name}({', '.join(take(call.shapes, 'argument'))})"
+    if not condition:
+        return [f"    {code}"]
+    lines = [f"    {result} = {other}" for result, other in zip(results, others, strict=True)]
+    return [*lines, f"    if {condition[0]}:", f"        {code}"]
 
 
 def function_lines(trace: Trace, read: Callable[[int, int], str], returns: Sequence[str]) -> list[str]:
@@ -131,7 +130,7 @@ def return_line(trace: Trace, returns: Sequence[str]) -> str:
 
 def _is_kept(scalar: Scalar) -> bool:
     """Return whether a prepared scalar is kept for the second function; the others are recomputed from kept ones."""
-    return scalar.dtype == torch.float32 and scalar.kind != "neg" and not scalar.kind.startswith("call:")
+    return scalar.dtype == torch.float32 and scalar.kind != "neg" and not scalar.kind.startswith("call ")
 
 
 def _has_arguments(scalar: Scalar) -> bool:

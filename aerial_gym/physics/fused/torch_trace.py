@@ -7,7 +7,7 @@ attributes for a ``wp.struct``. It is traced once; the result is straight-line c
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import nan, prod
+from math import prod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +18,6 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError, row_trace, trace
-from aerial_gym.interop.rows.conditional import hand_written
 from aerial_gym.interop.rows.row_trace import Trace
 from aerial_gym.interop.rows.warp_function import function_lines
 from aerial_gym.math.warp_functions import inverse_root, reciprocal, root, vector_type
@@ -136,18 +135,6 @@ def trace_arguments(
         raise CapabilityError(f"{_owner(error) or name}: {error}, at {_place(error)}. {WAY_OUT}") from error
 
 
-def _bodies(name: str, traced: Trace) -> dict[str, wp.Function]:
-    """Return the functions that traced code calls for single elements."""
-    result = {}
-    for k, body in enumerate(traced.bodies):
-        count = len(body.widths)
-        lines = function_lines(body, lambda position, _: f"x{position}", [""])
-        real = wp.float64 if body.outputs[0][2] == torch.float64 else float
-        arguments = dict.fromkeys((f"x{i}" for i in range(count)), real)
-        result[f"body_{k}"] = compile_traced(f"{name}_{k}", arguments, (real,), lines, body, differentiable=False)
-    return result
-
-
 def _place(error: BaseException) -> str:
     """Return file and line of the innermost code outside torch and the tracer that raised an error."""
     frames = traceback.extract_tb((error.__cause__ or error).__traceback__)
@@ -188,37 +175,36 @@ def compile_traced(
     called = {key: value for i in range(len(trace.calls)) for key, value in _call_names(name, trace, i, differentiable)}
     head = f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in arguments)}):\n"
     body = head + "\n".join(lines) + "\n"
-    more = called | _bodies(name, trace) | dict(names or {})
+    more = called | dict(names or {})
     return compile_source(name, body, {**kinds, **made, **more, **QUICK_FUNCTIONS})
 
 
 def _call_names(name: str, trace: Trace, index: int, differentiable: bool) -> Iterator[tuple[str, Any]]:
-    """Yield the names of a conditional call: the function and the types of its arguments and results."""
+    """Yield the names of a call: the function and the types of its arguments and results."""
     call = trace.calls[index]
-    arguments = {f"argument_{k}": _kind_of_shape(shape) for k, shape in enumerate(call.shapes)}
-    results = [_kind_of_shape(shape) for shape in call.results]
-    make = hand_written(call.function)
-    if make is not None:
-        function = make(call.shapes, call.constants, differentiable)
+    kinds = [_kind_of_row(shape, dtype) for shape, dtype in zip(call.shapes, call.dtypes, strict=True)]
+    arguments = {f"argument_{k}": kind for k, kind in enumerate(kinds)}
+    results = [_kind_of_row(shape, call.dtype) for shape in call.results]
+    if call.body is None:
+        function = call.function.make_warp(call.shapes, call.constants, differentiable)
     else:
-        known = [torch.full((prod(shape),), nan, dtype=torch.float64) for shape in call.shapes]
-        for (position, entry), value in call.constants.items():
-            known[position][entry] = value
-        function = trace_to_warp(
-            f"{name}_{index}",
-            arguments,
-            lambda **rows: call.function(*rows.values()),
-            results,
-            constants=dict(zip(arguments, known, strict=True)),
-            differentiable=differentiable,
+        lines = function_lines(
+            call.body,
+            lambda position, entry: f"argument_{position}{_subscript(call.shapes[position], entry)}",
+            constructors(results),
+        )
+        function = compile_traced(
+            f"{name}_{index}", arguments, results, lines, call.body, differentiable=differentiable
         )
     yield f"call_{index}", function
     yield from ((f"call_{index}_{argument}", kind) for argument, kind in arguments.items())
     yield from ((f"call_{index}_result_{k}", kind) for k, kind in enumerate(results))
 
 
-def _kind_of_shape(shape: tuple[int, ...]) -> Any:
-    """Return the Warp type of a float row, a vector or a matrix."""
+def _kind_of_row(shape: tuple[int, ...], dtype: torch.dtype) -> Any:
+    """Return the Warp type of a number, or of a float vector or matrix."""
+    if not shape:
+        return {torch.float32: float, torch.float64: wp.float64, torch.int32: int, torch.bool: bool}[dtype]
     return vector_type(*shape) if len(shape) == 1 else wp.types.matrix(shape=shape, dtype=wp.float32)
 
 
