@@ -34,35 +34,21 @@ class EvaluateCmd:
 
     def run(self) -> int:
         """Fly one episode from every start and print the figures; return the exit status."""
-        from aerial_gym.export.pilot import STEPS, load_exported
+        from aerial_gym.export.pilot import load_pilot
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.evaluation import evaluate
-        from aerial_gym.rl_training.policies.load import check_fits, load_policy
+        from aerial_gym.rl_training.policies.load import check_fits
         from aerial_gym.task import task_registry
 
-        if self.policy.suffix in STEPS:
-            policy = load_exported(self.policy)
-            cfg = policy.layout
-        else:
-            policy, cfg = load_policy(self.policy, device=self.device)
+        policy, cfg = load_pilot(self.policy, self.device)
         name = self.task or cfg.task
         curriculum = task_registry.get(name).curriculum
         level = curriculum.max_level if self.level is None and curriculum is not None else self.level
-        with (
-            task_registry.make_task(
-                name,
-                num_envs=self.num_envs,
-                device=self.device,
-                seed=self.seed,
-                robot=self.robot or cfg.robot,
-                controller=cfg.controller,
-                backend=self.backend,
-                encoder=cfg.encoder,
-                level=level,
-            ) as task,
-            progress_bar() as progress,
-            one_thread(),
-        ):
+        made = task_registry.make_task(
+            name, num_envs=self.num_envs, device=self.device, seed=self.seed, robot=self.robot or cfg.robot,
+            controller=cfg.controller, backend=self.backend, encoder=cfg.encoder, level=level,
+        )  # fmt: skip
+        with made as task, progress_bar() as progress, one_thread():
             check_fits(policy, task, cfg.task)
             if self.watch is not None:
                 task.watch()

@@ -30,9 +30,7 @@ FRAMES_PER_S = 25.0
 def check_film(file: Path) -> None:
     """Raise an error if no video can be written with this name."""
     if file.suffix not in KINDS:
-        raise ConfigError(
-            f"--video {file}: must end in {', '.join(KINDS)}; ffmpeg -i FILE.gif FILE.mp4 makes it an mp4"
-        )
+        raise ConfigError(f"--video {file}: must end in {', '.join(KINDS)}; ffmpeg -i FILE.gif FILE.mp4 makes an mp4")
     try:
         import PIL  # noqa: F401
     except ImportError:
@@ -71,7 +69,6 @@ class Film:
     """Frames of the first environment of a task, whose robot is visible."""
 
     def __init__(self, task: "Task") -> None:
-        """Take a built task; nothing is drawn yet."""
         from aerial_gym.config.images import LightCfg
         from aerial_gym.config.sensor import CameraCfg
         from aerial_gym.sensors import RayCaster, make_images

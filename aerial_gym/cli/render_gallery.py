@@ -112,9 +112,7 @@ def _share_url(share: "np.ndarray") -> str:
 
 def _flow_url(flow: "np.ndarray") -> str:
     """Return vectors in the hue of their direction (right is red, down is yellow-green), the fuller the longer; 0 is white.
-
-    The 99th percentile has the full colour.
-    """
+    The 99th percentile has the full colour."""
     import numpy as np
     from matplotlib.colors import hsv_to_rgb
 

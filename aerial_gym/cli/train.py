@@ -89,9 +89,7 @@ class TrainCmd:
             known = self.config or settings_for(self.trainer or TRAINER, task, device=self.device or "auto")
             cfg = replace(load_settings(known), task=task_name_with_absolute_path(task))
             if self.trainer not in (None, cfg.trainer):
-                raise ConfigError(
-                    f"--trainer {self.trainer}: the settings in {known} are of {cfg.trainer}. Leave one out"
-                )
+                raise ConfigError(f"--trainer {self.trainer}: settings in {known} are of {cfg.trainer}. Leave one out")
         names = (*CONSTANTS, "device", *LIMITS)
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if given.keys() & set(LIMITS):
@@ -133,7 +131,7 @@ class TrainCmd:
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(
-                    f"--{flag}: a resumed run keeps its own. Leave it out, or start a new run in another --out"
+                    f"--{flag}: a resumed run keeps its own. Leave it out, or start anew in another --out"
                 )
 
 

@@ -106,9 +106,7 @@ def _alarms_of_lines(
         row, rows = _row_numbers(header.comma_separated_line(line.rstrip("\r\n"))), rows + 1
         if row is None:
             unreadable += 1
-            named += _report_bad_row(
-                named, f"{log}, line {number}: its fields do not fit the header, or are no numbers"
-            )
+            named += _report_bad_row(named, f"{log}, line {number}: its fields do not fit the header or are no numbers")
             continue
         before = watch.bad_rows
         yield from watch.add(row)

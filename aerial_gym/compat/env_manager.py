@@ -26,7 +26,6 @@ class EnvManager:
     def __init__(
         self, env: Simulation, *, cfg: Any, sim_config: Any, robot_config: Any, reset_on_collision: bool
     ) -> None:
-        """Take a built simulation and its configuration classes; crashes reset with truncations if asked for."""
         self.env, self.cfg, self.sim_config = env, cfg, sim_config
         self.num_envs, self.device = env.num_envs, env.device
         self.global_tensor_dict = TensorDict(env)

@@ -38,7 +38,7 @@ class ScriptRegistry:
         known = self._own.get(name, (self.built_in.get(name), None))[0]
         if name in self.native if known is None else not _is_same_class(known, identity):
             raise DuplicateNameError(
-                f"{self.kind} {name!r} is registered already, as something else. Choose another name."
+                f"{self.kind} {name!r} is registered already, as something else. Choose another name"
             )
         self._own[name] = (identity, entry)
 
@@ -248,10 +248,8 @@ class TaskRegistry(ScriptRegistry):
         self, task_name: str, seed: int | None = None, num_envs: int | None = None, headless: bool | None = None,
         use_warp: bool | None = None, **more: Any,
     ) -> Any:  # fmt: skip
-        """Return a task; ``device`` and other arguments of its class may follow.
-
-        The class gets a configuration of its own, so that its writes, usual in that simulator, reach no other task.
-        """
+        """Return a task; ``device`` and other arguments of its class may follow. The class gets a configuration of its own, so
+        that its writes, usual in that simulator, reach no other task."""
         given = {"seed": seed, "num_envs": num_envs, "headless": headless, "use_warp": use_warp}
         return self.get_task_class(task_name)(copy_class(self.get_task_config(task_name)), **given, **more)
 

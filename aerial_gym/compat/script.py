@@ -91,10 +91,8 @@ def stand_ins() -> Iterator[None]:
 
 
 def run_script(path: str | Path, arguments: Sequence[str] = ()) -> dict[str, Any]:
-    """Run a script as ``python PATH ARGUMENTS`` would, without its ``isaacgym`` imports; return its global names.
-
-    Modules that it imports may import ``isaacgym`` and ``gym`` themselves: ``stand_ins`` are lent to them.
-    """
+    """Run a script as ``python PATH ARGUMENTS`` would, without its ``isaacgym`` imports; return its global names. Modules that
+    it imports may import ``isaacgym`` and ``gym`` themselves: ``stand_ins`` are lent to them."""
     path = Path(path)
     code = compile(without_isaacgym(path.read_text(encoding="utf-8")), str(path), "exec")
     script = ModuleType("__main__")

@@ -51,7 +51,6 @@ class Comparison:
     """Comparison of a file's outputs with torch, batch by batch."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        """Take the names of the outputs, N."""
         zeros = torch.zeros(len(names), dtype=torch.float64)
         self._names = list(names)
         self._error, self._rounding, self._difference = zeros, zeros, zeros

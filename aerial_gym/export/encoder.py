@@ -26,7 +26,6 @@ class DeployableEncoder(nn.Module):
     """An encoder that gives NaN for an image with a pixel that is NaN or infinite."""
 
     def __init__(self, encoder: Encoder) -> None:
-        """Take the encoder."""
         super().__init__()
         self.encoder = encoder
 

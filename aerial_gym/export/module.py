@@ -62,7 +62,6 @@ class DeployablePolicy(nn.Module):
     scale: Tensor
 
     def __init__(self, policy: Policy, layout: Layout) -> None:
-        """Take a policy and its layout."""
         super().__init__()
         self.policy, self._layout = policy, layout
         self._transform, self._params = action_transform(layout)
@@ -90,10 +89,8 @@ class DeployablePolicy(nn.Module):
         return tuple(nan_unless(finite, output) for output in outputs)
 
     def normalization(self) -> tuple[Tensor, Tensor, float | None]:
-        """Return mean and standard deviation of the normaliser for scaled vectors, (O,), and its output limit.
-
-        Without a normaliser they are 0, 1 and None.
-        """
+        """Return mean and standard deviation of the normaliser for scaled vectors, (O,), and its output limit. Without a
+        normaliser they are 0, 1 and None."""
         pairs, limit, normalizers = [], None, dict(self.policy.body.normalizers.items())
         for key, width in self._vectors.items():
             normalizer = normalizers.get(key)

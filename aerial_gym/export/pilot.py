@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from math import prod
 from pathlib import Path
 from shutil import which
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,6 +22,9 @@ from aerial_gym.export.c99_images import PIXELS
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import onnx_session
 from aerial_gym.interop import usual_settings
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.settings import TrainingCfg
 
 Step = Callable[..., tuple[Tensor, Tensor, Tensor]]
 """Observation (E, O), memory (E, M) and images (E, C, H, W) to command (E, U), action (E, V) and the memory after it, on the
@@ -33,7 +37,6 @@ class ExportedPilot:
     """Flies an exported policy, as ``evaluate`` wants it."""
 
     def __init__(self, layout: Layout, step: Step) -> None:
-        """Take inputs, outputs and the function."""
         self.layout, self.step = layout, step
         scale = [torch.full((seen.count,), seen.scale) for seen in layout.observation]
         self._scale, self._keys = torch.cat(scale), list(dict.fromkeys(seen.key for seen in layout.observation))
@@ -82,6 +85,16 @@ def load_exported(file: str | Path) -> ExportedPilot:
     return ExportedPilot(layout, STEPS[file.suffix](file, layout))
 
 
+def load_pilot(source: Path, device: str) -> tuple[Any, "Layout | TrainingCfg"]:
+    """Return the policy of an exported file, run folder or checkpoint, and the task, robot and controller that it flies."""
+    from aerial_gym.rl_training.policies.load import load_policy
+
+    if source.suffix not in STEPS:
+        return load_policy(source, device=device)
+    pilot = load_exported(source)
+    return pilot, pilot.layout
+
+
 def torchscript_step(file: Path, layout: Layout) -> Step:
     """Return the step of a TorchScript file."""
     module = torch.jit.load(str(file))
@@ -112,9 +125,7 @@ def compile_library(file: Path, driver: str) -> ctypes.CDLL:
     """Compile a C file with its driver into a shared library for this machine."""
     compiler = which("gcc") or which("cc")
     if compiler is None:
-        raise CapabilityError(
-            "no C compiler here (gcc, cc): the source was written, and cannot be flown on this machine"
-        )
+        raise CapabilityError("no C compiler here (gcc, cc): the source was written, and cannot be flown here")
     with tempfile.TemporaryDirectory() as folder:
         more, library = Path(folder) / "rows.c", Path(folder) / "rows.so"
         more.write_text(driver, encoding="utf-8")

@@ -105,10 +105,8 @@ class ReusableLaunch:
         self, kernel: wp.Kernel, *, dim: int | Sequence[int], inputs: Sequence[object],
         outputs: Sequence[object] = (), device: wp.Device | torch.device, block_dim: int = 256, tiled: bool = False,
     ) -> None:  # fmt: skip
-        """Store the arguments of ``warp.launch``, or of ``warp.launch_tiled`` if ``tiled``.
-
-        Tensors become arrays of the types that the kernel declares. All arguments are kept alive.
-        """
+        """Store the arguments of ``warp.launch``, or of ``warp.launch_tiled`` if ``tiled``. Tensors become arrays of the types
+        that the kernel declares. All arguments are kept alive."""
         device = wp.device_from_torch(device) if isinstance(device, torch.device) else device
         self._kernel, self._device = kernel, device
         arguments = [self._argument(place, value) for place, value in enumerate((*inputs, *outputs))]

@@ -5,9 +5,8 @@ Letters: E environments.
 """
 
 from dataclasses import dataclass
-from math import inf
 
-from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
+from aerial_gym.config.checks import MAX_MADE, require, require_count, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 
 
@@ -45,19 +44,15 @@ class LearnerCfg:
         require_positive(self, "initial_std", "head_variance", "max_grad_norm")
         require_count(self, "horizon")
         name = type(self).__name__
-        if self.activation not in ("elu", "relu", "tanh"):
-            raise ConfigError(f"{name}.activation = {self.activation!r}: must be elu, relu or tanh")
-        if not 0 <= self.memory <= MAX_MADE:
-            raise ConfigError(f"{name}.memory = {self.memory!r}: must be >= 0 and at most {MAX_MADE:,}")
+        require(self, "activation", self.activation in ("elu", "relu", "tanh"), "must be elu, relu or tanh")
+        require(self, "memory", 0 <= self.memory <= MAX_MADE, f"must be >= 0 and at most {MAX_MADE:,}")
         if not self.policy_keys or (self.critic_keys and not self.separate_value_network):
             raise ConfigError(
                 f"{name}: policy_keys = {self.policy_keys!r}, critic_keys = {self.critic_keys!r}: the policy must see "
                 "something; a critic with keys of its own needs separate_value_network"
             )
-        if not self.hidden_layers or not all(1 <= width <= MAX_MADE for width in self.hidden_layers):
-            raise ConfigError(
-                f"{name}.hidden_layers = {self.hidden_layers!r}: needs widths >= 1 and at most {MAX_MADE:,}"
-            )
+        holds = bool(self.hidden_layers) and all(1 <= width <= MAX_MADE for width in self.hidden_layers)
+        require(self, "hidden_layers", holds, f"needs widths >= 1 and at most {MAX_MADE:,}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,13 +68,9 @@ class ReturnCfg(LearnerCfg):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(self, "reward_scale")
-        name = type(self).__name__
-        if not 0.0 <= self.bound_coef < inf:
-            raise ConfigError(f"{name}.bound_coef = {self.bound_coef!r}: must be >= 0 and finite")
-        if not 0.0 < self.discount < 1.0:
-            raise ConfigError(f"{name}.discount = {self.discount!r}: must be between 0 and 1")
-        if not 0.0 <= self.gae_lambda <= 1.0:
-            raise ConfigError(f"{name}.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
+        require_not_negative(self, "bound_coef")
+        require(self, "discount", 0.0 < self.discount < 1.0, "must be between 0 and 1")
+        require(self, "gae_lambda", 0.0 <= self.gae_lambda <= 1.0, "must be from 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,8 +103,7 @@ class PpoCfg(ReturnCfg):
             self, "learning_rate", "max_learning_rate", "end_learning_rate", "kl_threshold", "clip_range", "value_coef"
         )
         require_count(self, "num_minibatches", "num_epochs")
-        if not 0.0 <= self.entropy_coef < inf:
-            raise ConfigError(f"PpoCfg.entropy_coef = {self.entropy_coef!r}: must be >= 0 and finite")
+        require_not_negative(self, "entropy_coef")
 
     def learning_rate_limit(self, share: float) -> float:
         """Return the upper bound of the learning rate after a share, 0 to 1, of the training."""
@@ -156,12 +146,10 @@ class ApgCfg(ReturnCfg):
         super().__post_init__()
         require_positive(self, "learning_rate", "end_learning_rate", "critic_learning_rate", "target_share")
         require_count(self, "critic_epochs", "critic_minibatches")
-        if self.target_share > 1.0:
-            raise ConfigError(f"ApgCfg.target_share = {self.target_share!r}: must be at most 1")
-        if not self.separate_value_network:
-            raise ConfigError("ApgCfg.separate_value_network = False: must be true, the critic learns at its own pace")
-        if self.memory:
-            raise ConfigError(f"ApgCfg.memory = {self.memory!r}: apg has policies without memory. Train with ppo")
+        require(self, "target_share", self.target_share <= 1.0, "must be at most 1")
+        own_pace = "must be true, the critic learns at its own pace"
+        require(self, "separate_value_network", self.separate_value_network, own_pace)
+        require(self, "memory", not self.memory, "apg has policies without memory. Train with ppo")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +169,4 @@ class DistillCfg(LearnerCfg):
         require_positive(self, "learning_rate", "end_learning_rate")
         require_count(self, "num_minibatches", "num_epochs")
         if self.separate_value_network:
-            raise ConfigError(
-                "DistillCfg.separate_value_network = True: distillation has no value network. Leave it out"
-            )
+            raise ConfigError("DistillCfg.separate_value_network = True: distill has no value network. Leave it out")

@@ -29,7 +29,6 @@ class Ranks:
     """One of R processes of a training; with R = 1 every call returns its argument unchanged."""
 
     def __init__(self, rank: int = 0, size: int = 1, *, joined: bool = False) -> None:
-        """Take the number of this process, 0 to R - 1, R, and whether there is a group to talk to."""
         self.rank, self.size, self.joined = rank, size, joined
 
     @property
@@ -50,10 +49,8 @@ class Ranks:
         return tensor
 
     def var_mean(self, samples: Tensor) -> tuple[Tensor, Tensor]:
-        """Return variance and mean, (O), over the samples (N, O) of all processes, as many in each.
-
-        The variance is the mean of theirs, plus that of their means: exact, and without differences of large numbers.
-        """
+        """Return variance and mean, (O), over the samples (N, O) of all processes, as many in each. The variance is the mean
+        of theirs, plus that of their means: exact, and without differences of large numbers."""
         var, mean = torch.var_mean(samples, dim=0, correction=0)
         if not self.joined:
             return var, mean

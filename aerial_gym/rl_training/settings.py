@@ -5,12 +5,11 @@ Letters: E environments.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import TypeVar
 
 from aerial_gym.config import CONFIG_DIR
-from aerial_gym.config.checks import require_count, require_positive
+from aerial_gym.config.checks import require, require_count, require_positive
 from aerial_gym.config.extends import load_extended
 from aerial_gym.config.loader import convert
 from aerial_gym.errors import ConfigError
@@ -85,34 +84,23 @@ class TrainingCfg:
         return settings
 
     def __post_init__(self) -> None:
-        require_positive(self, "checkpoint_every_s")
+        require_positive(self, "checkpoint_every_s", "max_time_s", "max_env_steps", "torch_threads")
         trainer = TRAINERS.get(self.trainer)
-        for name in ("max_time_s", "max_env_steps", "torch_threads"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < inf:
-                raise ConfigError(f"TrainingCfg.{name} = {value!r}: must be > 0 and finite")
         if self.max_time_s is None and self.max_env_steps is None:
             raise ConfigError("TrainingCfg: give max_time_s, max_env_steps or both, or the training never ends")
         require_count(self, "num_envs")
-        if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
-            raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
+        require(self, "seed", 0 <= self.seed < 2**32, "must be >= 0 and less than 2**32")  # NumPy takes no larger one
         if [name for name in SECTIONS if getattr(self, name) is not None] != [trainer.section]:
-            raise ConfigError(
-                f"TrainingCfg: trainer {self.trainer} needs its numbers under {trainer.section}, and no others"
-            )
-        if self.teacher is not None and not trainer.takes_teacher:
-            raise ConfigError(
-                f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. "
-                f"Use {trainers_with_feature('takes_teacher')}"
-            )
-        if self.initial is not None and not trainer.takes_initial:
-            raise ConfigError(
-                f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} takes no initial networks. "
-                f"Use {trainers_with_feature('takes_initial')}"
-            )
+            raise ConfigError(f"TrainingCfg: trainer {self.trainer} needs numbers under {trainer.section} alone")
+        for name, feature, none in (
+            ("teacher", "takes_teacher", "has none"),
+            ("initial", "takes_initial", "takes no initial networks"),
+        ):
+            if getattr(self, name) is not None and not getattr(trainer, feature):
+                rule = f"trainer {self.trainer} {none}. Use {trainers_with_feature(feature)}"
+                raise ConfigError(f"TrainingCfg.{name} = {getattr(self, name)}: {rule}")
         learner = self.learner
-        special = learner.memory or learner.critic_keys
-        special = special or learner.policy_keys != ("observations",)
+        special = learner.memory or learner.critic_keys or learner.policy_keys != ("observations",)
         if special and not trainer.any_inputs:
             raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
         if self.ppo is None:

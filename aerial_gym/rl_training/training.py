@@ -120,9 +120,7 @@ def _train_session(
 ) -> TrainingResult:  # fmt: skip
     resumed = ranks.broadcast(folder.newest_readable_checkpoint() if resume and ranks.is_leader else None)
     if resume and resumed is None and ranks.is_leader:
-        _log.warning(
-            "%s: was ended before its first checkpoint; the training starts anew in the same folder", folder.path
-        )
+        _log.warning("%s: ended before its first checkpoint; the training starts anew in the same folder", folder.path)
     steps = checkpoint_steps(resumed, cfg.trainer)
     shown = show_progress and ranks.is_leader
     with (
@@ -175,22 +173,12 @@ def _run_trainer(
     torch.manual_seed(seed)
     np.random.seed(seed)
     random.seed(seed)
-    with (
-        task_registry.make_task(
-            cfg.task,
-            num_envs=cfg.num_envs,
-            device=process_device(cfg.device),
-            seed=cfg.seed,
-            first_env=ranks.rank * cfg.num_envs,
-            robot=cfg.robot,
-            controller=cfg.controller,
-            backend=cfg.backend,
-            encoder=cfg.encoder,
-            capture=trainer.captures_task,
-            differentiable=trainer.differentiable,
-        ) as task,
-        on_device(task.device),
-    ):
+    made = task_registry.make_task(
+        cfg.task, num_envs=cfg.num_envs, device=process_device(cfg.device), seed=cfg.seed,
+        first_env=ranks.rank * cfg.num_envs, robot=cfg.robot, controller=cfg.controller, backend=cfg.backend,
+        encoder=cfg.encoder, capture=trainer.captures_task, differentiable=trainer.differentiable,
+    )  # fmt: skip
+    with made as task, on_device(task.device):
         interruption.check()
         task.practise()
         folder.add_session(cfg, str(task.device))

@@ -61,10 +61,8 @@ class TaskImages:
                 )  # fmt: skip
 
     def write_frames(self, *, begun: bool) -> None:
-        """Write the present images; launched on torch's current stream, not waited for.
-
-        ``begun``: of the environments whose episode has just begun, and as all frames; otherwise of all, as the newest one.
-        """
+        """Write the present images; launched on torch's current stream, not waited for. ``begun``: of the environments whose
+        episode has just begun, and as all frames; otherwise of all, as the newest one."""
         for launch in self._of_reset if begun else self._of_step:
             launch.launch(self._kept_alive[0])
 
@@ -83,10 +81,8 @@ class ImageBuffers:
     """Declares the buffers ``CELLS``, ``LARGEST`` and ``LATENTS`` of a task, and computes them from each image."""
 
     def __init__(self, sensors: SensorManager, gtd: GlobalTensorDictionary, *, robot: str, encoder: str | None) -> None:
-        """Take the sensors, the dictionary with their images, the robot's name for messages, and the encoder's name.
-
-        The encoder is loaded when a term reads its latents.
-        """
+        """Take the sensors, the dictionary with their images, the robot's name for messages, and the encoder's name. The
+        encoder is loaded when a term reads its latents."""
         self._sensors, self._gtd, self._robot, self._name = sensors, gtd, robot, encoder
         self._cells: list[NearestInCells] = []
         self._encoder: Encoder | None = None

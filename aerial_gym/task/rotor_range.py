@@ -54,9 +54,7 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
             low, high = rotor_state_for_thrust(rotor, low), rotor_state_for_thrust(rotor, high)
         elif not name.startswith("thrust") or len(command) != robot.num_rotors:
             known = "no_control, rotor_speed_control"
-            raise ConfigError(
-                f"action {ROTOR_RANGE}: controller {cfg.controller} tells no rotors. Choose one of {known}"
-            )
+            raise ConfigError(f"action {ROTOR_RANGE}: controller {cfg.controller} tells no rotors. Choose {known}")
         ranges.append((low, high))
     low, high = zip(*ranges, strict=True)
     order = rotor_order([mount.position for mount in robot.mounts.layout])

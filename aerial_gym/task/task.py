@@ -192,9 +192,7 @@ class Task:
         if self.device.type != "cuda":
             raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
         if self.values.graph is not None:
-            raise CapabilityError(
-                "capture: a step with gradients is no graph of its own. Make the task with capture=False"
-            )
+            raise CapabilityError("capture: a step with gradients is no CUDA graph. Make the task with capture=False")
 
     def detach(self) -> None:
         """Cut the gradients at this instant: later losses are differentiated back to here, and no further."""
@@ -239,11 +237,8 @@ class Task:
         return self._watch.dump(path)
 
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
-        """Restart every environment; return observation and info.
-
-        With a ``seed`` everything is as in a new task with that seed, the choice of obstacles and the curriculum included;
-        without one the curriculum continues.
-        """
+        """Restart every environment; return observation and info. With a ``seed`` everything is as in a new task with that
+        seed, the choice of obstacles and the curriculum included; without one the curriculum continues."""
         if self._capture_at_reset:
             self.capture()
         if seed is not None:
@@ -406,10 +401,8 @@ class Task:
         return entries | add_prefix("task", self.values.own.state_tensors()) | add_prefix("curriculum", curriculum)
 
     def save_state(self) -> dict[str, Tensor]:
-        """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``).
-
-        The memory of a policy is not included.
-        """
+        """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``). The
+        memory of a policy is not included."""
         return copy_tensors(self.state_tensors())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:

@@ -89,9 +89,7 @@ class Values(Mapping[str, Tensor]):
 
 
 def numbers_in_name(name: str, template: str) -> dict[str, int] | None:
-    """Return the whole numbers of a name by a template such as ``"nearest_in_{rows}x{columns}_cells"``.
-
-    None if it does not.
-    """
+    """Return the whole numbers of a name by a template such as ``"nearest_in_{rows}x{columns}_cells"``. None if it does
+    not."""
     matches = re.fullmatch(re.sub(r"\{(\w+)\}", r"(?P<\1>[1-9][0-9]*)", template), name)
     return None if matches is None else {key: int(number) for key, number in matches.groupdict().items()}

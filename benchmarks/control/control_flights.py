@@ -88,9 +88,7 @@ class ControlFlight:
 
 def robots_by_dynamics(*, bend: bool = False) -> dict[str, RobotCfg]:
     """Return the registered robots with distinct flight dynamics, by the first name of each: rigid ones, or those with joints.
-
-    Robots on a stand do not fly.
-    """
+    Robots on a stand do not fly."""
     result: dict[str, RobotCfg] = {}
     for name in ROBOTS:
         robot = ROBOTS.get(name)
@@ -256,10 +254,8 @@ def _rotor_limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
 
 
 def time_to_settle_and_overshoot(response: list[float]) -> tuple[float, float]:
-    """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on.
-
-    Both are infinite where there is NaN in it.
-    """
+    """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on. Both are infinite where
+    there is NaN in it."""
     if not all(map(isfinite, response)):
         return inf, inf
     outside = [i for i, value in enumerate(response) if abs(value - 1.0) > SETTLED]

@@ -40,16 +40,11 @@ def fly_policy(run: str, count: int, *, level: int | None = None) -> FirstEpisod
     curriculum = task_registry.get(cfg.task).curriculum
     if curriculum is not None and level is None:
         level = curriculum.max_level
-    with task_registry.make_task(
-        cfg.task,
-        num_envs=count,
-        device="cpu",
-        seed=SEED,
-        robot=cfg.robot,
-        controller=cfg.controller,
-        encoder=cfg.encoder,
-        level=None if curriculum is None else level,
-    ) as task:
+    made = task_registry.make_task(
+        cfg.task, num_envs=count, device="cpu", seed=SEED, robot=cfg.robot, controller=cfg.controller,
+        encoder=cfg.encoder, level=None if curriculum is None else level,
+    )  # fmt: skip
+    with made as task:
         observation, _ = task.reset()
         policy.reset()
         over, crashed = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
@@ -99,6 +94,7 @@ def main(argv: Sequence[str]) -> None:
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--level", type=int)
     asked = parser.parse_args(argv)
+    plt.rcParams |= {"xtick.labelsize": 7, "ytick.labelsize": 7, "axes.labelsize": 8}
     figure, axes = plt.subplots(len(asked.runs), 2, figsize=(8.0, 2.6 * len(asked.runs)), squeeze=False)
     for (left, right), entry in zip(axes, asked.runs, strict=True):
         name, _, run = entry.partition("=")
@@ -107,10 +103,6 @@ def main(argv: Sequence[str]) -> None:
         draw_ways(left, flights)
         draw_distances(right, flights)
         left.set_title(name, fontsize=9)
-        for axis in (left, right):
-            axis.tick_params(labelsize=7)
-            axis.xaxis.label.set_size(8)
-            axis.yaxis.label.set_size(8)
     figure.tight_layout()
     figure.savefig(asked.out, dpi=80)
 

@@ -39,21 +39,16 @@ class BenchRacing:
         """Fly each level twice from the same seed: the 20 runs are the first ones of the others."""
         from scipy.stats import binomtest
 
-        from aerial_gym.export.pilot import STEPS, load_exported
+        from aerial_gym.export.pilot import load_pilot
         from aerial_gym.rl_training.evaluation import evaluate
-        from aerial_gym.rl_training.policies.load import check_fits, load_policy
+        from aerial_gym.rl_training.policies.load import check_fits
         from aerial_gym.task import task_registry
 
-        if self.policy.suffix in STEPS:
-            policy = load_exported(self.policy)
-            trained = policy.layout.task
-        else:
-            policy, cfg = load_policy(self.policy, device=self.device)
-            trained = cfg.task
+        policy, trained = load_pilot(self.policy, self.device)
         for level in self.levels:
             for runs in (RUNS, self.num_envs):
                 with task_registry.make_task(level, num_envs=runs, device=self.device, seed=self.seed) as task:
-                    check_fits(policy, task, trained)
+                    check_fits(policy, task, trained.task)
                     result = evaluate(policy, task)
                 complete = round(result.success_rate * runs)
                 interval = binomtest(complete, runs).proportion_ci()  # Clopper and Pearson, 95 %

@@ -129,9 +129,7 @@ def translate_asset(name: str, cls: Any) -> AssetCfg | None:
         return None
     cfg = TABLE.translate(cls, _BOX)
     if cfg.shapes == _BOX.shapes:
-        raise ConfigError(
-            f"{cls.__name__}.asset_folder: must be given, with URDF files, for a class that has none to inherit"
-        )
+        raise ConfigError(f"{cls.__name__}.asset_folder: must be given, with URDF files, where none is inherited")
     return replace(cfg, name=name)
 
 

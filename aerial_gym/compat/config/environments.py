@@ -66,10 +66,8 @@ TABLE = ConfigTable(
 
 
 def translate_environment(cls: Any) -> EnvironmentCfg:
-    """Return the translated environment of an environment class.
-
-    Asset classes are changed in place by scripts, so they are read at every call.
-    """
+    """Return the translated environment of an environment class. Asset classes are changed in place by scripts, so they are
+    read at every call."""
     cfg = TABLE.translate(cls, ENVIRONMENTS.get("empty_env"))
     given = TABLE.values(cls)
     classes = given.get("env_config.asset_type_to_dict_map")

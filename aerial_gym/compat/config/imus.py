@@ -34,9 +34,7 @@ def _six_number_changes(*names: str) -> Any:
 def _range_changes(values: Values) -> Changes:
     limits = [float(n) for n in values["max_measurement_value"]]
     if len(limits) != 6 or len(set(limits[:3])) > 1 or len(set(limits[3:])) > 1:
-        raise ConfigError(
-            f"max_measurement_value = {limits!r}: needs one limit for the accelerometers and one for the gyros"
-        )
+        raise ConfigError(f"max_measurement_value = {limits!r}: needs one limit for accelerometers and one for gyros")
     return {"accel_range": limits[0], "gyro_range": limits[3]}
 
 

@@ -27,10 +27,8 @@ from aerial_gym.sensors import SENSORS
 
 
 def register_config(cls: Any, cfg: Any, registry: Registry[Any]) -> str:
-    """Register a configuration once and return its name: that of an equal entry, else that of its class.
-
-    A class that a script changes after it has been used gets a second name.
-    """
+    """Register a configuration once and return its name: that of an equal entry, else that of its class. A class that a script
+    changes after it has been used gets a second name."""
     for known in registry:
         if registry.get(known) == cfg:
             return known

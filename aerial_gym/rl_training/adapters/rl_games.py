@@ -34,7 +34,6 @@ class TaskVecEnv(IVecEnv):
     """A task as rl-games sees it: done is terminated or truncated, and ``time_outs`` lets it bootstrap the value."""
 
     def __init__(self, task: Task) -> None:
-        """Take a built task."""
         self._task = task
 
     def reset(self) -> Tensor:
@@ -66,7 +65,6 @@ class KeeperAgent(A2CAgent):
     after_epoch: Callable[[], None]
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
-        """Take the library's arguments; the process group exists already, and the device is the task's."""
         self._device = params["config"]["device"]
         with patch.object(distributed, "init_process_group", lambda *_, **__: None):
             super().__init__(base_name, params)

@@ -26,7 +26,6 @@ class RslRlEnv(VecEnv):
     """
 
     def __init__(self, task: Task) -> None:
-        """Take a built task."""
         self._task, self.device, self.cfg = task, task.device, {"task": str(task.cfg)}
         self.num_envs, self.num_actions = task.num_envs, task.num_actions
         self.max_episode_length = task.cfg.episode_len_steps

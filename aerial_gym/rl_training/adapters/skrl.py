@@ -25,7 +25,6 @@ class SkrlEnv(Wrapper):
     """
 
     def __init__(self, task: Task, *, state: str | None = None) -> None:
-        """Take a built task, and the observation key of the critic if it differs (skrl: state)."""
         super().__init__(task)
         self._task, self._state_key, self._state = task, state, None
         self._info: dict[str, Any] = {}

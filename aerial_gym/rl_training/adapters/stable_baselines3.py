@@ -28,7 +28,6 @@ class Sb3Env(VecEnv):
     """
 
     def __init__(self, task: Task) -> None:
-        """Take a built task."""
         self.task, self._actions = task, torch.zeros(task.num_envs, task.num_actions, device=task.device)
         self.render_mode = None
         super().__init__(task.num_envs, task.observation_space["observations"], task.action_space)

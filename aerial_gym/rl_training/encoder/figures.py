@@ -53,11 +53,8 @@ def reconstruct_by_mean(train: ImageSet) -> Reconstruction:
 
 
 def reconstruct_by_components(train: ImageSet, latents: int) -> Reconstruction:
-    """Return the reconstruction from the first principal components of the images, by least squares.
-
-    With equal target and image this is the optimal linear encoder and decoder of this size on its training images (Eckart
-    and Young 1936).
-    """
+    """Return the reconstruction from the first principal components of the images, by least squares. With equal target and
+    image this is the optimal linear encoder and decoder of this size on its training images (Eckart and Young 1936)."""
     seen, target = train.seen.flatten(1), train.target.flatten(1)
     mean, aim = seen.mean(0), target.mean(0)
     centred = seen - mean

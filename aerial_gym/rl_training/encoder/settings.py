@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from aerial_gym.config.checks import require_count, require_positive
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import require, require_choice, require_count, require_positive
 from aerial_gym.sensors.encoder.file import AutoencoderCfg
 
 TARGETS = ("distance", "collision")  # Targets of an encoder: the sensor's image, or its collision distances
@@ -38,15 +37,11 @@ class EncoderTrainingCfg:
 
     def __post_init__(self) -> None:
         require_count(self, "train_images", "test_images", "epochs", "batch")
-        require_positive(self, "learning_rate", *(["radius_m"] if self.radius_m is not None else []))
-        if self.target not in TARGETS:
-            raise ConfigError(f"EncoderTrainingCfg.target = {self.target!r}: must be {' or '.join(TARGETS)}")
-        if not self.envs or min(self.train_images, self.test_images) < len(self.envs):
-            raise ConfigError(
-                f"EncoderTrainingCfg.envs = {self.envs!r}: needs at least one environment, and an image of each in both sets"
-            )
-        if not 0 <= self.seed < 2**32 - 1:
-            raise ConfigError(f"EncoderTrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32 - 1")
+        require_positive(self, "learning_rate", "radius_m")
+        require_choice(self, "target", TARGETS)
+        enough = bool(self.envs) and min(self.train_images, self.test_images) >= len(self.envs)
+        require(self, "envs", enough, "needs at least one environment, and an image of each in both sets")
+        require(self, "seed", 0 <= self.seed < 2**32 - 1, "must be >= 0 and less than 2**32 - 1")
         self.network(rows=1, columns=1)
 
     def network(self, *, rows: int, columns: int) -> AutoencoderCfg:

@@ -54,7 +54,6 @@ class EncoderFit:
     """Network, optimiser, and the number of epochs that are done."""
 
     def __init__(self, cfg: EncoderTrainingCfg, images: ImageSet) -> None:
-        """Make a network for the images; its weights follow from the seed."""
         self._cfg, self._images = cfg, images
         _, rows, columns = images.seen.shape
         with torch.random.fork_rng(devices=[]):
@@ -123,7 +122,6 @@ class EncoderFolder:
     """Paths and files of one training."""
 
     def __init__(self, path: str | Path) -> None:
-        """Take the folder; nothing is made yet."""
         self.path = Path(path)
         names = ("config.yaml", "checkpoint.pth", "encoder.pt", "curve.csv", "result.json", "images.png")
         self.config, self.checkpoint, self.encoder, self.curve, self.result, self.picture = (
@@ -189,9 +187,7 @@ def _resume_settings(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> Enco
         wanted = getattr(given, each.name)
         if each.name != "device" and wanted not in (getattr(own, each.name), getattr(plain, each.name)):
             flag = each.name.replace("_", "-")
-            raise ConfigError(
-                f"--{flag}: a resumed training keeps its own. Leave it out, or start anew in another --out"
-            )
+            raise ConfigError(f"--{flag}: a resumed training keeps its own. Leave it out, or start anew in a new --out")
     return replace(own, device=given.device)
 
 

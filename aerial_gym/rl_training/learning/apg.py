@@ -88,7 +88,6 @@ class Apg(Learner):
     """The gradient is that of the policy, before it is limited; the loss of values is the mean over the last epoch."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
-        """Take settings, a task with gradients, and a network on its device."""
         super().__init__(cfg, task, network)
         check_differentiable(task, cfg)
         self._apg = apg = cfg.section(ApgCfg)
@@ -211,9 +210,7 @@ class Apg(Learner):
 def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
     """Refuse task terms without gradients through windows with resets."""
     if task.values.graph is None:
-        raise CapabilityError(
-            f"trainer apg: task {cfg.task} was made without gradients. Make it with differentiable=True"
-        )
+        raise CapabilityError(f"trainer apg: task {cfg.task} has no gradients. Make it with differentiable=True")
     drawn = ", ".join(task.env.robot_manager.draws())
     if drawn:
         raise CapabilityError(

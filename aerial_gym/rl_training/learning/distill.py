@@ -33,7 +33,6 @@ class Distill(Learner):
     """The difference is the root of the mean square of an action's entry; the last is a share of the rows."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, teacher: Policy) -> None:
-        """Take settings, a task without a graph of its own, the student (its value head stays untrained) and its teacher."""
         super().__init__(cfg, task, network)
         self._distill, self._teacher = cfg.section(DistillCfg), teacher
         self._adam = FlatAdam(network.actor, max_norm=self._distill.max_grad_norm)

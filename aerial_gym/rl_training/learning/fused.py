@@ -81,7 +81,6 @@ class FusedPpo(Ppo):
     """Proximal policy optimisation whose passes through both networks are single launches."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take the arguments of ``Ppo``, if ``fusion_refusal`` returns None."""
         super().__init__(cfg, task, network, ranks)
         from aerial_gym.rl_training.learning import kernels
 

@@ -28,7 +28,6 @@ class Learner:
     captures = True  # Whether `iterate` is held in a CUDA graph on a GPU
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take settings, a task without a graph of its own, a network on its device, and the processes of the training."""
         self._cfg, self._task, self.network, self.ranks = cfg, task, network, ranks
         device = task.device
         self.generator = torch.Generator(device).manual_seed(cfg.seed + ranks.rank)
@@ -157,7 +156,6 @@ class FlatAdam:
     """Adam with a limit on the gradient norm."""
 
     def __init__(self, network: nn.Module, *, max_norm: float, betas: tuple[float, float] = BETAS) -> None:
-        """Move all weights of ``network`` into one tensor, of which they become views."""
         self._parameters = [p for p in network.parameters() if p.requires_grad]
         self._max_norm, self._betas = max_norm, betas
         self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])  # (P,)
@@ -214,9 +212,7 @@ class FlatAdam:
 @contextmanager
 def low_precision() -> Iterator[None]:
     """Multiply float32 matrices on a GPU with 10 bits of mantissa: exact enough for gradients of a network of noisy samples.
-
-    Not for passes forward, as the probability ratio compares two of them, nor for gradients that go back through physics.
-    """
+    Not for passes forward, as the probability ratio compares two of them, nor for gradients that go back through physics."""
     before = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = True
     try:

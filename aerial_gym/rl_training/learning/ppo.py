@@ -111,7 +111,6 @@ class Ppo(Learner):
     """The last three are means over the minibatches of the last pass over the samples."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take settings, a task without a graph of its own, a network on its device, and the processes of the training."""
         super().__init__(cfg, task, network, ranks)
         self._ppo = ppo = cfg.section(PpoCfg)
         self._adam = FlatAdam(network, max_norm=ppo.max_grad_norm)

@@ -22,10 +22,8 @@ def _second_stream(device: torch.device) -> torch.cuda.Stream:
 
 @contextmanager
 def _parallel_stream(device: torch.device) -> Iterator[AbstractContextManager[object]]:
-    """Yield a context that runs on a second CUDA stream, in parallel to the rest of the block.
-
-    Autograd uses the same streams backward. On a CPU both run in sequence.
-    """
+    """Yield a context that runs on a second CUDA stream, in parallel to the rest of the block. Autograd uses the same streams
+    backward. On a CPU both run in sequence."""
     if device.type != "cuda":
         yield nullcontext()
         return
@@ -80,10 +78,8 @@ class ActorCritic(nn.Module):
     def sequence_outputs(
         self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor
     ) -> tuple[Gaussian, Tensor]:
-        """Return the distributions of actions (T, E, U) and the normalised values (T, E) along a sequence.
-
-        Arguments as for ``NetworkBody.sequence_outputs``, with the joint memory of both.
-        """
+        """Return the distributions of actions (T, E, U) and the normalised values (T, E) along a sequence. Arguments as for
+        ``NetworkBody.sequence_outputs``, with the joint memory of both."""
         acting, judging = memory.split(self.memory_sizes, dim=-1)
         if self.own_body is None:
             features, _ = self.actor.body.sequence_outputs(prepared, acting, begins)

@@ -19,10 +19,8 @@ TILE, WARPS = 16, 4
 
 
 def unroll_memory(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
-    """Return the hidden states (T, E, M) of a unit for features (T, E, F), from a memory (E, M) before them.
-
-    The memory is emptied at the steps where an episode ``begins``, bool (T, E).
-    """
+    """Return the hidden states (T, E, M) of a unit for features (T, E, F), from a memory (E, M) before them. The memory is
+    emptied at the steps where an episode ``begins``, bool (T, E)."""
     if features.is_cuda:
         entering = linear(features, cell.weight_ih, cell.bias_ih)
         small = cell.hidden_size in SIZES and features.dtype == torch.float32

@@ -34,7 +34,6 @@ class CheckpointKeeper:
         self, cfg: TrainingCfg, folder: RunFolder, task: Task, *, resumed: tuple[Path, dict[str, Any]] | None,
         ranks: Ranks = ALONE,
     ) -> None:  # fmt: skip
-        """Take the other parts of a checkpoint, the checkpoint to resume from, if any, and all processes."""
         self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
         self.ready = resumed is None  # Whether there is a state to save: not before a resumed state is restored
         self._saved_at, self._interval = time.perf_counter(), min(FIRST_INTERVAL_S, cfg.checkpoint_every_s)
@@ -67,10 +66,8 @@ class CheckpointKeeper:
             raise TrainingError(f"the training diverged: {bad[0]} is NaN or infinite. {left}")
 
     def restore(self, load: Callable[[dict[str, Any]], None], *, own: Sequence[str] = ()) -> None:
-        """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.
-
-        Keys that differ between processes (``own``) are missing for a rank new to the run.
-        """
+        """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states. Keys that differ between
+        processes (``own``) are missing for a rank new to the run."""
         assert self._resumed is not None
         path, payload = self._resumed
         try:

@@ -43,9 +43,7 @@ class Progress:
         ranks: Ranks = ALONE,
     ) -> None:  # fmt: skip
         """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start, all processes.
-
-        Lines of the curve beyond ``resumed_steps`` environment steps, which no checkpoint holds, are dropped.
-        """
+        Lines of the curve beyond ``resumed_steps`` environment steps, which no checkpoint holds, are dropped."""
         self._cfg, self._started, self._ranks = cfg, started, ranks
         self._first_steps: int | None = None
         self._first_time = self._last_line = 0.0

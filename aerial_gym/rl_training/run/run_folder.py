@@ -47,7 +47,6 @@ class RunFolder:
     """Paths and files of one run."""
 
     def __init__(self, path: str | Path) -> None:
-        """Take the folder; nothing is made yet."""
         self.path = Path(path)
         self.config_file, self.curve_file = self.path / "config.yaml", self.path / "curve.csv"
         self.result_file, self.log_file = self.path / "result.json", self.path / "log.txt"
@@ -96,10 +95,8 @@ class RunFolder:
         return checkpoints[-1]
 
     def newest_readable_checkpoint(self) -> tuple[Path, dict[str, Any]] | None:
-        """Return the newest readable checkpoint with its content; None for a run without a checkpoint.
-
-        Damaged ones that are newer keep their content under the name ``NAME.damaged``, and a warning says so.
-        """
+        """Return the newest readable checkpoint with its content; None for a run without a checkpoint. Damaged ones that are
+        newer keep their content under the name ``NAME.damaged``, and a warning says so."""
         checkpoints, reasons = self.checkpoints(), []
         for path in reversed(checkpoints):
             try:
@@ -124,9 +121,7 @@ class RunFolder:
             write_archive(path, payload)
         except StorageError as error:
             known = self.checkpoints()
-            left = (
-                f"The last checkpoint is {known[-1]}; --resume continues from it" if known else "There is no checkpoint"
-            )
+            left = f"The last checkpoint is {known[-1]}; --resume goes on there" if known else "There is no checkpoint"
             raise StorageError(f"{error}. {left}") from None
         for old in sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))[:-KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
@@ -135,10 +130,8 @@ class RunFolder:
         return path
 
     def add_session(self, cfg: TrainingCfg, device: str) -> None:
-        """Append seed, device, versions and machine of this session to ``versions.json``.
-
-        Waits until no file of TensorBoard has the present second in its name: one of this session would replace it.
-        """
+        """Append seed, device, versions and machine of this session to ``versions.json``. Waits until no file of TensorBoard
+        has the present second in its name: one of this session would replace it."""
         while any(self.path.rglob(f"events.out.tfevents.{int(time.time())}.*")):
             time.sleep(0.05)
         append_session(self.path, seed=cfg.seed, device=device)

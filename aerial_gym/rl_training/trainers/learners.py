@@ -70,9 +70,7 @@ class ApgTrainer(NativeTrainer):
         del ranks
         smooth = f"smooth_{cfg.task}"
         if smooth in task_registry.names():
-            _log.warning(
-                "trainer apg: the reward of %s is flat far from its target. Train with task %s", cfg.task, smooth
-            )
+            _log.warning("trainer apg: the reward of %s is flat far from its target. Train with %s", cfg.task, smooth)
         return NativeTraining(cfg, task, Apg(cfg, task, make_network(cfg, task)))
 
 
@@ -89,9 +87,7 @@ class DistillTrainer(NativeTrainer):
         from aerial_gym.rl_training.policies.load import load_policy
 
         if cfg.teacher is None:
-            raise ConfigError(
-                "trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training"
-            )
+            raise ConfigError("trainer distill needs a policy to hand on: --teacher RUN, the folder of its training")
         load_policy(cfg.teacher)
 
     def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining[Distill]":

@@ -87,7 +87,6 @@ class NativeTraining(Generic[AnyLearner]):
     """Iterations of a learner, and its numbers on the host."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, learner: AnyLearner) -> None:
-        """Take settings, a task without a graph of its own, and a new learner; start all episodes."""
         self.cfg, self.task, self.learner = cfg, task, learner
         self._ranks = learner.ranks
         if task.curriculum is not None and self._ranks.joined:

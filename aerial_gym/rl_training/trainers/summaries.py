@@ -38,7 +38,6 @@ class SafeEvents:
     """An ``EventsWriter`` that keeps its first error instead of ending the thread that writes."""
 
     def __init__(self, events: Any, folder: str) -> None:
-        """Take the library's writer of events and the folder it writes to."""
         self._events, self._folder = events, folder
         self._error: OSError | None = None
 
@@ -92,7 +91,6 @@ class TensorboardScalars:
     INTERVAL_S = 1.0
 
     def __init__(self, folder: Path) -> None:
-        """Take the folder, which is made with the first numbers."""
         self._folder, self._last = folder, -self.INTERVAL_S
         self._known = importlib.util.find_spec("tensorboardX") is not None
         self._writer: Any = None
@@ -132,10 +130,8 @@ def require_wandb() -> None:
 
 @contextmanager
 def send_scalars(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator[None]:
-    """Send scalars to a run of a project that bears the folder's name; a resumed training continues the same run.
-
-    The library's own variables hold: ``WANDB_MODE=offline`` keeps all in ``wandb/`` of the folder, for ``wandb sync``.
-    """
+    """Send scalars to a run of a project that bears the folder's name; a resumed training continues the same run. The
+    library's own variables hold: ``WANDB_MODE=offline`` keeps all in ``wandb/`` of the folder, for ``wandb sync``."""
     import wandb
 
     file = folder.path / "wandb.json"

@@ -28,14 +28,11 @@ class Command:
     goal = False  # Whether obstacles that are drawn keep their distance from the target of a new episode
 
     def __init__(self, values: Values, env: EnvManager) -> None:
-        """Take the task's tensors, and the simulation for bounds and randomness."""
         self.values, self.env = values, env
 
     def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the buffers that depend on this instant, after the physics and before rewards and ends.
-
-        It must not read its own results, as it may be called more than once.
-        """
+        """Return the buffers that depend on this instant, after the physics and before rewards and ends. It must not read its
+        own results, as it may be called more than once."""
         del values
         return {}
 

@@ -111,9 +111,7 @@ class Gates(GateCommand):
         """
         super().__init__(values, env)
         if not centers or len(centers) != len(yaws):
-            raise ConfigError(
-                f"command gates: {len(centers)} centers and {len(yaws)} yaws: needs one of each for every gate"
-            )
+            raise ConfigError(f"command gates: {len(centers)} centers and {len(yaws)} yaws: needs one of each per gate")
         if not (width > 0.0 and height > 0.0):
             raise ConfigError(f"command gates: width = {width!r}, height = {height!r}: must be > 0")
         turns = [(cos(yaw), sin(yaw), 0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)) for yaw in yaws]

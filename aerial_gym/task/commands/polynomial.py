@@ -35,10 +35,8 @@ MOST_POINTS = 10  # Of a track: each adds to the length of a kernel
 
 
 def minimum_snap_weights(num_points: int) -> Array:
-    """Return the coefficients of the weights of each point, (S, 8, K): of ``u^j``, 0 <= u <= 1, in each segment.
-
-    Every segment takes one unit of time; derivatives are with respect to that.
-    """
+    """Return the coefficients of the weights of each point, (S, 8, K): of ``u^j``, 0 <= u <= 1, in each segment. Every segment
+    takes one unit of time; derivatives are with respect to that."""
     segments = num_points - 1
     rows, given = [], []
 
@@ -120,7 +118,7 @@ class Polynomial(Command):
         ]
         self._target(moving=True)
         values.declare(
-            "target_acceleration", (3,), unit="m/s²", frame="world", meaning="acceleration of the point to fly to"
+            "target_acceleration", (3,), unit="m/s²", frame="world", meaning="acceleration of the target point"
         )
         self._points = values.declare(
             "track_points", (3 * points,), unit="m", frame="world", meaning="points of the track: all x, all y, all z"

@@ -55,9 +55,7 @@ class TrackGates(GateCommand):
         """
         super().__init__(values, env)
         if env.cfg.track is None:
-            raise ConfigError(
-                "command track_gates: the environment has no track. Give it one, or take the command gates"
-            )
+            raise ConfigError("command track_gates: the environment has no track. Give it one, or take command gates")
         if not (width > 0.0 and height > 0.0 and sensor_range >= 0.0):
             raise ConfigError(
                 f"command track_gates: width = {width!r}, height = {height!r}: must be > 0; sensor_range = {sensor_range!r}: "

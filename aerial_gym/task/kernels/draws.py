@@ -131,9 +131,7 @@ class WhiteNoise:
         purpose: Purpose = Purpose.OBSERVATION,
     ) -> None:  # fmt: skip
         """Take standard deviation and dropout probability of each entry with either, by its number, and the step, int32 (E,).
-
-        The purpose is that of draws for all but a last observation.
-        """
+        The purpose is that of draws for all but a last observation."""
         start_warp()
         self._purpose = purpose
         device = step.device

@@ -24,10 +24,8 @@ class HistoryLine:
         return self.longest_delay + self.history - 1
 
     def frames_of_step(self, past: Tensor, value: Tensor, begun: Tensor | None) -> list[Tensor]:
-        """Return the values of this step and the m before, oldest first, each (E, w).
-
-        The line ``past`` is (E, m w), ``value`` (E, w). Where an episode has just ``begun``, bool (E,), frames are this value.
-        """
+        """Return the values of this step and the m before, oldest first, each (E, w). The line ``past`` is (E, m w), ``value``
+        (E, w). Where an episode has just ``begun``, bool (E,), frames are this value."""
         kept = list(past.split(value.shape[1], dim=-1)) if self.length else []
         if begun is not None:
             kept = [torch.where(begun.unsqueeze(-1), value, old) for old in kept]

@@ -48,7 +48,6 @@ class Judge:
         terminations: Mapping[str, tuple[BoundTerm, TerminationCfg]], values: Values, *, command: Command,
         observer: Observer, random: Randomness,
     ) -> None:  # fmt: skip
-        """Take the terms and their inputs; ``random`` receives which episodes end, and the number of the next one."""
         self._cfg, self._rewards, self._terminations = cfg, dict(rewards), dict(terminations)
         self._command, self._observer = command, observer
         ends = {"crash": cfg.crash_reward, "success": cfg.success_reward}

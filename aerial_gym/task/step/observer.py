@@ -134,7 +134,6 @@ class Observer:
         self, groups: Mapping[str, list[tuple[BoundTerm, ObservationCfg, int]]], values: Values, random: Randomness,
         faults: Mapping[str, FaultCfg] | None = None,
     ) -> None:  # fmt: skip
-        """Take the terms of each group in order with their widths; ``values`` receives their delay lines."""
         self._faults = SensorFaults([term for terms in groups.values() for term in terms], faults or {}, values, random)
         self.groups: dict[str, list[ObservationEntry]] = {}  # Entries in order
         noise: dict[int, tuple[float, float]] = {}
@@ -206,9 +205,7 @@ class Observer:
         self, values: Mapping[str, Tensor], begun: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor], dict[str, Tensor]]:
         """Return whether all terms are finite, bool (E,), the observations by group, and ``writes``, as a pure function.
-
-        ``values`` are tensors by the names of ``reads``; ``begun`` marks new episodes, bool (E,), None for none.
-        """
+        ``values`` are tensors by the names of ``reads``; ``begun`` marks new episodes, bool (E,), None for none."""
         flags, shown, lines = [], {}, {}
         for group, entries in self.groups.items():
             parts = []

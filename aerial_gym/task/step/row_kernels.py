@@ -27,7 +27,6 @@ class RowKernel(Generic[Result]):
     """A pure row function as one kernel, traced at its first call; as torch operations if that fails."""
 
     def __init__(self, function: Callable[..., Result], label: str) -> None:
-        """Take the function and its name in warnings."""
         self._function, self._what = function, label
         self._rows: RowFunction | None = None
         self._single = True
@@ -65,7 +64,6 @@ class GradientGraph:
     """Values by name with their gradients: of the simulation, and of the buffers that the task writes."""
 
     def __init__(self, simulation: DifferentiableBackend) -> None:
-        """Take the part of a simulation that has gradients."""
         self._simulation = simulation
         self._own: dict[str, Tensor] = {}
         self._places: dict[str, Tensor] = {}

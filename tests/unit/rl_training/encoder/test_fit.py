@@ -128,5 +128,7 @@ def test_wrong_requests_are_told() -> None:
     assert_refused(ConfigError, "robot base_quadrotor", image_sensor, replace(SCENES_CFG, robot="base_quadrotor"))
     with pytest.raises(UnknownNameError, match="no environment 'forest'"):
         render_images(replace(SCENES_CFG, envs=("forest",)), 1, seed=0, device=CPU)
-    assert_refused(ConfigError, "target = 'depth': must be distance or collision", replace, SCENES_CFG, target="depth")
+    assert_refused(
+        ConfigError, "target = 'depth': must be one of distance, collision", replace, SCENES_CFG, target="depth"
+    )
     assert_refused(ConfigError, "an image of each", replace, SCENES_CFG, test_images=1)

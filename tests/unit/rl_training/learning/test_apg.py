@@ -171,7 +171,7 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
     drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}
     randomized = build_task(replace(task_registry.get(cfg.task), randomize=drawn), 2, gradients=torch.float32)
     for task, message in (
-        (task_registry.make_task(cfg.task, num_envs=2, device="cpu"), f"{cfg.task} was made without gradients"),
+        (task_registry.make_task(cfg.task, num_envs=2, device="cpu"), f"{cfg.task} has no gradients"),
         (randomized, r"draws body.mass at resets, .* Take them out of randomize, or train with ppo"),
     ):
         assert_refused(CapabilityError, message, ApgTrainer().make_training, cfg, task)
@@ -184,14 +184,14 @@ def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogC
             ApgTrainer().make_training(cfg, task)
     told = [record.getMessage() for record in caplog.records if "flat" in record.getMessage()]
     assert len(told) == 1
-    assert told[0].endswith("Train with task smooth_position_setpoint_task")
+    assert told[0].endswith("Train with smooth_position_setpoint_task")
 
 
 def test_settings_that_do_not_fit_are_refused() -> None:
     cfg = settings()
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")).ppo
-    assert_refused(ConfigError, "trainer apg needs its numbers under apg, and no others", replace, cfg, ppo=ppo)
-    assert_refused(ConfigError, "trainer ppo needs its numbers under ppo", replace, cfg, trainer="ppo")
+    assert_refused(ConfigError, "trainer apg needs numbers under apg", replace, cfg, ppo=ppo)
+    assert_refused(ConfigError, "trainer ppo needs numbers under ppo", replace, cfg, trainer="ppo")
     for change, message in (
         ({"memory": 8}, "apg has policies without memory. Train with ppo"),
         ({"separate_value_network": False}, "must be true"),

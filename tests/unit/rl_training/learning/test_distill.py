@@ -127,4 +127,4 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     assert_refused(ConfigError, "trainer ppo has none. Use distill", replace, ppo, teacher="runs/hover")
-    assert_refused(ConfigError, "distillation has no value network", settings, separate_value_network=True)
+    assert_refused(ConfigError, "distill has no value network", settings, separate_value_network=True)
