@@ -112,13 +112,13 @@ def without_isaacgym(source: str) -> str:
     """Return Python source without its ``isaacgym`` imports; line numbers stay."""
     lines = source.splitlines(keepends=True)
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            remaining = [alias for alias in node.names if not _is_isaacgym(alias.name)]
-            imports_it = len(remaining) < len(node.names)
-        else:
-            remaining = []
-            imports_it = isinstance(node, ast.ImportFrom) and node.level == 0 and _is_isaacgym(node.module or "")
-        if not imports_it:
+        if not isinstance(node, (ast.Import, ast.ImportFrom)):
+            continue
+        remaining = [alias for alias in node.names if not _is_isaacgym(alias.name)]
+        matches = len(remaining) < len(node.names)
+        if isinstance(node, ast.ImportFrom):
+            remaining, matches = [], node.level == 0 and _is_isaacgym(node.module or "")
+        if not matches:
             continue
         statement = ast.unparse(ast.Import(names=remaining)) if remaining else "pass"
         first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
