@@ -55,7 +55,7 @@ class PlantFlight:
     family: str
     stream: tuple[int, int]  # Keys of its random streams, beside the seed of the case
     lowest: float = LOWEST_HEIGHT  # Of the reference [m], above the ground or below the ceiling
-    ease: float = 1.0  # Scale of the reference
+    scale: float = 1.0  # Scale of the reference
     below_ceiling: bool = False  # Whether the reference hangs from the ceiling
 
 
@@ -86,10 +86,10 @@ def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str
     if "hover" in features and part == "train":
         flight = replace(flight, family="hover")
     if "low" in features or "ceiling" in features:
-        family, lowest, ease = NEAR[part][i % len(NEAR[part])]
+        family, lowest, scale = NEAR[part][i % len(NEAR[part])]
         hanging = "ceiling" in features and ("low" not in features or i % 2 == 1)
         lowest += CEILING_ROOM if hanging else 0.0
-        flight = replace(flight, family=family, lowest=lowest, ease=ease, below_ceiling=hanging)
+        flight = replace(flight, family=family, lowest=lowest, scale=scale, below_ceiling=hanging)
     if "heights" in features and flight.lowest == LOWEST_HEIGHT:
         flight = replace(flight, lowest=HEIGHTS[part][i % len(HEIGHTS[part])])
     return flight
@@ -100,7 +100,7 @@ def plan_flights(flights: list[PlantFlight], *, seed: int, duration_s: float, se
     times = {"duration": duration_s, "rate": CONTROL_RATE, "settle": settle_s}
     return stack_references([
         plan_flight(
-            flight.family, **times, rng=_stream(seed, 0, flight), lowest=flight.lowest, ease=flight.ease,
+            flight.family, **times, rng=_stream(seed, 0, flight), lowest=flight.lowest, scale=flight.scale,
             ceiling=CEILING_HEIGHT if flight.below_ceiling else None,
         )
         for flight in flights

@@ -43,7 +43,7 @@ class FullPlant(Plant):
         first = CABLE_RATE.stop if self._slung else ROTOR.stop
         self._joints = [(*joint, slice(first + 4 * k, first + 4 * k + 4)) for k, joint in enumerate(joints)]
         self._prepare_arms()
-        self._index, self._time, self._since, self._supply = 0, 0.0, 0.0, 1.0
+        self._index, self._time, self._step_start, self._supply = 0, 0.0, 0.0, 1.0
         self._command: Array | None = None
         if extra.ceiling and self._surroundings.ceiling is None:
             raise ValueError("ceiling_effect: needs a ceiling in the surroundings")
@@ -53,7 +53,7 @@ class FullPlant(Plant):
     def begin_sample(self, index: int, voltage: Array) -> None:
         """Start sample ``index`` at a battery voltage [V], (F,)."""
         self._index, self._time = index, index / self._surroundings.rate
-        self._since = self._time
+        self._step_start = self._time
         self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
 
     def states_at_rest(self, state: Array) -> Array:
@@ -69,9 +69,9 @@ class FullPlant(Plant):
 
     def step(self, state: Array, command: Array, dt: float) -> Array:
         """Return the states after ``dt`` [s] under a held command; the time of each stage is its own."""
-        self._command, self._since = command, self._time
+        self._command, self._step_start = command, self._time
         if self._failures is not None:
-            self._failures.begin_step(self._since, state[:, ROTOR])
+            self._failures.begin_step(self._step_start, state[:, ROTOR])
         state = super().step(state, command, dt)
         if self._slung:
             state[:, CABLE] /= np.linalg.norm(state[:, CABLE], axis=1, keepdims=True)
@@ -145,14 +145,14 @@ class FullPlant(Plant):
         """Return ``(supply n_cmd - n) / tau`` [rad/s²], (F, 4); a failure changes what stands for the first term."""
         led = self._supply * command
         if self._failures is not None:
-            led = self._failures.rotor_targets(led, self._since)
+            led = self._failures.rotor_targets(led, self._step_start)
         return self._rotor_acceleration(led - state[:, ROTOR])
 
     def _square_speeds(self, state: Array) -> Array:
         """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading and failures take."""
         squared, (loss, time) = state[:, ROTOR] ** 2, self._extra.fading
         if self._failures is not None:
-            squared = self._failures.blade_squares(squared, self._since)
+            squared = self._failures.blade_squares(squared, self._step_start)
         return squared * (1.0 - loss * (1.0 - np.exp(-self._time / time))) if loss else squared
 
     def _arm_loads(self, state: Array, squared: Array) -> tuple[Array, list[Array]]:

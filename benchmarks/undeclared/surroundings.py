@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, PlantVehicle
@@ -125,11 +126,8 @@ def gust_series(std: float, corr_time: float, count: int, rate: float, rng: np.r
     """
     keep = np.exp(-1.0 / (rate * corr_time))
     draws = std * rng.standard_normal((count, 3))
-    series = np.empty((count, 3))
-    series[0] = draws[0]
-    for i in range(1, count):
-        series[i] = keep * series[i - 1] + np.sqrt(1.0 - keep * keep) * draws[i]
-    return series
+    draws[1:] *= np.sqrt(1.0 - keep * keep)
+    return np.asarray(lfilter([1.0], [1.0, -keep], draws, axis=0))
 
 
 def companion_path(reference: Reference, flight: int, rate: float, rng: np.random.Generator) -> Array:

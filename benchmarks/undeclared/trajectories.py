@@ -23,9 +23,9 @@ class TrajectoryShape:
 
     path: Array  # Position, world, (T, 3); scaled afterwards
     yaw: Array  # Heading [rad], (T,)
-    excite: Array | float = (
-        0.0  # Added to commands: angular rate [rad/s] (3), vertical acceleration [m/s²] (1), body, (T, 4)
-    )
+
+    excite: Array | float = 0.0
+    """Added to commands: angular rate [rad/s] (3), vertical acceleration [m/s²] (1), body, (T, 4)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class Reference:
     jerk: Array  # [m/s³], world, (T, 3)
     yaw: Array  # [rad], not wrapped, (T,)
     yaw_rate: Array  # [rad/s], (T,)
-    excite: Array  # As in Shape, (T, 4)
+    excite: Array  # As in ``TrajectoryShape``, (T, 4)
 
 
 def smooth_step(x: Array) -> Array:
@@ -199,19 +199,19 @@ def plan_flight(
     settle: float,
     rng: np.random.Generator,
     lowest: float = LOWEST_HEIGHT,
-    ease: float = 1.0,
+    scale: float = 1.0,
     ceiling: float | None = None,
 ) -> Reference:
     """Return a flight of ``duration`` [s] at ``rate`` [Hz], after ``settle`` [s] of hover at its start.
 
-    The path is scaled to a drawn top speed, or less where that would exceed ``MAX_ACCELERATION``, and then by ``ease``.
+    The path is scaled to a drawn top speed, or less where that would exceed ``MAX_ACCELERATION``, and then by ``scale``.
     Its lowest point is at ``lowest`` [m]; under a ``ceiling`` [m] the path is upside down: the highest is that far below.
     """
     t = np.arange(round(duration * rate) + 1) / rate
     draw, top_speed = FAMILIES[family]
     shape = draw(t, rng)
     speed, acceleration = _largest_derivative(shape.path, 1, rate), _largest_derivative(shape.path, 2, rate)
-    path = shape.path * min(rng.uniform(*top_speed) / speed, MAX_ACCELERATION / acceleration) * ease
+    path = shape.path * min(rng.uniform(*top_speed) / speed, MAX_ACCELERATION / acceleration) * scale
     yaw = shape.yaw * min(1.0, MAX_YAW_RATE / max(_largest_derivative(shape.yaw[:, None], 1, rate), 1e-9))
     path[:, 2] += lowest - path[:, 2].min()
     if ceiling is not None:
