@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from math import exp, inf
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
@@ -19,6 +19,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.statistics import Estimate, student_quantile
 from aerial_gym.sim2real.teststand.causes import (
     OTHER,
     ROTORS,
@@ -29,7 +30,7 @@ from aerial_gym.sim2real.teststand.causes import (
 )
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, find_hover_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pool_scatter
-from aerial_gym.sim2real.teststand.statistics import Estimate, rms
+from aerial_gym.sim2real.teststand.statistics import rms
 
 SIGNIFICANCE = 0.01
 """Error probability of the set of remaining causes, and significance level for differences between logs."""
@@ -246,7 +247,7 @@ def _physical_parameters(cause: BalanceCause, fit: ScatterFit) -> dict[str, Esti
     steps = 1e-6 * np.eye(fit.params.size)
     slopes = [[v - values[name] for name, v in cause.physical(fit.params + step).items()] for step in steps]
     slope = np.array(slopes).reshape(fit.params.size, len(values)) / 1e-6
-    spread = np.sqrt(np.diag(slope.T @ fit.covariance @ slope)) * stats.t.ppf(0.975, fit.freedom)
+    spread = np.sqrt(np.diag(slope.T @ fit.covariance @ slope)) * student_quantile(0.975, fit.freedom)
     return {n: Estimate.from_half_width(v, s) for (n, v), s in zip(values.items(), spread, strict=True)}
 
 

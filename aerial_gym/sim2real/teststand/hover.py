@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -16,9 +15,8 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.statistics import Estimate, Rms, student_quantile
 from aerial_gym.sim2real.teststand.statistics import (
-    Estimate,
     cross_validation_error,
     errors_on_left_out_folds,
     fold_labels,
@@ -165,11 +163,13 @@ def _slope_with_interval(cause: Array, effect: Array, sizes: Sequence[int], mass
     slope = _slope_through_zero(cause, effect)
     unit = cause / rms(cause)
     residual = effect - slope * cause
-    spread = stats.t.ppf(0.975, cause.size - 1) * np.sqrt(hac_covariance(unit[:, None], residual)[0, 0]) / rms(cause)
+    spread = (
+        student_quantile(0.975, cause.size - 1) * np.sqrt(hac_covariance(unit[:, None], residual)[0, 0]) / rms(cause)
+    )
     if len(sizes) >= 3:
         ends = np.cumsum(sizes)[:-1]
         each = [_slope_through_zero(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
-        spread = max(spread, stats.t.ppf(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
+        spread = max(spread, student_quantile(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
     half_width = float(np.hypot(spread, 1.96 * mass_error * slope))
     return Estimate.from_half_width(slope, half_width)
 

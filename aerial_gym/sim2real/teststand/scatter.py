@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.teststand.statistics import Estimate
+from aerial_gym.sim2real.statistics import Estimate, student_quantile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Scatter:
 
     def half_width(self, share: float) -> Array:
         """Return half the 95 % interval of a mean or difference with covariance ``share`` times that of one repeat, (K,)."""
-        return stats.t.ppf(0.975, self.freedom) * self.std * np.sqrt(share)
+        return student_quantile(0.975, self.freedom) * self.std * np.sqrt(share)
 
     def p_value(self, left: Array, covariance: Array) -> float:
         """Return the p-value of a residual (K,) with a covariance (K, K) under scatter alone, by Hotelling's test."""
@@ -59,7 +59,7 @@ class ScatterFit:
         Source: Fieller (1954), Some problems in interval estimation, Journal of the Royal Statistical Society B 16.
         """
         over, under = self.params[[upper, lower]]
-        part = stats.t.ppf(0.975, self.freedom) ** 2 * self.covariance[np.ix_([upper, lower], [upper, lower])]
+        part = student_quantile(0.975, self.freedom) ** 2 * self.covariance[np.ix_([upper, lower], [upper, lower])]
         square, middle = under**2 - part[1, 1], over * under - part[0, 1]
         if square <= 0.0:
             return None
@@ -119,9 +119,9 @@ def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) 
     rows = axes.T @ np.linalg.solve(root, target)
     degrees = scatter.freedom - target.size + 1
     middle = (np.arange(NODES) + 0.5) / NODES
-    low, high = np.log(stats.chi2.ppf((1e-6, 1.0 - 1e-6), degrees))
+    low, high = np.log(2.0 * special.gammaincinv(0.5 * degrees, (1e-6, 1.0 - 1e-6)))
     log_w = low + (high - low) * middle
-    weight = stats.chi2.logpdf(np.exp(log_w), degrees) + log_w
+    weight = 0.5 * (degrees * log_w - np.exp(log_w))  # log density of log w for chi², up to a constant
     least = min(np.log(scatter.std @ scatter.std * share / target.size) / 2.0, 0.0)
     size = np.exp(2.0 * least * middle)
     variance = np.exp(-log_w)[:, None, None] + size[:, None] * np.maximum(effect, 0.0)
@@ -132,4 +132,4 @@ def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) 
 
 def _f_tail_probability(ratio: float, count: int, freedom: int) -> float:
     """Return the upper tail probability of F for a ratio of sums of squares."""
-    return float(stats.f.sf(ratio * freedom / count, count, freedom))
+    return float(special.fdtrc(count, freedom, ratio * freedom / count))

@@ -11,9 +11,8 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.statistics import Estimate, Rms
 from aerial_gym.sim2real.teststand.statistics import (
-    Estimate,
     LawFit,
     cross_validation_error,
     estimates,

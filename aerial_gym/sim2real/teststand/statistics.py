@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.statistics import Estimate, Rms, rms_with_interval
+from aerial_gym.sim2real.statistics import Estimate, Rms, rms_with_interval, student_quantile
 
 PARSIMONY = 0.02  # Largest relative excess of the held-out error for which a law with fewer parameters is chosen
 FOLDS = 5  # Number of folds of a single flight
@@ -20,7 +20,7 @@ FOLDS = 5  # Number of folds of a single flight
 
 def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
     """Return each value with ``value ± t std``, t the 97.5 % quantile of Student's distribution."""
-    half_width = stats.t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    half_width = student_quantile(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return [Estimate.from_half_width(*pair) for pair in zip(values, half_width, strict=True)]
 
 

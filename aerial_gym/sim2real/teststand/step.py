@@ -13,7 +13,8 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.teststand.statistics import Estimate, LawFit, fit_law, smallest_good_candidate
+from aerial_gym.sim2real.statistics import Estimate
+from aerial_gym.sim2real.teststand.statistics import LawFit, fit_law, smallest_good_candidate
 from aerial_gym.sim2real.teststand.tables import Bench
 
 SHORTEST_STEP = 5  # Least number of rows per step for a time constant

@@ -11,7 +11,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
-from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.statistics import Estimate, Rms
 from aerial_gym.sim2real.teststand import figures
 from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.hover import fit_hover
@@ -25,7 +25,7 @@ from aerial_gym.sim2real.teststand.joints.record import (
 )
 from aerial_gym.sim2real.teststand.report import ReportTable, Study, rotor_files
 from aerial_gym.sim2real.teststand.static import MapChoice, StaticFit, fit_static
-from aerial_gym.sim2real.teststand.statistics import Estimate, rms
+from aerial_gym.sim2real.teststand.statistics import rms
 from aerial_gym.sim2real.teststand.step import BOUNDS, StepFit, fit_steps, step_record
 from aerial_gym.sim2real.teststand.tables import Bench
 

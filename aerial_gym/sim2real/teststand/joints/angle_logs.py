@@ -21,12 +21,11 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.statistics import Estimate, Rms
 from aerial_gym.sim2real.teststand.joints.joint_motion import JointMotion
 from aerial_gym.sim2real.teststand.statistics import (
     FOLDS,
     PARSIMONY,
-    Estimate,
     LawFit,
     cross_validation_error,
     errors_on_left_out_folds,
