@@ -18,6 +18,7 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.physics import BACKENDS, EFFECTS
+from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.rl_training import TRAINERS
 from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
 from docs.generate.commands import command_page
@@ -29,7 +30,7 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MARKS = ("slow", "compare", "file: ", "not run: ")
 COMMANDS = {"make golden"}  # Of the glossary: names that are commands
 
-REGISTRIES = (BACKENDS, EFFECTS, OBSERVATIONS, REWARDS, TERMINATIONS, TRAINERS)
+REGISTRIES = (BACKENDS, EFFECTS, LOG_READERS, OBSERVATIONS, REWARDS, TERMINATIONS, TRAINERS)
 
 
 @dataclass(frozen=True)
