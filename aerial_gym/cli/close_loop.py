@@ -21,35 +21,47 @@ class CloseLoopCmd:
     robot: str  # Registered robot, or a robot file (.yaml)
     train: tuple[Path, ...]  # Flight logs to fit on; four or more with different motions are best
     test: tuple[Path, ...]  # Flight logs to judge on; nothing is fitted to them
+
     out: Path
     """Folder of the results: verdict.json, robot.yaml, report.html, report.md, residuals.csv, profiles.csv, evidence.csv. New,
     or of an earlier run."""
+
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
     bandwidth_hz: float = 10.0
     """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
+
     tolerances: Path | None = None
     """How well the robot is declared (.yaml): standard deviations of mass, thrust, inertia, time_constant, com, acc_bias,
     gyro_bias, acc_of_flight, attitude, sensor_delay, acc_scale, imu_place, nominal_voltage, command_hold, joint_rest;
     those that are left out stay as docs/guides/identify_from_flights.md says."""
+
     effects: tuple[str, ...] | None = None
     """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/results/propellers.md)."""
+
     material: float = 0.05
     """An effect is named if a residual rises by this share without it, or may: its interval counts."""
+
     seed: int = 0  # Seed of the resampling behind the 95 % intervals
+
     failures: bool = False
     """Look through each flight for a rotor or supply that fails in it, and compare it up to there only. Give it where something
     failed or may have: on measured flights that the declared vehicle misses by much there are false alarms. Without it a
     note says what looks like a failure, and nothing is made of it."""
+
     joints: bool = False
     """Fit stiffness, damping, rest angle and friction of the robot's joints as well: by their angles (columns joint_NAME), or
     by what the body felt if no log has any, which takes minutes."""
+
     learn_residual: bool = False
     """Add a small network for what no named effect explains, if it predicts flights left out better. It fades to zero
     outside its training data, has no name, and changes nothing in the verdict."""
+
     ranges: bool = False
     """Let robot.yaml draw what was found from its intervals at every reset (``randomize:``), so that a policy trains on what is
     uncertain."""
+
     json: bool = False  # Print verdict.json on stdout instead of tables
 
     def run(self) -> int:

@@ -21,8 +21,10 @@ class ExportCmd:
     policy: Path  # Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it
     to: tuple[str, ...] = ("onnx",)  # onnx, torchscript, c99: one or more of them
     out: Path | None = None  # Folder; export/ in the run folder if not given
+
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's: the corrected vehicle, or yours for a policy of many."""
+
     name: str | None = None  # Of files and C functions; that of the task if not given
     check: bool = True  # Run each file on 100,000 observations and compare it with torch
     json: bool = False  # Print one JSON object per format

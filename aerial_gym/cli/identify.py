@@ -24,14 +24,20 @@ class MotorCmd:
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """CSV tables: speed, thrust and torque at rest, or time, commanded and measured speed; told apart by their columns."""
+
     num_motors: int = 1  # Motors whose thrust and torque were measured together
+
     columns: dict[str, str] = field(default_factory=dict)
     """Column by quantity where the usual name is not used: speed, thrust, torque, time, command, measured."""
+
     units: dict[str, str] = field(default_factory=dict)
     """Unit by quantity where the name does not tell it: rad/s, rpm, rev/s; N, mN, gf, kgf; N m, mN m, gf cm; s, ms, us."""
+
     robot: str | None = None  # Registered robot or robot file that gets the new rotor numbers (robot.yaml in --out)
+
     out: Path | None = None
     """Folder for report.md, figures, result.json and robot.yaml or rotor.yaml; nothing is written if not given."""
+
     json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
@@ -53,12 +59,16 @@ class JointCmd:
 
     file: Annotated[Path, tyro.conf.Positional]  # CSV table: time and angle of the joint, from before the release on
     release_s: float = 0.0  # Time of the release in the file [s]
+
     columns: dict[str, str] = field(default_factory=dict)
     """Column by quantity where the usual name is not used: time, angle."""
+
     units: dict[str, str] = field(default_factory=dict)
     """Unit by quantity where the name does not tell it: s, ms, us; rad, deg."""
+
     out: Path | None = None
     """Folder for report.md, figures, result.json and joint.yaml; nothing is written if not given."""
+
     json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
@@ -77,9 +87,11 @@ class JointsCmd:
     """Stiffness, damping, rest angle and dry friction of a robot's joints from flights, with or without their angles logged."""
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml), with joints
+
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Flight logs of the package's own layout, with a column joint_NAME, or joint_1 to joint_D, for each joint [rad]. If no log
     has any, all joints are fitted by what the body felt, which takes minutes."""
+
     bandwidth_hz: float = 15.0  # Efforts are compared below this frequency [Hz]; at most a fifth of the logs' rate
     out: Path | None = None  # Folder for report.md, result.json and robot.yaml; nothing is written if not given
     json: bool = False  # Print one JSON object on stdout instead of tables
@@ -102,25 +114,34 @@ class HoverCmd:
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Flight logs that hover for a while: with measured rotor speeds, or with --baseline with speeds or commands."""
+
     baseline: tuple[Path, ...] = ()
     """Hovers of the same airframe as it is declared. The flights are then compared with these: the share of each rotor, their
     sum, and which of payload_mass, com_offset and weak_motor explains the change."""
+
     test: tuple[Path, ...] = ()
     """With --baseline: further hovers like the flights. They count for what is named, and the parameters, which come from the
     flights alone, are judged on them; without them each flight is left out in turn."""
+
     repeats: tuple[Path, ...] = ()
     """With --baseline: hovers under any conditions. Names that differ only in the number at the end are one condition, and
     show how much its logs scatter. Logs named elsewhere are left out."""
+
     added_mass_kg: float | None = None
     """With --baseline: mass of the flights less that of the baseline [kg], if it was weighed; 0: there is no payload."""
+
     robot: str | None = None
     """Registered robot or robot file: its mass, its thrust map to compare with, and places and spin of its rotors."""
+
     mass_kg: float | None = None  # Mass of the vehicle [kg]; that of the robot if not given
     mass_std_kg: float = 0.0  # Standard deviation of the mass [kg]: it widens the interval
+
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
     out: Path | None = None
     """Folder for report.md, a figure, result.json and robot.yaml; nothing is written if not given."""
+
     json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
@@ -165,22 +186,31 @@ class InertiaCmd:
 
     throws: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Logs of throws with gyro, accelerometer and the speed of the flywheel, one throw each, in any log format."""
+
     mass_kg: float | None = None
     """Mass of the body [kg], without the device if that is thrown alone too."""
+
     wheel_inertia_kg_m2: float | None = None
     """Inertia of the flywheel about its axis [kg m²]: rotor and propeller or disc."""
+
     device: tuple[Path, ...] = ()
     """Throws of the device alone: IMU, battery and flywheel. Its inertia is then taken from that of the body."""
+
     device_mass_kg: float | None = None
     """Mass of the device [kg]."""
+
     proof: tuple[Path, ...] = ()
     """Throws of the device on a body of known inertia, in place of --wheel-inertia-kg-m2."""
+
     proof_mass_kg: float | None = None
     """Mass of the proof body [kg]."""
+
     proof_inertia_kg_m2: tuple[float, float, float] | None = None
     """Moments of inertia of the proof body about the x, y and z axes of the IMU [kg m²]."""
+
     out: Path | None = None
     """Folder for report.md, result.json and body.yaml; nothing is written if not given."""
+
     json: bool = False
     """Print one JSON object on stdout instead of tables."""
 
@@ -195,9 +225,11 @@ class InertiaCmd:
         with progress_bar() as progress:
             progress("reading throws", 0.1)
             study = study_inertia(
-                ThrowSeries(paths=self.throws, mass=self.mass_kg), device, proof if self.proof else None,
+                ThrowSeries(paths=self.throws, mass=self.mass_kg),
+                device,
+                proof if self.proof else None,
                 self.wheel_inertia_kg_m2,
-            )  # fmt: skip
+            )
         return _report_study(self, study, (*self.throws, *self.device, *self.proof))
 
 

@@ -50,6 +50,7 @@ class ListCmd:
     """sims, environments, robots, controllers, sensors, imus, effects, backends, tasks, trainers or log-formats; all of
     these if not given. Or parts of tasks: observation-terms, reward-terms, termination-terms, task-buffers, commands,
     actions."""
+
     json: bool = False  # Print one JSON object instead of a table
 
     @classmethod

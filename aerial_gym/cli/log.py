@@ -21,8 +21,10 @@ class InspectLogCmd:
 
     log: Annotated[Path, tyro.conf.Positional]
     """Log file of any format; its content tells the format."""
+
     mapping: str | None = None
     """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
+
     json: bool = False
     """Print one JSON object instead of tables."""
 
@@ -45,10 +47,13 @@ class ConvertLogCmd:
 
     log: Annotated[Path, tyro.conf.Positional]
     """Log file of any format; FILE#2 selects its second flight for CSV."""
+
     to: Literal["csv", "parquet", "mcap"]
     """Form of the result."""
+
     out: Path
     """Folder of the results; it is made if it does not exist."""
+
     mapping: str | None = None
     """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
 
@@ -67,8 +72,10 @@ class PlotLogCmd:
 
     log: Annotated[Path, tyro.conf.Positional]
     """Log file of any format; FILE#2 selects its second flight."""
+
     out: Path
     """HTML file to write."""
+
     mapping: str | None = None
     """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
 

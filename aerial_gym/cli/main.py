@@ -24,17 +24,20 @@ COMMANDS: dict[str, ImportPath] = {
     "robot tune": ImportPath("aerial_gym.cli.robot:TuneCmd"),
     "log inspect": ImportPath("aerial_gym.cli.log:InspectLogCmd"),
     "log convert": ImportPath("aerial_gym.cli.log:ConvertLogCmd"),
-    "log plot": ImportPath("aerial_gym.cli.log:PlotLogCmd"), "train": ImportPath("aerial_gym.cli.train:TrainCmd"),
+    "log plot": ImportPath("aerial_gym.cli.log:PlotLogCmd"),
+    "train": ImportPath("aerial_gym.cli.train:TrainCmd"),
     "train-encoder": ImportPath("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
-    "play": ImportPath("aerial_gym.cli.play:PlayCmd"), "evaluate": ImportPath("aerial_gym.cli.evaluate:EvaluateCmd"),
-    "export": ImportPath("aerial_gym.cli.export:ExportCmd"), "replay": ImportPath("aerial_gym.cli.replay:ReplayCmd"),
+    "play": ImportPath("aerial_gym.cli.play:PlayCmd"),
+    "evaluate": ImportPath("aerial_gym.cli.evaluate:EvaluateCmd"),
+    "export": ImportPath("aerial_gym.cli.export:ExportCmd"),
+    "replay": ImportPath("aerial_gym.cli.replay:ReplayCmd"),
     "watch": ImportPath("aerial_gym.cli.watch:WatchCmd"),
     "close-loop": ImportPath("aerial_gym.cli.close_loop:CloseLoopCmd"),
     "identify": ImportPath("aerial_gym.cli.identify:IdentifyCmd"),
     "bench": ImportPath("aerial_gym.cli.bench:BenchCmd"),
     "render-gallery": ImportPath("aerial_gym.cli.render_gallery:RenderGalleryCmd"),
     "demo": ImportPath("aerial_gym.cli.demo.command:DemoCmd"),
-}  # fmt: skip
+}
 
 
 def _command_overview(noun: str = "") -> str:

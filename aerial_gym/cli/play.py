@@ -24,14 +24,17 @@ class PlayCmd:
 
     policy: Path | None = None
     """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
+
     replay: Path | None = None
     """In place of a policy: what a watch kept of rows that were not finite (``train --watch``, ``evaluate --watch FILE``)."""
+
     robot: str | None = None  # Registered robot, or a robot file, in place of the training's
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
     num_envs: int = 4  # Environments side by side
     num_steps: int = 500  # Environment steps; an environment whose episode ends starts anew
     seed: int = 1_000_003  # Seed of the starts
     out: Path | None = None  # CSV file; stdout if not given
+
     video: Path | None = None
     """Film of the first environment (.gif, .webp or .png), from a camera behind its robot. The robot is then visible, to its
     own sensors too. Without --out no table is written."""

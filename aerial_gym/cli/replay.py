@@ -17,12 +17,16 @@ class ReplayCmd:
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]  # Flight logs
+
     out: Path | None = None
     """Folder for replay.json, report.html, residuals.csv and profiles.csv; nothing is written if not given."""
+
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
     bandwidth_hz: float = 10.0
     """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
+
     seed: int = 0  # Seed of the resampling behind the 95 % intervals
     json: bool = False  # Print one JSON object on stdout instead of tables
 

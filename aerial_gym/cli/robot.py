@@ -21,8 +21,10 @@ class CheckRobotCmd:
     """Say what a robot can do: hover, thrust to weight, authority about each axis, stable time steps of controllers."""
 
     robots: Annotated[tuple[str, ...], tyro.conf.Positional]  # Registered robots, or robot files (.yaml)
+
     controllers: tuple[str, ...] | None = None
     """Registered controllers to fly it with; all that have gains if not given."""
+
     fly: bool = True  # Find the largest stable time step of each controller by flying; --no-fly answers at once
     picture: Path | None = None  # Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot
     json: bool = False  # Print one JSON object for each robot instead of tables
@@ -92,6 +94,7 @@ class TuneCmd:
 
     robot: Annotated[str, tyro.conf.Positional]
     """Registered robot, or robot file (.yaml); its effects motor_time_constant, motor_asymmetry and actuation_delay count."""
+
     attitude_hz: float  # Bandwidth of roll, pitch and yaw [1/s]: where the answer is 0.71 of what is wanted
     position_hz: float  # Bandwidth along x, y, z [1/s]
     damping: float = 0.8  # Damping ratio of both loops, 0.3 to 1
@@ -131,16 +134,22 @@ class ImportRobotCmd:
 
     file: Annotated[Path, tyro.conf.Positional]  # URDF, MJCF or SDF file
     out: Path  # Robot file to write (.yaml)
+
     rotors_of: str | None = None
     """Robot, by name or file, whose rotor type these are; where the file has no rotors, its mounts are taken too."""
+
     spins: tuple[int, ...] = ()
     """1 or -1 for each rotor, in the order of the file and in place of what it says: 1 turns positively about the thrust."""
+
     lag_s: float | None = None
     """First-order lag of thrusts that follow at once in the file, and of rotors in `properties` of a URDF [s]."""
+
     rotor_links: str | None = None
     """Regular expression of links that are rotors, in a URDF without motors; names with motor, rotor or prop if not given."""
+
     joints: bool = False
     """Let revolute, continuous and prismatic joints move, but those of rotors; without it all are welded at zero."""
+
     accept_losses: bool = False  # Import a vehicle although its wings, or the joints that tilt its rotors, are left out
     summary: str | None = None  # One line for people who choose a robot
 

@@ -30,15 +30,20 @@ class TrainCmd:
     task: str | None = None
     """Registered task, a task file (.yaml), a level of lsy_drone_racing (.toml), or
     module:Name or file.py:Name of a TaskCfg or a Task of your own; position_setpoint_task if not given."""
+
     trainer: str | None = None  # Registered trainer (aerial-gym list trainers); ppo if not given
     teacher: Path | None = None  # Run folder, or one checkpoint in it, of the policy that distill hands on
+
     initial: Path | None = None
     """Run folder, or one checkpoint in it, of a training with ppo with whose networks this one begins; observations of the task
     begin with those of that one's."""
+
     out: Path = Path("runs/train")
     """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""
+
     resume: bool = False
     """Continue the run in --out from its last checkpoint, with its own settings but for the limits given here."""
+
     config: Path | None = None  # Settings in a YAML file, in place of the package's own for this task and trainer
     num_envs: int | None = None  # Environments side by side; where torchrun starts several processes, in each of them
     device: str | None = None  # Torch device; auto takes the GPU if there is one
@@ -46,17 +51,23 @@ class TrainCmd:
     robot: str | None = None  # Registered robot, or a robot file such as close-loop writes, in place of the task's own
     controller: str | None = None  # Registered controller in place of the task's own
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
+
     encoder: str | None = None
     """Encoder file of train-encoder, or one that comes with the package, in place of the task's own: navigation then sees its
     latents in place of the nearest distances in 64 cells."""
+
     max_time_s: float | None = None
     """End after this time, start-up included [s]. This or max_env_steps alone drops the other limit of the settings."""
+
     max_env_steps: int | None = None  # End after this many environment steps of all sessions and processes together
+
     watch: bool = False
     """Keep the last 64 steps of rows that are NaN or infinite, and write them to non_finite.csv in --out; play --replay
     shows it."""
+
     wandb: str | None = None
     """Project of Weights & Biases that receives what TensorBoard does; WANDB_MODE=offline keeps it in --out."""
+
     json: bool = False  # Print the result as one JSON object
 
     def run(self) -> int:

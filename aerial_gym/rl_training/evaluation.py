@@ -30,21 +30,29 @@ class Evaluation:
 
     num_starts: int  # Random starts E
     episode_s: float  # Length of an episode [s]
+
     success_rate: float
     """Share of flights without a crash whose final error is below the success radius; of a task with a success radius of its
     own, the share that ends within it."""
+
     crash_rate: float  # Share of flights that crashed
     timeout_rate: float  # Share of flights that did neither: they lasted to the end and were not there
+
     final_error_mean_m: float | None
     """Mean over flights of the mean distance over the last second [m]; None if all crashed or nothing is aimed at."""
+
     final_error_p95_m: float | None  # 95th percentile of it [m]
     final_error_max_m: float | None  # Largest of it [m]
     settled_rate: float  # Share of flights that came within the success radius and stayed
+
     settling_time_mean_s: float | None
     """Mean time from which a flight stays within the success radius [s], of those that settled."""
+
     settling_time_p95_s: float | None  # 95th percentile of it [s]
+
     success_time_mean_s: float | None
     """Mean time after which the flights that succeeded ended [s]: of a race the time it took; None if none did."""
+
     gates_passed_mean: float | None  # Mean number of gates passed per flight; None without gates
     return_mean: float  # Mean sum of rewards
     success_radius_m: float  # The radius [m]

@@ -17,18 +17,25 @@ class LearnerCfg:
     hidden_layers: tuple[int, ...]  # Widths of the hidden layers, each >= 1
     separate_value_network: bool = False  # Whether the value has separate hidden layers
     activation: str = "elu"  # `elu`, `relu` or `tanh`
+
     memory: int = 0
     """Size of a gated recurrent unit after the hidden layers; 0: none. ``ppo`` only."""
+
     policy_keys: tuple[str, ...] = ("observations",)
     """Inputs of the policy by key of the observation: vectors, images (C, H, W). Only ``ppo`` takes other keys."""
+
     critic_keys: tuple[str, ...] = ()
     """Inputs of the value; empty: those of the policy. ``ppo`` with ``separate_value_network`` only."""
+
     initial_std: float = 1.0  # Standard deviation of the actions before learning, in units of the action, > 0
+
     min_std: float = 0.05
     """Lower bound of the learned standard deviation, > 0. rl-games adds 1e-5 to variances: far below 0.05 its divergence
     and so its learning rate are wrong."""
+
     head_variance: float = 1.0
     """Initial variance of the weights of the action layer, times its width, > 0. Small: first actions are near zero."""
+
     horizon: int  # Steps of every environment per update, >= 1
     max_grad_norm: float = 1.0  # Largest norm of the gradient, > 0
     normalize_observation: bool = True  # Whether observations are normalised by their running mean and deviation
@@ -72,17 +79,22 @@ class PpoCfg(ReturnCfg):
 
     num_minibatches: int  # Number of minibatches of the horizon times E samples; must divide them, >= 1
     num_epochs: int  # Passes over the samples per update, >= 1
+
     learning_rate: float
     """Initial learning rate of Adam, > 0. It adapts to ``kl_threshold``, up to ``max_learning_rate``."""
+
     max_learning_rate: float
     """Initial upper bound of the learning rate, > 0. It falls linearly with the elapsed share of time or steps, whichever is
     larger. On a CPU, trainings with ``max_env_steps`` alone repeat bit for bit."""
+
     end_learning_rate: float  # Final upper bound of the learning rate, > 0
     kl_threshold: float  # Target divergence between old and new policy [nat], > 0
     clip_range: float = 0.2  # Clip range of the probability ratio, > 0
     clip_value: bool = False  # Whether the change of the value is clipped to `clip_range` as well
+
     value_coef: float
     """Weight of the value loss as the library defines it, > 0; in ``ppo`` the loss is half the mean squared error."""
+
     entropy_coef: float = 0.0  # Weight of the entropy bonus, >= 0
 
     def __post_init__(self) -> None:
@@ -106,20 +118,28 @@ class ApgCfg(ReturnCfg):
     """
 
     separate_value_network: bool = True  # Must be true
+
     learning_rate: float
     """Initial learning rate of the policy, > 0. It falls linearly with the elapsed share of time or steps, whichever is
     larger."""
+
     end_learning_rate: float  # Final learning rate, > 0
+
     terminal_value: bool = False
     """Whether the return includes the value of the last state of a window or of a truncated episode. If not, the critic
     does not learn, and a window must be as long as the delay from an action to its reward."""
+
     gae_lambda: float = 0.95  # Weight lambda of the returns of the critic, 0 <= lambda <= 1
+
     critic_learning_rate: float = 2.0e-3
     """Initial learning rate of the critic, > 0. It falls in proportion to that of the policy."""
+
     critic_epochs: int = 16  # Passes of the critic over the samples of a window, >= 1
     critic_minibatches: int = 4  # Number of minibatches of the critic per pass, >= 1
+
     target_share: float = 0.8
     """Update rate of the target critic per window, > 0 and <= 1: one minus the kept share, which Xu et al. (2022) call 0.2."""
+
     capture: bool = True  # Whether a window and its updates are one CUDA graph on a GPU
 
     def __post_init__(self) -> None:
@@ -138,8 +158,10 @@ class DistillCfg(LearnerCfg):
 
     num_minibatches: int  # Number of minibatches of environments, >= 1
     num_epochs: int  # Passes over a rollout, >= 1
+
     learning_rate: float
     """Initial learning rate, > 0. It falls linearly with the elapsed share of time or steps, whichever is larger."""
+
     end_learning_rate: float  # Final learning rate, > 0
 
     def __post_init__(self) -> None:

@@ -51,16 +51,20 @@ class TrainingCfg:
     robot: str | None = None  # Registered robot, or a robot file, in place of the task's own
     controller: str | None = None  # Registered controller in place of the task's own
     backend: str | None = None  # Registered physics backend in place of the sim's own
+
     encoder: str | None = None
     """Encoder file, or name of one in the package, in place of the task's own. A run folder keeps a copy of a file."""
+
     torch_threads: int | None = None  # Threads of torch on the CPU, >= 1; None leaves torch's own choice
     max_time_s: float | None = None  # Time limit, start-up included [s], > 0
     max_env_steps: int | None = None  # Limit of environment steps, over all sessions and processes, >= 1
     checkpoint_every_s: float = 30.0  # Time between checkpoints [s], > 0
     teacher: str | None = None  # Run folder or checkpoint of the policy that `distill` imitates
+
     initial: str | None = None
     """Run folder or checkpoint of the initial networks of ``ppo``. Additional observations must follow those of that run;
     their first weights are zero."""
+
     ppo: PpoCfg | None = None  # Settings of a learner with PPO: `ppo`, `rl_games`, `sample_factory`
     apg: ApgCfg | None = None  # Settings of `apg`
     distill: DistillCfg | None = None  # Settings of `distill`

@@ -73,6 +73,7 @@ class ControlFlight:
     sim: str
     error: float
     """Largest of the drawn starts after 10 s, in ``UNITS``, over what the law controls; infinite where it ended in NaN."""
+
     settling_s: float  # Until the step stays within 2 %; infinite if it does not
     overshoot: float  # Beyond the step, as a share of it
     tilt_rad: float  # Largest angle between body z and world z of the drawn starts in the last second

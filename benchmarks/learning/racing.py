@@ -17,8 +17,10 @@ class BenchRacing:
     """Runs of a racing policy on levels, 20 as the benchmark does and more beside them."""
 
     policy: Path  # Run folder of a training, a checkpoint in it, or an exported file (.onnx, .pt, .c)
+
     levels: tuple[str, ...] = ("racing_task", "racing_random_track_task")
     """Level files of the benchmark (.toml), or registered tasks."""
+
     num_envs: int = 1000  # Runs beside the 20 of the protocol
     seed: int = 1_000_003  # Of the runs
     device: str = "cpu"  # Torch device; auto takes the GPU if there is one

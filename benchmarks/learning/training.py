@@ -35,10 +35,13 @@ class BenchTraining:
 
     task: str = "position_setpoint_task"  # Registered task
     trainer: str = "ppo"  # ``ppo`` or ``apg``
+
     robot: str | None = None
     """Registered robot, or a robot file, to train with; that of the settings if not given. The task's own is evaluated."""
+
     level: int | None = None
     """Level of the task's curriculum at which the policy is evaluated; its highest if not given."""
+
     device: str = "auto"  # Torch device
     seed: int = 1  # Of the training; starts of the evaluation have another
     seeds: tuple[int, ...] = ()  # Several trainings, each in a process of its own, and median and worst of them
@@ -49,10 +52,13 @@ class BenchTraining:
     every_s: float = 0.5  # Training between two evaluations [s]
     num_starts: int = 1000  # Fresh episodes of an evaluation
     threads: int | None = None  # Threads of torch on a CPU
+
     processor_time: bool = False
     """Count the processor time of this process in place of the time on the wall: for a busy machine, with one thread."""
+
     plain: bool = False  # On a GPU, networks of ``ppo`` as torch operations in place of kernels of their own
     json: bool = False  # One object a line, keys end in their unit
+
     out: Path | None = None
     """New run folder for the policy at the end and the learning curve; of several seeds, one each in it."""
 

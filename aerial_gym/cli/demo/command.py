@@ -20,9 +20,11 @@ class DemoCmd:
     """Show everything in one page: a policy learns, cameras look, a measured flight corrects the model."""
 
     out: Path = Path("out/demo")  # Folder that receives `index.html`; what an earlier demo left there is replaced
+
     flights: Path | None = None
     """Folder with the idsia_nanodrone flights; if not given, ``../shared/data/idsia_nanodrone`` where it exists, else
     flights of the undeclared plant."""
+
     train_time_s: float = 75.0  # Length of the training [s]
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
     seed: int = 1  # Seed of everything

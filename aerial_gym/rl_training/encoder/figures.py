@@ -33,6 +33,7 @@ class ImageErrors:
 
     rms_m: float  # Root of the mean squared error [m]
     mean_m: float  # Mean absolute error [m]
+
     near_rms_m: float | None
     """Root of the mean squared error of pixels that are nearer than ``NEAR_M`` [m]; None if there is none."""
 

@@ -114,6 +114,7 @@ class EncoderResult:
     active_latents: int | None = None  # Number of latents with variance over images
     errors: Mapping[str, ImageErrors] = field(default_factory=dict)
     """Errors on test images by reconstruction: ``encoder``, ``pca_64``, ``mean_image``."""
+
     errors_by_env: Mapping[str, ImageErrors] = field(default_factory=dict)  # Errors of the encoder by environment
 
 

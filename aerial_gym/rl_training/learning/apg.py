@@ -46,8 +46,10 @@ class Window:
 
     observation: Mapping[str, Tensor]  # By key, before each step, without gradients
     final: Mapping[str, Tensor]  # After each step and before a reset, by key
+
     last: Mapping[str, Tensor]
     """After the last step and its resets, by key, (E, ...), without gradients: where the next window begins."""
+
     mean: Tensor  # Of the actions, (T, E, U)
     reward: Tensor
     terminated: Tensor  # Bool

@@ -24,6 +24,7 @@ class Learner:
     """Base of the learners. ``iterate`` never waits and works on fixed tensors."""
 
     GAUGES: ClassVar[tuple[str, ...]]  # Names of the numbers of the last update
+
     captures = True  # Whether `iterate` is held in a CUDA graph on a GPU
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:

@@ -68,8 +68,10 @@ class RolloutSegment:
     """One segment of every environment, (T, E, ...); the memory is that of its start."""
 
     observation: Mapping[str, Tensor]  # By key, (T + 1, E, ...): the last one is where the next segment begins
+
     final: Mapping[str, Tensor]
     """After each step and before a reset, (T, E, ...), by key; the image of a row that ended is the one before."""
+
     begins: Tensor  # Whether an episode begins with the observation, bool, (T + 1, E)
     memory: Tensor  # Memory before the first step, (E, M)
     acting: Tensor  # Memory of the policy after the last step, (E, M')
@@ -86,9 +88,11 @@ class Samples:
     """Samples of an update."""
 
     prepared: Mapping[str, Tensor]  # Observations as the networks take them, by key, (T, E, ...)
+
     in_time: Mapping[str, Tensor]
     """``begins``, ``action``, ``mean``, ``log_prob``, ``advantage``, and normalised ``value`` (before learning) and ``target``
     (what it is to become), (T, E, ...)."""
+
     memory: Tensor  # Memory before the first step, (E, M)
 
     def select(self, environments: Tensor) -> "Samples":

@@ -37,17 +37,22 @@ class Trainer(ABC):
     package: ClassVar[str] = ""  # Name under which its library is imported; empty without one
     distribution: ClassVar[str] = ""  # Name under which its library is installed; a run folder notes its version
     install: ClassVar[str] = "aerial-gym[rl]"  # Argument of `pip install` that installs the library
+
     section: ClassVar[str] = "ppo"
     """Field of ``TrainingCfg`` with its numbers; ``numbers`` for settings of a class that ``TrainingCfg`` does not know."""
+
     settings: ClassVar[type[LearnerCfg]] = PpoCfg  # Class of its numbers
     settings_folder: ClassVar[Path] = TRAINING_CONFIGS  # Folder of its settings by task, `TRAINER_TASK.yaml`
     several_processes: ClassVar[bool] = False  # Whether several processes can learn together
     takes_teacher: ClassVar[bool] = False  # Whether it needs a trained policy, `TrainingCfg.teacher`
     takes_initial: ClassVar[bool] = False  # Whether it can begin with networks of another run, `TrainingCfg.initial`
+
     any_inputs: ClassVar[bool] = False
     """Whether it trains policies with memory, images and separate keys for policy and critic."""
+
     differentiable: ClassVar[bool] = False  # Whether it needs gradients through the task
     captures_task: ClassVar[bool | None] = None  # Whether the task records a CUDA graph of its step; None: on GPUs
+
     earlier_checkpoints: ClassVar[tuple[str, ...]] = ()
     """Glob patterns in a run folder of checkpoints that earlier versions wrote."""
 

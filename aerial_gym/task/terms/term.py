@@ -29,6 +29,7 @@ class Term:
     value: Callable[..., Tensor]  # Function of its inputs, in order, and of its parameters by name
     width: int | None = None  # Number of entries per environment, ``ACTION``, or None if only a call determines it
     command: tuple[str, ...] | None = None  # Required controller command (``Law.action``); None fits all
+
     named: Mapping[str, str] = field(default_factory=dict)
     """Names of tensors that follow from its numbers, by the argument: ``"nearest_in_{rows}x{columns}_cells"``."""
 
