@@ -10,6 +10,8 @@ LOG_READERS: Registry[Any] = Registry("log format")
 
 READERS = {
     "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),
+    "crazyflie": ImportPath("aerial_gym.sim2real.logs.readers.crazyflie:CrazyflieReader"),
+    "dataflash": ImportPath("aerial_gym.sim2real.logs.readers.dataflash:DataflashReader"),
     "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
 }
 """Readers of this package. Each format has other first bytes, so that their order does not count."""

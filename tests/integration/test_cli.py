@@ -38,7 +38,7 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     status, out, _ = run(capsys, "list", "--json")
     assert status == 0
     result = json.loads(out)
-    kinds = "sims environments robots controllers sensors imus effects backends tasks trainers"
+    kinds = "sims environments robots controllers sensors imus effects backends tasks trainers log-formats"
     assert set(kinds.split()) == set(result)
     assert set(result["imus"]) == {"base_imu", "bmi088", "vn100"} < set(result["sensors"])
     assert result["controllers"]["no_control"] == "thrust of each rotor [N]"
@@ -98,7 +98,7 @@ LOGS = ("--train", "a.csv", "--test", "b.csv", "--out", "never")
 
 
 @pytest.mark.parametrize(("argv", "message"), [
-    (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, train"),
+    (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, log"),
     (("list", "robts"), "no kind 'robts'. Known: sims"),
     (("list", "--jsn"), "--json"),
     (("train", "--task", "position_setpoint_tsk"), "'position_setpoint_tsk'. Did you mean 'position_setpoint_task'"),

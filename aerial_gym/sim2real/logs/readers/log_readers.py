@@ -33,20 +33,6 @@ class LogReader(ABC):
         """Return the vehicle's quantities, the best source first where several topics hold one quantity."""
 
 
-LOG_READERS: Registry[LogReader] = Registry("log format")
-
-READERS = {
-    "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),
-    "crazyflie": ImportPath("aerial_gym.sim2real.logs.readers.crazyflie:CrazyflieReader"),
-    "dataflash": ImportPath("aerial_gym.sim2real.logs.readers.dataflash:DataflashReader"),
-    "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
-}
-"""Readers of this package. Each format has other first bytes, so that their order does not count."""
-
-for _name, _home in READERS.items():
-    LOG_READERS.register_later(_name, _home.make, summary=_home.summary)
-
-
 def find_reader(path: Path) -> LogReader | None:
     """Return the reader that recognises a file by its content; None for any other file, which may be CSV, or for no file."""
     file = path / "metadata.yaml" if path.is_dir() else path

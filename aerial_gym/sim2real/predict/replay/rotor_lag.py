@@ -1,6 +1,5 @@
 # pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false
-# pyright: reportInvalidTypeForm=false, reportReturnType=false
+# pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false, reportInvalidTypeForm=false
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Simulate the rotor lag along logs, in float64 on the CPU, with one thread per flight and rotor.
 
@@ -8,6 +7,7 @@ Letters: F flights, R rotors, N rows of all flights.
 """
 
 from functools import cache
+from typing import Any
 
 import torch
 import warp as wp
@@ -15,25 +15,23 @@ from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import start_warp
-from aerial_gym.physics.fused.rotors import make_stage_rates
-from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
+from aerial_gym.physics.rotor_lag import DecayLag, SlewLimitedLag
 
 
 @cache
-def _make_lag_kernel(*, limited: bool) -> wp.Kernel:
-    """Return the kernel of the first-order lag, or of that with slew rates."""
-    numbers = wp.types.vector(length=5 if limited else 2, dtype=wp.float64)
-    if limited:
-        limited_lag = make_stage_rates(wp.float64)
+def _make_lag_kernel(limited: bool) -> Any:
+    """Return the kernel. A rotor has two decays, or with slew limits the numbers of ``SlewLimitedLag`` and the span."""
+    numbers_type = wp.types.vector(length=5 if limited else 2, dtype=wp.float64)
 
-        @wp.func
-        def lag_step(speed: wp.float64, command: wp.float64, law: numbers):
-            return limited_lag(speed, command, law[0], law[1], law[2], law[3], law[4])
-    else:
+    def follow(state: Tensor, command: Tensor, numbers: Tensor) -> Tensor:
+        if limited:
+            *limits, span = numbers.unbind(1)
+            return SlewLimitedLag(*limits).follow(state, command, span)
+        return DecayLag(*numbers.unbind(1)).follow(state, command, 1.0)
 
-        @wp.func
-        def lag_step(speed: wp.float64, command: wp.float64, law: numbers):
-            return command + (speed - command) * wp.where(command > speed, law[0], law[1])
+    arguments = {"state": wp.float64, "command": wp.float64, "numbers": numbers_type}
+    lag_step = trace_to_warp("lag_step", arguments, follow, [wp.float64], constants={})
 
     @wp.kernel(module="unique", enable_backward=False)
     def simulate_lag(
@@ -41,8 +39,8 @@ def _make_lag_kernel(*, limited: bool) -> wp.Kernel:
         first: wp.array2d[wp.float64],  # (F, R) [rad/s]
         earlier: wp.array2d[wp.float64],  # (N, R) [rad/s]
         later: wp.array2d[wp.float64],  # (N, R) [rad/s]
-        law_early: wp.array2d[numbers],  # (F, R) numbers of the law during the earlier command
-        law_late: wp.array2d[numbers],  # (F, R)
+        early: wp.array2d[numbers_type],  # (F, R)
+        late: wp.array2d[numbers_type],  # (F, R)
         # out
         speed_out: wp.array2d[wp.float64],  # (N, R) [rad/s]
     ):
@@ -51,8 +49,8 @@ def _make_lag_kernel(*, limited: bool) -> wp.Kernel:
         speed = first[flight, rotor]
         for row in range(ends[flight], ends[flight + 1]):
             speed_out[row, rotor] = speed
-            speed = lag_step(speed, earlier[row, rotor], law_early[flight, rotor])
-            speed = lag_step(speed, later[row, rotor], law_late[flight, rotor])
+            speed = lag_step(speed, earlier[row, rotor], early[flight, rotor])
+            speed = lag_step(speed, later[row, rotor], late[flight, rotor])
 
     return simulate_lag
 
@@ -86,18 +84,20 @@ def simulate_rotor_lag(
     if tuple(earlier.shape) != rows or tuple(later.shape) != rows:
         raise ShapeError(f"commands have shapes {tuple(earlier.shape)} and {tuple(later.shape)}, expected {rows}")
     start_warp()
-    part = share[:, None, None]
-    if slew_rates is None:  # numbers: shares of a rising and a falling difference that remain
-        kept = torch.exp(-step[:, None, None] / torch.stack((tau_up, tau_down), dim=-1))  # (F, R, 2) over a whole row
-        laws = [kept**part, kept ** (1.0 - part)]
-    else:  # time constants up and down [s], slew rates up and down [rad/s²], time [s]
-        lags = [*(tau.clamp_min(SHORTEST) for tau in (tau_up, tau_down)), *(s.clamp_max(FASTEST) for s in slew_rates)]
-        limits = torch.stack(lags, dim=-1).expand(*first.shape, 4)
-        spans = (step[:, None, None] * time for time in (part, 1.0 - part))
-        laws = [torch.cat((limits, span.expand(*first.shape, 1)), dim=-1) for span in spans]
-    numbers = wp.types.vector(length=laws[0].shape[-1], dtype=wp.float64)
     speed, tables = torch.empty_like(later), [wp.from_torch(t.contiguous()) for t in (first, earlier, later)]
-    inputs = [wp.from_torch(ends), *tables, *(wp.from_torch(law.contiguous(), dtype=numbers) for law in laws)]
-    kernel, outputs = _make_lag_kernel(limited=slew_rates is not None), [wp.from_torch(speed)]
+    parts = share[:, None, None], 1.0 - share[:, None, None]  # of a row, (F, 1, 1)
+    lags = torch.stack((tau_up, tau_down), dim=-1)
+    if slew_rates is None:
+        kept = torch.exp(-step[:, None, None] / lags)  # (F, R, 2) over a whole row
+        numbers = [kept**part for part in parts]
+    else:
+        limits = torch.cat((lags, torch.stack(slew_rates, dim=-1)), dim=-1).expand(len(step), -1, -1)
+        spans = [(part * step[:, None, None]).expand(-1, rows[1], -1) for part in parts]
+        numbers = [torch.cat((limits, span), dim=-1) for span in spans]
+    kernel = _make_lag_kernel(slew_rates is not None)
+    rows_of = [
+        wp.from_torch(n.contiguous(), dtype=wp.types.vector(length=n.shape[-1], dtype=wp.float64)) for n in numbers
+    ]
+    inputs, outputs = [wp.from_torch(ends), *tables, *rows_of], [wp.from_torch(speed)]
     wp.launch(kernel, dim=first.shape, inputs=inputs, outputs=outputs, device="cpu")
     return speed
