@@ -65,11 +65,11 @@ def _call_lines(trace: Trace, number: int, index: int) -> list[str]:
             del numbers[: prod(shape)]
         return parts
 
-    others = take(call.results, "result") if condition else []
+    defaults = take(call.results, "result") if condition else []
     code = f"{', '.join(results)} = {name}({', '.join(take(call.shapes, 'argument'))})"
     if not condition:
         return [f"    {code}"]
-    lines = [f"    {result} = {other}" for result, other in zip(results, others, strict=True)]
+    lines = [f"    {result} = {other}" for result, other in zip(results, defaults, strict=True)]
     return [*lines, f"    if {condition[0]}:", f"        {code}"]
 
 
