@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
@@ -36,10 +37,11 @@ from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
-from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
 
+MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
 
@@ -225,6 +227,12 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
         if not np.any(relative):
             raise DataError(f"{log.path}: its rotor commands are 0 throughout; give a log of a flight")
         full = _scale_to_thrust(relative, force[:, 2], robot)
+        weight = robot.body.mass * STANDARD_GRAVITY
+        if not full > 0.0 or total_rotor_force(robot, np.full((1, robot.num_rotors), full))[0] > MOST_LIFT * weight:
+            raise DataError(
+                f"{log.path}: its rotor commands are {share.mean():.2g} of full on average, too little to fly; give "
+                "a log of a flight, or map rotor_command with a gain"
+            )
         command = full * relative
     unit = "N" if "force" in robot.rotor_traits else "rad/s"
     values = {"full": full, "unit": unit, "by_speeds": log.rotor_speed is not None}

@@ -8,7 +8,6 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.registry.log_formats import LOG_READERS
-from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
@@ -18,6 +17,8 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays
+from aerial_gym.sim2real.logs.row_grid import row_times
+from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ
 
 SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
 
@@ -136,22 +137,24 @@ def _flights_of_log(opened: LogFlights, mapping: LogMapping | None, refusals: li
     relative = mapping is None or mapping.rotor_command is None
     for number, span in enumerate(opened.spans, start=1):
         try:
-            log = flight_of_log(opened, number, relative=relative)
+            log = flight_of_log(opened, number, relative=relative, fastest=DELAY_ROWS_HZ)
         except DataError as error:
             refusals.append(str(error))
             continue
         known = set(opened.notes)
-        flights.append(_flight_summary(log, span.ended_by, tuple(note for note in log.notes if note not in known)))
+        rate = 1.0 / float(np.median(np.diff(row_times(opened.streams, span))))
+        notes = tuple(note for note in log.notes if note not in known)
+        flights.append(_flight_summary(log, span.ended_by, rate, notes))
     return flights
 
 
-def _flight_summary(log: FlightLog, ended_by: str, notes: tuple[Finding, ...]) -> FlightSummary:
+def _flight_summary(log: FlightLog, ended_by: str, rate: float, notes: tuple[Finding, ...]) -> FlightSummary:
     return FlightSummary(
         path=log.path,
         start=float(log.time[0]),
         end=float(log.time[-1]),
         ended_by=ended_by,
-        rate=1.0 / float(np.median(np.diff(log.time))),
+        rate=rate,
         streams=log.streams,
         battery=None if log.battery is None else (float(log.battery.min()), float(log.battery.max())),
         notes=notes,
@@ -180,7 +183,7 @@ def _spans_of_arming(raw: RawLog) -> tuple[tuple[float, float], ...]:
     if not channels:
         return ()
     time, armed = channels[0].time, channels[0].values[:, 0] > 0.0
-    edges: Array = np.flatnonzero(np.diff(np.concatenate(([0], armed.astype(int), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], armed.astype(int), [0]))))
     return tuple(
         (float(time[a]), float(time[min(b, time.size - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)
     )
@@ -206,4 +209,4 @@ def _inspect_csv(path: Path, mapping: LogMapping | None) -> LogInspection:
     streams = {
         name: StreamTiming(source="table[0]", rate=rate) for name in row_arrays(log) if name not in ("time", "lines")
     }
-    return _inspection(raw, [_flight_summary(replace(log, streams=streams), "log_end", log.notes)], [], ())
+    return _inspection(raw, [_flight_summary(replace(log, streams=streams), "log_end", rate, log.notes)], [], ())

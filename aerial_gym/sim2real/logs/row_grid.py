@@ -1,6 +1,7 @@
 """Bring the streams of one flight onto the samples of the gyro. Letters: T rows."""
 
 from collections.abc import Mapping
+from math import inf
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -13,13 +14,16 @@ GYRO_RATES_HZ = (50.0, 2000.0)  # Range of rates in which the gyro gives the row
 SLOWEST_COMMANDS_HZ = 40.0  # Lowest rate of rotor data that show torques and lags: two samples in a lag of 0.05 s
 
 
-def row_times(streams: Mapping[str, Stream], span: FlightSpan) -> Array:
-    """Return the times of the rows of a flight [s], (T,): those of the gyro, or else of the fastest stream of motion."""
+def row_times(streams: Mapping[str, Stream], span: FlightSpan, fastest: float = inf) -> Array:
+    """Return the times of the rows of a flight [s], (T,): those of the gyro, or else of the fastest stream of motion.
+
+    Rows above 2000 Hz, or above ``fastest``, are thinned.
+    """
     gyro = streams.get("ang_vel")
     low, high = GYRO_RATES_HZ
     clocks = [one for name, one in streams.items() if name in ("ang_vel", "attitude", "rotor_speed", "rotor_command")]
     base = gyro if gyro is not None and gyro.rate >= low else max(clocks, key=lambda stream: stream.rate)
-    thinned = base.time[:: max(1, round(base.rate / high))]
+    thinned = base.time[:: max(1, round(base.rate / min(high, fastest)))]
     return thinned[(thinned >= span.start) & (thinned <= span.end)]
 
 

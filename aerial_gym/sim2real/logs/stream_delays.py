@@ -14,6 +14,7 @@ from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, MATER
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
+DELAY_ROWS_HZ = 125.0  # Enough rows for the comparison, 30 a period at its largest frequency
 LARGEST_S = 0.5  # Largest delay that is searched [s]
 CORRECTED_S = 0.25  # Largest delay that is corrected [s]; a stream with a larger one is left out
 TRIALS = 41  # Delays of the coarse search; their distance is a tenth of a period of the comparison

@@ -29,6 +29,7 @@ SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
 
 QUIET_RATE = 0.1  # Below this RMS angular velocity [rad/s] the comparison with the attitude is skipped
+TURNING = 5.0  # Ratio to ``QUIET_RATE`` from which the attitude certainly turns, beyond the noise of coarse attitudes
 QUIET_SPEED = 0.3  # Below this RMS velocity [m/s] the comparison with the position is skipped
 QUIET_FORCE = 0.5  # Least reference [m/s²] for the relative error of the acceleration
 LEAST_ACROSS = 1.0  # Least horizontal RMS specific force [m/s²] that reveals world axes; drag alone causes less
@@ -146,6 +147,7 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     measured = _lowpass_compared_rows(log.ang_vel, log)
     size = _rms_of_vectors(measured)
     if size < QUIET_RATE:
+        _check_resting_gyro(log, size)
         return
 
     def difference_and_rate(quaternion: Array) -> tuple[float, Array]:
@@ -174,6 +176,16 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
         f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
         f"{guess}; correct the columns or declare it in a mapping file"
     )
+
+
+def _check_resting_gyro(log: FlightLog, size: float) -> None:
+    """Refuse a gyro that rests, with RMS ``size`` [rad/s], while the attitude turns ``TURNING`` times as fast as is quiet."""
+    rate = body_rate_from_attitude(log.attitude, sample_rate(log), CHECK_BANDWIDTH_HZ)[_rows_of_comparison(log)]
+    if not log.attitude_integrated and _rms_of_vectors(rate) > TURNING * QUIET_RATE:
+        raise DataError(
+            f"{log.path}: omega is at rest ({size:.2g} rad/s RMS) while the attitude turns ({_rms_of_vectors(rate):.2g} rad/s "
+            "RMS); leave the inertial sensors out, or give a log in which they flew along"
+        )
 
 
 def _check_gravity(log: FlightLog, attitude: Rotation) -> None:

@@ -5,6 +5,7 @@ Letters: T rows, R rotors.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pandas as pd
 
 from aerial_gym.errors import DataError
 from aerial_gym.registry.log_formats import LOG_READERS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import (
     SHORTEST_S,
@@ -29,7 +31,7 @@ from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMappi
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, resample_streams, row_times
 from aerial_gym.sim2real.logs.signals import integrate_rates
-from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, StreamDelay, stream_delays
+from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, DELAY_ROWS_HZ, StreamDelay, stream_delays
 from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams
 
 
@@ -137,10 +139,14 @@ def _find_column(raw: RawLog, column: str) -> tuple[Topic, str]:
     )
 
 
-def flight_of_log(opened: LogFlights, number: int, *, relative: bool = True, hover: bool = False) -> FlightLog:
+def flight_of_log(
+    opened: LogFlights, number: int, *, relative: bool = True, hover: bool = False, fastest: float = inf
+) -> FlightLog:
     """Return a flight, from 1, with delays of its streams corrected where its motion shows them.
 
-    ``relative``: whether commands are shares of the largest speed. Raise ``DataError`` if a needed quantity is missing.
+    ``relative``: whether commands are shares of the largest speed. ``fastest``: largest rate of the rows [Hz].
+
+    Raise ``DataError`` if a needed quantity is missing.
     """
     span, path = opened.spans[number - 1], opened.flight_path(number)
     notes = [note for note in opened.notes if span.start <= note.values.get("time_s", span.start) <= span.end]
@@ -149,21 +155,22 @@ def flight_of_log(opened: LogFlights, number: int, *, relative: bool = True, hov
         name: StreamTiming(source=stream.channel.source, rate=stream.rate, latency=stream.channel.latency)
         for name, stream in streams.items()
     }
-    delays = stream_delays(replace(_assemble_flight(streams, span, path, notes, hover=hover), streams=timings))
+    slow = _assemble_flight(streams, row_times(streams, span, DELAY_ROWS_HZ), path, notes, hover=hover)
+    delays = stream_delays(replace(slow, streams=timings))
     moved = _without_delays(streams, delays, path, notes)
     timings = {name: replace(timings[name], **_delay_fields(delays.get(name))) for name in moved}
-    log = _assemble_flight(moved, span, path, notes, hover=hover)
-    slow = [
+    log = _assemble_flight(moved, row_times(moved, span, fastest), path, notes, hover=hover)
+    too_slow = [
         name
         for name in ("rotor_speed", "rotor_command")
         if name in timings and timings[name].rate < SLOWEST_COMMANDS_HZ
     ]
-    notes += [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": timings[name].rate}) for name in slow]
-    lag = log.rotor_speed is None or not slow  # a lag needs both, fast
+    notes += [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": timings[name].rate}) for name in too_slow]
+    lag = log.rotor_speed is None or not too_slow  # a lag needs both, fast
     return replace(
         log,
         rotor_command=log.rotor_command if lag else None,
-        torques=("rotor_speed" if log.rotor_speed is not None else "rotor_command") not in slow,
+        torques=("rotor_speed" if log.rotor_speed is not None else "rotor_command") not in too_slow,
         relative_commands=relative and log.rotor_command is not None,
         streams=timings,
         notes=tuple(dict.fromkeys(notes)),
@@ -198,10 +205,11 @@ def _without_delays(
 
 
 def _assemble_flight(
-    streams: dict[str, Stream], span: FlightSpan, path: str, notes: list[Finding], *, hover: bool
+    streams: dict[str, Stream], rows: Array, path: str, notes: list[Finding], *, hover: bool
 ) -> FlightLog:
-    """Return the flight with all streams at the rows; a missing attitude is integrated from the gyro."""
-    rows = row_times(streams, span)
+    """Return the flight with all streams at the rows [s]; a missing attitude is integrated from the gyro."""
+    if rows.size < 2:
+        raise DataError(f"{path}: the flight has {rows.size} samples of its fastest sensor, needs 2")
     values: dict[str, Any] = dict(resample_streams(streams, rows))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one not in values and other not in values and not (hover and one == "ang_vel"):

@@ -154,6 +154,10 @@ def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
         return log.rotor_speed
     if log.rotor_command is None:
         raise DataError(f"{log.path}: holds neither speeds nor commands of the rotors")
+    if log.relative_commands:
+        raise DataError(
+            f"{log.path}: its commands are shares of the largest speed; map rotor_command with a gain in rad/s"
+        )
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     command = torch.from_numpy(log.rotor_command).unsqueeze(1)
     state, results, step = command[0], [], float(np.median(np.diff(log.time)))

@@ -128,6 +128,7 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
     (lambda t: scale(t, ROTORS, 60 / (2 * np.pi)), r"it looks like rpm: convert to rad/s"),
     (lambda t: scale(t, ROTORS, 1 / 3000), r"it looks like a fraction of full throttle"),
     (lambda t: scale(t, Q, 1.2), r"line 2 \(t = 0 s\): the attitude quaternion .* has norm 1\.2, must be 1"),
+    (lambda t: scale(t, OMEGA, 1e-4), r"omega is at rest .* while the attitude turns"),
     (lambda t: t.assign(omega_y=0.01), r"ang_vel 2 is 0\.01 in every row; leave a sensor that did not work empty"),
     (lambda t: t.assign(rotor_3=0.0), r"rotor_speed 3 is 0 in every row"),
     (lambda t: t[:150], r"lasts 1\.49 s, needs at least 2 s"),

@@ -164,3 +164,14 @@ def test_a_binary_flight_is_the_flight_of_its_csv_file(table: pd.DataFrame, tmp_
     assert turned[5:-5].min() > np.cos(0.5 * 5e-3)
     for name, size in (("ang_vel", 1e-6), ("specific_force", 1e-5)):
         np.testing.assert_allclose(getattr(binary, name), getattr(text, name)[rows], atol=size)
+
+
+def test_commands_too_small_to_carry_a_vehicle_are_no_flight(table: pd.DataFrame, tmp_path: Path) -> None:
+    """At a tenth of full command on average, full command would give 100 weights."""
+    results = with_commands(table, 1)
+    motors = results["actuator_motors"]
+    results["actuator_motors"] = {
+        name: values if name == "timestamp" else 0.15 * values for name, values in motors.items()
+    }
+    with pytest.raises(DataError, match="of full on average"):
+        load(results, tmp_path / "a.ulg")
