@@ -12,6 +12,7 @@ READERS = {
     "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),
     "crazyflie": ImportPath("aerial_gym.sim2real.logs.readers.crazyflie:CrazyflieReader"),
     "dataflash": ImportPath("aerial_gym.sim2real.logs.readers.dataflash:DataflashReader"),
+    "ros": ImportPath("aerial_gym.sim2real.logs.readers.ros:RosReader"),
     "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
 }
 """Readers of this package. Each format has other first bytes, so that their order does not count."""

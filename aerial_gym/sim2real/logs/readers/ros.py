@@ -1,0 +1,203 @@
+"""Read bags of ROS 1 and ROS 2, and MCAP files with messages of ROS. Topics are found by their type. Letters: T samples.
+
+World is z up and body is FLU by REP 103, so that the frames are those of this package.
+
+Source: ROS REP 103 and 145; message definitions of ``common_interfaces`` and ``mavros_msgs`` (github ros2, mavlink).
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first
+from aerial_gym.sim2real.logs.readers.log_readers import LogReader
+from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.ros_files import BAG, DATABASE, MCAP, MessageSource, read_sources
+from aerial_gym.sim2real.logs.readers.ros_layout import decode_messages
+from aerial_gym.sim2real.logs.readers.ulog import UlogReader
+
+LONGEST_DEFINITION = 50_000  # Characters of a message definition; the longest of PX4 have 20,000
+LARGEST_MESSAGE = 65_536  # Mean size [B] from which a topic, such as images, is listed without its content
+SETPOINTS = re.compile(
+    "setpoint|target|desired|reference|command|cmd|goal|_ref$", re.IGNORECASE
+)  # Topics that measure nothing
+ON_GROUND, IN_AIR = 1.0, 2.0  # ``landed_state`` of mavros_msgs/ExtendedState
+
+POSE, TWIST = "pose.pose.", "twist.twist."
+VECTORS = (
+    ("attitude", "nav_msgs/msg/Odometry", "pose.pose.orientation", "xyzw"),
+    ("attitude", "geometry_msgs/msg/PoseStamped", "pose.orientation", "xyzw"),
+    ("attitude", "geometry_msgs/msg/PoseWithCovarianceStamped", "pose.pose.orientation", "xyzw"),
+    ("attitude", "geometry_msgs/msg/TransformStamped", "transform.rotation", "xyzw"),
+    ("attitude", "sensor_msgs/msg/Imu", "orientation", "xyzw"),
+    ("attitude", "geometry_msgs/msg/QuaternionStamped", "quaternion", "xyzw"),
+    ("position", "nav_msgs/msg/Odometry", "pose.pose.position", "xyz"),
+    ("position", "geometry_msgs/msg/PoseStamped", "pose.position", "xyz"),
+    ("position", "geometry_msgs/msg/PoseWithCovarianceStamped", "pose.pose.position", "xyz"),
+    ("position", "geometry_msgs/msg/TransformStamped", "transform.translation", "xyz"),
+    ("position", "geometry_msgs/msg/PointStamped", "point", "xyz"),
+    ("lin_vel", "nav_msgs/msg/Odometry", "twist.twist.linear", "xyz"),
+    ("lin_vel", "geometry_msgs/msg/TwistStamped", "twist.linear", "xyz"),
+    ("lin_vel", "geometry_msgs/msg/Vector3Stamped", "vector", "xyz"),
+    ("ang_vel", "sensor_msgs/msg/Imu", "angular_velocity", "xyz"),
+    ("ang_vel", "nav_msgs/msg/Odometry", "twist.twist.angular", "xyz"),
+    ("specific_force", "sensor_msgs/msg/Imu", "linear_acceleration", "xyz"),
+    ("battery", "sensor_msgs/msg/BatteryState", "", ("voltage",)),
+    ("armed", "mavros_msgs/msg/State", "", ("armed",)),
+)
+"""Quantity, message type, field, and components, from the best to the worst source."""
+
+
+class RosReader(LogReader):
+    """Reader of ROS bags and MCAP files."""
+
+    name = "ros"
+    summary = "bags of ROS 1 and ROS 2, MCAP"
+
+    def recognises(self, head: bytes) -> bool:
+        """Return whether the file, or the ``metadata.yaml`` of its folder, is one of ROS."""
+        return head.startswith((BAG, DATABASE, MCAP, b"rosbag2_bagfile_information"))
+
+    def read(self, path: Path) -> RawLog:
+        """Return one topic for each topic of the bag, with the numbers of its messages."""
+        try:
+            from rosbags.typesys import Stores, get_typestore  # pyright: ignore[reportMissingImports]
+        except ImportError:
+            raise MissingDependencyError("reading bags of ROS needs rosbags: pip install 'aerial-gym[logs]'") from None
+        standard = get_typestore(Stores.LATEST).fielddefs
+        topics, notes, types = list[Topic](), list[Finding](), dict[str, str]()
+        for source in read_sources(path):
+            columns: dict[str, Array] = {}
+            if sum(map(len, source.messages)) < LARGEST_MESSAGE * len(source.messages):
+                fields = {**standard, **_own_types(source)}
+                columns, lost = decode_messages(source.messages, source.type, fields, is_cdr=source.is_cdr)
+                if lost:
+                    error = (
+                        f"{lost} of {len(source.messages)} messages of topic {source.topic} do not fit their definition"
+                    )
+                    notes.append(Finding("topic_left_out", "", {"topic": source.topic, "error": error}))
+            instance = sum(topic.name == source.topic for topic in topics)
+            time = _message_times(columns, np.array(source.times, dtype=np.float64) * 1e-9)
+            topics.append(Topic(name=source.topic, instance=instance, time=time, columns=columns))
+            types[topics[-1].source] = source.type
+        if not topics:
+            raise DataError(f"{path}: holds no message of ROS")
+        return RawLog(path=str(path), format=self.name, topics=tuple(topics), metadata=types, notes=tuple(notes))
+
+    def channels(self, log: RawLog) -> Sequence[LogChannel]:
+        """Return the quantities of the vehicle; of several sources a much faster one comes first."""
+        topics = [topic for topic in log.topics if topic.columns and not SETPOINTS.search(topic.name)]
+        vectors = [
+            channel
+            for quantity, kind, field, components in VECTORS
+            for topic in topics
+            if log.metadata[topic.source] == kind
+            for channel in _vector_channels(topic, quantity, field, components)
+        ]
+        rotors = [channel for topic in topics for channel in _mavros_channels(topic, log.metadata[topic.source])]
+        return [*faster_first(vectors), *rotors, *_px4_channels(log)]
+
+
+def _own_types(source: MessageSource) -> Any:
+    """Return the fields by type that the definition of a message states; nothing if it cannot be parsed."""
+    from rosbags.typesys import get_types_from_msg  # pyright: ignore[reportMissingImports]
+
+    if not source.definition or len(source.definition) > LONGEST_DEFINITION:
+        return {}
+    try:
+        return get_types_from_msg(source.definition, source.type)
+    except Exception:  # the parser raises many types
+        return {}
+
+
+def _message_times(columns: dict[str, Array], recorded: Array) -> Array:
+    """Return the times [s] of the headers; those of the records if the headers have none."""
+    if {"header.stamp.sec", "header.stamp.nanosec"} <= columns.keys():
+        stamps = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
+        if np.isfinite(stamps).all() and np.all(stamps > 0.0):
+            return stamps
+    return recorded
+
+
+def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequence[str]) -> Iterator[LogChannel]:
+    names = [f"{field}.{component}" if field else component for component in components]
+    if not set(names) <= topic.columns.keys():
+        return
+    values = np.stack([topic.columns[name] for name in names], axis=1)
+    if field == "vector":  # only the name tells what a bare vector is
+        if re.search("ang|gyro|rate", topic.name, re.IGNORECASE):
+            quantity = "ang_vel"
+        elif not re.search("vel", topic.name, re.IGNORECASE):
+            return
+    if field == "twist.linear" and "body" in topic.name:
+        return
+    if quantity == "attitude" and not np.median(np.abs(np.linalg.norm(values, axis=1) - 1.0)) < 0.1:  # not given
+        return
+    if field == "twist.twist.linear":
+        values = _world_velocity(topic, values)
+    yield LogChannel(quantity=quantity, time=topic.time, values=values, source=topic.source)
+
+
+def _world_velocity(topic: Topic, velocity: Array) -> Array:
+    """Return the velocity of an odometry in world axes: by its definition it is in body axes, which some sources ignore."""
+    position, attitude = (
+        np.stack([topic.columns[f"pose.pose.{part}.{axis}"] for axis in axes], axis=1)
+        for part, axes in (("position", "xyz"), ("orientation", "xyzw"))
+    )
+    if topic.time.size < 3 or not np.all(np.linalg.norm(attitude, axis=1) > 0.5):
+        return velocity
+    turned = Rotation.from_quat(attitude).apply(velocity)
+    steps = np.diff(topic.time)
+    moving = steps > 0.0
+    rates = np.diff(position, axis=0)[moving] / steps[moving, None]
+    errors = [np.nanmedian(np.linalg.norm(one[1:][moving] - rates, axis=1)) for one in (turned, velocity)]
+    return velocity if errors[1] < errors[0] else turned
+
+
+def _mavros_channels(topic: Topic, kind: str) -> Iterator[LogChannel]:
+    """Yield rotor speeds, motor signals and contact with the ground."""
+
+    def stack(pattern: str) -> Array:
+        names = [pattern.format(i) for i in range(16) if pattern.format(i) in topic.columns]
+        return np.stack([topic.columns[name] for name in names], axis=1) if names else np.zeros((topic.time.size, 0))
+
+    note = (Finding("rotor_order_of_firmware", "", {"firmware": "the flight controller"}),)
+    rows = {
+        "mavros_msgs/msg/ESCStatus": ("rotor_speed", "esc_status[{}].rpm", UNITS["rpm"], 0.0),
+        "mavros_msgs/msg/ESCTelemetry": ("rotor_speed", "esc_telemetry[{}].rpm", UNITS["rpm"], 0.0),
+        "mav_msgs/msg/Actuators": ("rotor_speed", "angular_velocities[{}]", 1.0, 0.0),
+        "actuator_msgs/msg/Actuators": ("rotor_speed", "velocity[{}]", 1.0, 0.0),
+        "mavros_msgs/msg/RCOut": ("rotor_command", "channels[{}]", 1e-3, -1.0),
+    }
+    if kind in rows:
+        quantity, pattern, unit, offset = rows[kind]
+        values = unit * stack(pattern) + offset
+        used = np.nanmax(values, axis=0, initial=0.0) - np.nanmin(values, axis=0, initial=np.inf) > 0.0
+        if used.any():
+            values = np.abs(values[:, used]) if quantity == "rotor_speed" else np.clip(values[:, used], 0.0, 1.0)
+            yield LogChannel(quantity=quantity, time=topic.time, values=values, source=topic.source, notes=note)
+    if kind == "mavros_msgs/msg/ExtendedState" and "landed_state" in topic.columns:
+        state = topic.columns["landed_state"]
+        known = np.isin(state, (ON_GROUND, IN_AIR))
+        if known.any():
+            values = (state[known] == ON_GROUND).astype(float)[:, None]
+            yield LogChannel(quantity="landed", time=topic.time[known], values=values, source=topic.source)
+
+
+def _px4_channels(log: RawLog) -> Sequence[LogChannel]:
+    """Return the channels of PX4's own messages, whose fields are those of its ULog files."""
+    topics = []
+    for topic in log.topics:
+        package, _, name = log.metadata[topic.source].partition("/msg/")
+        if package == "px4_msgs" and "timestamp" in topic.columns:
+            name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+            topics.append(replace(topic, name=name, time=1e-6 * topic.columns["timestamp"]))
+    return UlogReader().channels(replace(log, topics=tuple(topics))) if topics else ()
