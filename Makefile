@@ -40,11 +40,13 @@ KILLS ?= 50
 kill-test: setup
 	$(BIN)/python -m benchmarks.robustness.kill_runs --count $(KILLS)
 
-# Minutes: mutated robots, environments, tasks, logs, meshes, checkpoints; each must work or be refused in one sentence.
+# Minutes: mutated robots, environments, tasks, logs, meshes, checkpoints; each must work or be refused in one sentence. KIND=log
+# takes the logs of all formats only, within 1 s and 1 GB each.
 FUZZ ?= 5000
+KIND ?=
 SEED ?= 0
 fuzz: setup
-	$(BIN)/python -m benchmarks.robustness.fuzz --count $(FUZZ) --seed $(SEED)
+	$(BIN)/python -m benchmarks.robustness.fuzz --count $(FUZZ) --seed $(SEED) $(if $(KIND),--only $(KIND))
 
 # Hours: every effect, size and seed that the truth plant can hide. Interrupt and start again at will; SEEDS, JOBS and ARGS
 # (such as --nuisance) may be given.

@@ -6,6 +6,7 @@ findings; their inputs are kept in ``out``. Exit status 1 if there is any. Input
 
 import logging
 import random
+import resource
 import signal
 import sys
 import tempfile
@@ -39,8 +40,8 @@ class Fuzz:
 
     count: int = 3000  # Mutated inputs
     seed: int = 0  # Of the mutations
-    only: tuple[str, ...] = ()  # Targets by name; all if none is given
-    limit_s: float = 20.0  # Longest time of one input [s]
+    only: tuple[str, ...] = ()  # Targets by name, or by its first word; all if none is given
+    limit_s: float = 20.0  # Longest time of one input [s], unless its target has another limit
     out: Path = Path("out/fuzz")  # Receives the inputs of findings
 
     def run(self) -> int:
@@ -58,7 +59,11 @@ class Fuzz:
 
     def _feed_targets(self, folder: Path, kinds: "Counter[str]", results: "Counter[str]") -> None:
         told = time.monotonic()
-        chosen = [target for target in targets(folder) if not self.only or target.name in self.only]
+        chosen = [
+            target
+            for target in targets(folder)
+            if not self.only or {target.name, target.name.split("_")[0]} & {*self.only}
+        ]
         for index in range(self.count):
             target = chosen[index % len(chosen)]
             outcome, finding = self._try_input(target, folder, index)
@@ -74,14 +79,16 @@ class Fuzz:
         data = mutate(draw.choice(target.inputs), target.ways, draw)
         file = folder / f"input{target.suffix}"
         file.write_bytes(data)
-        signal.setitimer(signal.ITIMER_REAL, self.limit_s)
+        limit = target.limit_s or self.limit_s
+        signal.setitimer(signal.ITIMER_REAL, limit)
         try:
-            target.use(file)
+            with _limit_memory(target.limit_bytes):
+                target.use(file)
         except AerialGymError as error:
             bad = _message_fault(str(error))
             outcome, finding = "refused", None if bad is None else f"{target.name}: {bad}: {str(error)[:150]!r}"
         except TimeLimitError:
-            outcome, finding = "finding", f"{target.name}: takes longer than {self.limit_s} s"
+            outcome, finding = "finding", f"{target.name}: takes longer than {limit} s"
         except Exception as error:
             outcome, finding = (
                 "finding",
@@ -109,6 +116,21 @@ def _silence_logs() -> Iterator[None]:
     finally:
         logging.disable(logging.NOTSET)
         signal.signal(signal.SIGALRM, kept)
+
+
+@contextmanager
+def _limit_memory(size: int | None) -> Iterator[None]:
+    """Let allocations of more bytes than ``size`` beside the present ones raise ``MemoryError``."""
+    if size is None:
+        yield
+        return
+    kept = resource.getrlimit(resource.RLIMIT_AS)
+    present = resource.getpagesize() * int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (present + size, kept[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, kept)
 
 
 def _raise_time_limit(number: int, frame: FrameType | None) -> None:

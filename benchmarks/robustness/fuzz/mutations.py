@@ -30,6 +30,13 @@ def flip_bytes(data: bytes, draw: random.Random) -> bytes:
     return bytes(spoilt)
 
 
+def change_bytes(data: bytes, draw: random.Random) -> bytes:
+    """Put an extreme in place of a binary number of 1, 2, 4 or 8 bytes, such as a length."""
+    size, place = draw.choice((1, 2, 4, 4, 8)), draw.randrange(len(data))
+    number = draw.choice((b"\xff" * size, bytes(size), b"\xff" * (size - 1) + b"\x7f", b"\x01" + bytes(size - 1)))
+    return data[:place] + number + data[place + size :]
+
+
 def cut_piece(data: bytes, draw: random.Random) -> bytes:
     """Leave out a piece, often the end."""
     start = draw.randrange(len(data) + 1)
@@ -109,6 +116,7 @@ def _tree_nodes(tree: Any) -> list[Any]:
 Mutation = Callable[[bytes, random.Random], bytes]
 PLAIN: tuple[Mutation, ...] = (flip_bytes, cut_piece, repeat_piece)
 TEXT: tuple[Mutation, ...] = (*PLAIN, swap_lines, change_number, change_number, change_number, change_word, change_word)
+BINARY: tuple[Mutation, ...] = (*PLAIN, change_bytes, change_bytes, change_number, repeat_piece)
 TREE: tuple[Mutation, ...] = (*TEXT, *(change_tree,) * 10)
 
 

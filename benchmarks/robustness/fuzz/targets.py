@@ -18,13 +18,17 @@ from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.rl_training import load_policy, load_settings, settings_for
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR, find_mapping
 from aerial_gym.task import Task
-from benchmarks.robustness.fuzz.mutations import PLAIN, TEXT, TREE, Mutation
-from tests.unit.sim2real import flat_flights
+from benchmarks.robustness.fuzz.mutations import BINARY, PLAIN, TEXT, TREE, Mutation
+from tests.unit.sim2real import flat_flights, ulog_files
+from tests.unit.sim2real.logs.readers import blackbox_files, crazyflie_files, dataflash_files, ros_bags
 
 NUM_ENVS = 2
 BANDWIDTH = 10.0
+LOG_S, LOG_BYTES = 1.0, 10**9  # Most time [s] and memory [B] for a damaged log
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +40,8 @@ class Target:
     inputs: tuple[bytes, ...]  # Valid ones
     ways: tuple[Mutation, ...]  # To spoil them
     use: Callable[[Path], object]  # What is done with a file
+    limit_s: float | None = None  # Longest time of one input [s]
+    limit_bytes: int | None = None  # Most memory of one input beside that of the process [B]
 
 
 def _build_simulation(**changes: object) -> EnvManager:
@@ -64,6 +70,43 @@ def _fly_task(path: Path) -> None:
 def _load_log(path: Path, mapping: Path | None = None) -> None:
     layout = None if mapping is None else find_mapping(mapping)
     load_flights([path], flat_flights.ROBOT, mapping=layout, bandwidth=BANDWIDTH)
+
+
+def _read_all_flights(path: Path) -> None:
+    for one in flight_paths(path):
+        read_flight_log(one)
+
+
+def _log_targets(folder: Path) -> tuple[Target, ...]:
+    """Return one target for each format of logs; ``folder`` receives files that their writers need."""
+    ulog, bag = folder / "valid.ulg", folder / "valid.bag"
+    ulog_files.write_ulog(ulog, ulog_files.topics(flat_flights.flight(0, seconds=3.0, rate=100.0)))
+    ros_bags.write_bag(bag, "BZ2", count=100)
+    storages = {name: folder / f"valid_{name}" for name in ("SQLITE3", "MCAP")}
+    for name, path in storages.items():
+        ros_bags.write_folder(path, name, count=100)
+    rows = blackbox_files.random_rows(0, 600)
+    inputs = {
+        "blackbox": blackbox_files.flight(rows[:300]) + blackbox_files.flight(rows[300:]),
+        "dataflash": dataflash_files.log()[0],
+        "crazyflie": crazyflie_files.card(count=400)[0],
+        "ulog": ulog.read_bytes(),
+        "bag": bag.read_bytes(),
+        "database": next(storages["SQLITE3"].glob("*.db3")).read_bytes(),
+        "mcap": next(storages["MCAP"].glob("*.mcap")).read_bytes(),
+    }
+    return tuple(
+        Target(
+            name=f"log_{name}",
+            suffix=f".{name}",
+            inputs=(data,),
+            ways=BINARY,
+            use=_read_all_flights,
+            limit_s=LOG_S,
+            limit_bytes=LOG_BYTES,
+        )
+        for name, data in inputs.items()
+    )
 
 
 def _checkpoint_bytes(folder: Path) -> bytes:
@@ -116,6 +159,7 @@ def targets(folder: Path) -> tuple[Target, ...]:
         yaml("sensor", files("sensors"), load_any_sensor),
         yaml("mapping", mappings, lambda path: _load_log(valid_log, path)),
         Target(name="log", suffix=".csv", inputs=(valid_log.read_bytes(),), ways=TEXT, use=_load_log),
+        *_log_targets(folder),
         Target(name="urdf", suffix=".urdf", inputs=(URDF,), ways=TEXT, use=load_urdf),
         Target(name="obj", suffix=".obj", inputs=(OBJ,), ways=TEXT, use=lambda path: load_mesh(path, scale=1.0)),
         Target(name="stl", suffix=".stl", inputs=(STL,), ways=TEXT, use=lambda path: load_mesh(path, scale=1.0)),
