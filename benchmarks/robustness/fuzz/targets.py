@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from aerial_gym.assets.mesh_files import load_mesh
@@ -18,8 +19,7 @@ from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.rl_training import load_policy, load_settings, settings_for
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.inspection import inspect_log
 from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR, find_mapping
 from aerial_gym.task import Task
 from benchmarks.robustness.fuzz.mutations import BINARY, PLAIN, TEXT, TREE, Mutation
@@ -72,24 +72,20 @@ def _load_log(path: Path, mapping: Path | None = None) -> None:
     load_flights([path], flat_flights.ROBOT, mapping=layout, bandwidth=BANDWIDTH)
 
 
-def _read_all_flights(path: Path) -> None:
-    for one in flight_paths(path):
-        read_flight_log(one)
-
-
 def _log_targets(folder: Path) -> tuple[Target, ...]:
     """Return one target for each format of logs; ``folder`` receives files that their writers need."""
     ulog, bag = folder / "valid.ulg", folder / "valid.bag"
     ulog_files.write_ulog(ulog, ulog_files.topics(flat_flights.flight(0, seconds=3.0, rate=100.0)))
-    ros_bags.write_bag(bag, "BZ2", count=100)
+    ros_bags.write_bag(bag, "BZ2", count=300)
     storages = {name: folder / f"valid_{name}" for name in ("SQLITE3", "MCAP")}
     for name, path in storages.items():
-        ros_bags.write_folder(path, name, count=100)
+        ros_bags.write_folder(path, name, count=300)
     rows = blackbox_files.random_rows(0, 600)
+    rows[:, 1] = 5_000_000 + 10_000 * np.arange(600)
     inputs = {
         "blackbox": blackbox_files.flight(rows[:300]) + blackbox_files.flight(rows[300:]),
         "dataflash": dataflash_files.log()[0],
-        "crazyflie": crazyflie_files.card(count=400)[0],
+        "crazyflie": crazyflie_files.card(count=1200)[0],
         "ulog": ulog.read_bytes(),
         "bag": bag.read_bytes(),
         "database": next(storages["SQLITE3"].glob("*.db3")).read_bytes(),
@@ -101,7 +97,7 @@ def _log_targets(folder: Path) -> tuple[Target, ...]:
             suffix=f".{name}",
             inputs=(data,),
             ways=BINARY,
-            use=_read_all_flights,
+            use=inspect_log,
             limit_s=LOG_S,
             limit_bytes=LOG_BYTES,
         )

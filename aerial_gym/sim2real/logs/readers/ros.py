@@ -169,7 +169,7 @@ def _mavros_channels(topic: Topic, kind: str) -> Iterator[LogChannel]:
         names = [pattern.format(i) for i in range(16) if pattern.format(i) in topic.columns]
         return np.stack([topic.columns[name] for name in names], axis=1) if names else np.zeros((topic.time.size, 0))
 
-    note = (Finding("rotor_order_of_firmware", "", {"firmware": "the flight controller"}),)
+    note = (Finding("rotor_order_of_firmware", "", {"firmware": "mavros"}),)
     rows = {
         "mavros_msgs/msg/ESCStatus": ("rotor_speed", "esc_status[{}].rpm", UNITS["rpm"], 0.0),
         "mavros_msgs/msg/ESCTelemetry": ("rotor_speed", "esc_telemetry[{}].rpm", UNITS["rpm"], 0.0),
