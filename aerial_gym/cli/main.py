@@ -22,6 +22,7 @@ COMMANDS: dict[str, ImportPath] = {
     "robot import": ImportPath("aerial_gym.cli.robot:ImportRobotCmd"),
     "robot check": ImportPath("aerial_gym.cli.robot:CheckRobotCmd"),
     "robot tune": ImportPath("aerial_gym.cli.robot:TuneCmd"),
+    "robot from-log": ImportPath("aerial_gym.cli.robot:FromLogCmd"),
     "log inspect": ImportPath("aerial_gym.cli.log:InspectLogCmd"),
     "log convert": ImportPath("aerial_gym.cli.log:ConvertLogCmd"),
     "log plot": ImportPath("aerial_gym.cli.log:PlotLogCmd"),

@@ -173,3 +173,55 @@ class ImportRobotCmd:
             print(line, file=sys.stderr)
         print(self.out)
         return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FromLogCmd:
+    """Write a robot file from flight logs: what they state, what the flights show, and questions for the rest."""
+
+    logs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Logs of one vehicle in any format, FILE#2 for one flight of several. Turns about all axes show the rotors."""
+
+    out: Path  # Robot file to write (.yaml); the mapping of commands goes beside it (.mapping.yaml)
+    mass_kg: float | None = None  # Mass of the vehicle with battery [kg]
+    arm_m: float | None = None  # Distance of the rotors from the centre [m], where the log does not state it
+    json: bool = False  # Print one JSON object instead of text
+
+    def run(self) -> int:
+        """Write the file, and print numbers that are assumed and open questions; return the exit status."""
+        from aerial_gym.errors import ConfigError
+        from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle, robot_text
+
+        if not self.logs:
+            raise ConfigError("robot from-log needs at least one log")
+        if self.out.suffix not in (".yaml", ".yml"):
+            raise ConfigError(f"--out {self.out}: must end in .yaml")
+        with progress_bar() as progress:
+            progress("reading logs", 0.1)
+            draft = draft_vehicle(self.logs, mass=self.mass_kg, arm=self.arm_m)
+        name = ", ".join(Path(log).name for log in self.logs)
+        self.out.write_text(robot_text(draft, name=name), encoding="utf-8")
+        robot_by_name(self.out)  # the file loads
+        written = [self.out]
+        if draft.mapping:
+            written.append(self.out.with_suffix(".mapping.yaml"))
+            written[-1].write_text(draft.mapping, encoding="utf-8")
+        if self.json:
+            values = {key: {"value": each.value, "origin": each.origin} for key, each in draft.values.items()}
+            print(json_line({
+                "values": values, "rotors": draft.layout_origin, "spins": list(draft.spins), "places_m": draft.places.tolist(),
+                "questions": list(draft.questions), "notes": list(draft.notes), "written": [str(path) for path in written],
+            }))  # fmt: skip
+            return 0
+        print_table(
+            [(key, f"{each.value:.4g}", each.origin) for key, each in draft.values.items()],
+            ("number", "value", "origin"),
+        )
+        print(f"rotors: {draft.layout_origin}")
+        for sentence in draft.notes:
+            print(f"note: {sentence}")
+        for question in draft.questions:
+            print(f"question: {question}")
+        print(f"written: {', '.join(map(str, written))}")
+        return 0
