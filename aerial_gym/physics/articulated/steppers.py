@@ -2,8 +2,9 @@
 
 ``implicit_euler``: linearised efforts of joints at the end of the step; all else is semi-implicit Euler. It has order 1 and is
 stable at any stiffness. Drives and dry friction respect their limits at the end of the step (``bounded_efforts``); a limit
-judged at the start would make a drive with a light link overshoot in each step. With drives or friction, velocity terms
-(Coriolis and centrifugal) use the rates in the middle of the step, because those of the start feed energy to fast rotations.
+judged at the start would make a drive with a light link overshoot in each step. With drives, friction or added mass, velocity
+terms (Coriolis and centrifugal) use the rates in the middle of the step, because those of the start feed energy to fast
+rotations. With them, the energy of free motion differs by terms of order 1 that do not accumulate.
 ``rk4``: order 4, for trees without stiff joints.
 Letters: E environments, D joints, L links.
 
@@ -76,7 +77,7 @@ def implicit_euler(
     def step(acts: Effort, swings: TreeState) -> TreeState:
         return _implicit(tree, state, build_equations(swings), acts, dt)
 
-    return with_drive(step, laws, drive, friction, state, dt, applied=applied)
+    return with_drive(step, laws, drive, friction, state, dt, centered=fluid is not None, applied=applied)
 
 
 def with_drive(
@@ -88,6 +89,7 @@ def with_drive(
     dt: float,
     *,
     rounds: int = ROUNDS,
+    centered: bool = False,
     applied: JointEfforts | None = None,
 ) -> TreeState:
     """Return the state after a step under laws, drives and dry friction, each within its limit at the end of the step.
@@ -98,12 +100,14 @@ def with_drive(
         step: Function of a step from ``state`` with efforts of joints at its end and the velocity terms of a motion.
         drive: Drives of joints; None without drives.
         dt: Length of the step [s].
+        centered: Whether velocity terms use the rates in the middle of the step without drives and friction, too.
         applied: Receives the applied efforts.
     """
     acts = joint_effort(laws, state.joint_pos, state.joint_vel)
     bounded = [(law, law is friction) for law in (drive, friction) if law is not None]
     if not bounded:
-        return step(acts, state)
+        end = step(acts, state)
+        return step(acts, half_way(state, end)) if centered else end
     own, rubs = zip(*bounded, strict=True)
     ends = EffortLimits.at_end(own, state.joint_pos, dt)
     problem = ComplementarityProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
@@ -125,6 +129,7 @@ def half_way(state: TreeState, end: TreeState) -> TreeState:
     """Return the initial state of a step with the rates of its middle."""
     return replace(
         state,
+        lin_vel=0.5 * (state.lin_vel + end.lin_vel),
         ang_vel=0.5 * (state.ang_vel + end.ang_vel),
         joint_vel=0.5 * (state.joint_vel + end.joint_vel),
     )

@@ -15,10 +15,10 @@ from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, s
 from aerial_gym.physics.articulated.fused.hubs import hub_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, plus, rigid_inertia
 from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_passive
-from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver
+from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver, make_plain_solver
 from aerial_gym.physics.articulated.fused.link_effects import effect_links, make_on_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
-from aerial_gym.physics.effects import DelayEffect, WrenchEffect
+from aerial_gym.physics.effects import DelayEffect, LinkFluidEffect, WrenchEffect
 from aerial_gym.physics.fused.contact import ContactParameters
 from aerial_gym.physics.fused.formulas import make_loads, make_wind
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
@@ -112,13 +112,14 @@ def make_jointed_kernel(
     loads = make_loads(model, constants, lambda effect: not effect.at_hubs)
     any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
     air, hubs = make_on_links(model, joints), make_hubs(model, joints)
-    way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
+    ahead, in_fluid = articulation.solves_limits, bool(model.effects[LinkFluidEffect])
+    way_in, way_back = make_recursion(articulation, types, joints, air, hubs, centered=ahead or in_fluid)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
     base, floating = make_base(model), articulation.tree.floating
     passive, num_creep, num_joints = make_passive(articulation), articulation.num_creep, articulation.num_joints
     passive_efforts, initialise_creep, advance_creep = passive.efforts, passive.initialise, passive.advance
     dashpot_type, held_type = dashpots_type(articulation), joints.held
-    ahead, applied = articulation.solves_limits, efforts and articulation.solves_limits
+    writes_efforts = efforts and ahead
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_law = make_completion(law_type, {**packing.followed, **packing.law}, {})
     read_params = make_reader(params_type, num_params, 0)
@@ -134,15 +135,15 @@ def make_jointed_kernel(
 
     @wp.func
     def find(
-        vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
-        swing_vel: joint_vector, given: held_type, thrusts: vector, drags: vector, w_0: wp.vec3, w: wp.vec3,
-        move: wp.vec3, dt: float,
+        vehicle: vehicle_type, more: wp.spatial_vector, fall: wp.vec3, pos: joint_vector, vel: joint_vector,
+        swing_vel: joint_vector, given: held_type, thrusts: vector, drags: vector, w_0: wp.vec3, move_0: wp.vec3,
+        w: wp.vec3, move: wp.vec3, dt: float,
     ):  # fmt: skip
-        """Return rates of joints at the end of the step, angular acceleration and acceleration of the base with gravity,
-        with the velocity terms of ``w`` and ``swing_vel``."""
-        carried, kept = way_in(vehicle, pos, vel, swing_vel, given, thrusts, drags, w_0, w, move, dt)
+        """Return rates of joints at the end of the step, angular acceleration of the base, and acceleration of its origin with
+        gravity, with the velocity terms of ``w``, ``move`` and ``swing_vel``."""
+        carried, kept = way_in(vehicle, pos, vel, swing_vel, given, thrusts, drags, w_0, move_0, w, move, dt)
         turn = wp.vec3()
-        rise = held
+        rise = fall
         if wp.static(floating):
             own = base(vehicle, w, move)
             if wp.static(any_wrench):
@@ -155,7 +156,7 @@ def make_jointed_kernel(
                     wp.identity(n=3, dtype=float),
                     center_of_mass(own),
                     w_0,
-                    move,
+                    move_0,
                     w,
                     move,
                     wp.vec3(),
@@ -164,9 +165,12 @@ def make_jointed_kernel(
                     dt,
                 )
             turn, rise = solve(plus(carried, own))
-        return vel + dt * way_back(kept, turn, rise), turn, rise
+        return vel + dt * way_back(kept, turn, rise), turn, rise + wp.cross(w, move)
 
-    solve_limits = make_limit_solver(find, articulation, types, joints) if ahead else None
+    if ahead:
+        solve_step = make_limit_solver(find, articulation, types, joints, in_fluid=in_fluid)
+    else:
+        solve_step = make_plain_solver(find, articulation, types, joints, in_fluid=in_fluid)
 
     @wp.func
     def step_once(
@@ -191,19 +195,13 @@ def make_jointed_kernel(
         effort, stiff = passive_efforts(pos, vel, crept, dt)
         given.effort = effort
         given.stiff = stiff
-        drive = joint_vector()
-        friction = joint_vector()
-        if wp.static(ahead):
-            rates, turn, rise, half_w, drive, friction = solve_limits(
-                vehicle, more, held, pos, vel, drives, given, thrusts, drags, w, move, dt
-            )
-        else:
-            half_w = w
-            rates, turn, rise = find(vehicle, more, held, pos, vel, vel, given, thrusts, drags, w, w, move, dt)
+        rates, turn, rise, drive, friction = solve_step(
+            vehicle, more, held, pos, vel, drives, given, thrusts, drags, w, move, dt
+        )
         lin_vel = v
         ang_vel = w
         if wp.static(floating):
-            lin_vel = v + dt * (rotate(q, rise + wp.cross(half_w, move)) - wp.vec3(0.0, 0.0, gravity))
+            lin_vel = v + dt * (rotate(q, rise) - wp.vec3(0.0, 0.0, gravity))
             ang_vel = w + dt * turn
         return (
             x + dt * lin_vel,
@@ -347,7 +345,7 @@ def make_jointed_kernel(
         rotor_speed_out[env] = n
         joint_pos_out[env] = pos
         joint_vel_out[env] = vel
-        if wp.static(applied):
+        if wp.static(writes_efforts):
             drive_effort_out[env] = drive
             friction_effort_out[env] = friction
 

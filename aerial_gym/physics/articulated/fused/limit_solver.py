@@ -22,12 +22,57 @@ FLAT = 1e-6
 """Slope at the end of a line search, relative to its start: the resolution of float32."""
 
 
-def make_limit_solver(find: wp.Function, articulation: Articulation, types: RotorTypes, joints: JointTypes) -> Any:
-    """Return a function of a step like ``find`` that adds drives and dry friction to the efforts of joints.
+def make_plain_solver(
+    find: wp.Function, articulation: Articulation, types: RotorTypes, joints: JointTypes, *, in_fluid: bool
+) -> Any:
+    """Return the same as ``make_limit_solver`` for a vehicle without drives and dry friction."""
+    vehicle_type, vector, joint_vector, held_type = types.vehicle, types.vector, joints.vector, joints.held
+    command_type = vector_type(max(articulation.num_driven, 1))
+
+    @wp.func
+    def solve_plain(
+        vehicle: vehicle_type, more: wp.spatial_vector, fall: wp.vec3, pos: joint_vector, vel: joint_vector,
+        command: command_type, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
+    ):  # fmt: skip
+        half_w = w
+        half_move = move
+        half_vel = vel
+        rates = vel
+        turn = wp.vec3()
+        rise = fall
+        count = wp.int32(0)
+        while count < 2:  # a loop that Warp does not unroll
+            rates, turn, rise = find(
+                vehicle, more, fall, pos, vel, half_vel, given, thrusts, drags, w, move, half_w, half_move, dt
+            )
+            half_w = w + 0.5 * dt * turn
+            half_move = move + 0.5 * dt * (rise - fall)
+            half_vel = 0.5 * (vel + rates)
+            count += 1
+        return rates, turn, rise, joint_vector(), joint_vector()
+
+    @wp.func
+    def solve_once(
+        vehicle: vehicle_type, more: wp.spatial_vector, fall: wp.vec3, pos: joint_vector, vel: joint_vector,
+        command: command_type, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
+    ):  # fmt: skip
+        rates, turn, rise = find(vehicle, more, fall, pos, vel, vel, given, thrusts, drags, w, move, w, move, dt)
+        return rates, turn, rise, joint_vector(), joint_vector()
+
+    return solve_plain if in_fluid else solve_once
+
+
+def make_limit_solver(
+    find: wp.Function, articulation: Articulation, types: RotorTypes, joints: JointTypes, *, in_fluid: bool
+) -> Any:
+    """Return a function of a step that calls ``find`` with the efforts of drives and dry friction.
 
     Arguments: vehicle; wrench on the base; free fall; positions and rates of joints; commands of drives; constants of the step;
-    thrusts; drag torques; angular velocity and velocity of the base; dt. Result: that of ``find``, the angular velocity of its
-    velocity terms, and the applied efforts of drives and of dry friction.
+    thrusts; drag torques; angular velocity and velocity of the base; dt. Result: that of ``find``, and the applied efforts of
+    drives and of dry friction. Velocity terms use the rates in the middle of the step.
+
+    Args:
+        in_fluid: Whether velocity terms depend on the velocity of the base.
     """
     laws, rubs = make_limited(articulation), articulation.rubs
     ask, sides, tangent, contradicts = laws.ask, laws.sides, laws.tangent, laws.contradicts
@@ -47,6 +92,7 @@ def make_limit_solver(find: wp.Function, articulation: Articulation, types: Roto
         turn = wp.vec3()
         rise = fall
         half_w = w
+        half_move = move
         half_vel = vel
         at = vel  # rates of the tried limited laws
         efforts = joint_vector()  # efforts at these rates
@@ -64,7 +110,9 @@ def make_limit_solver(find: wp.Function, articulation: Articulation, types: Roto
                 slope = joint_vector()
             acts.effort = given.effort + value - wp.cw_mul(slope, vel)
             acts.stiff = given.stiff + dt * slope
-            rates, turn, rise = find(vehicle, more, fall, pos, vel, half_vel, acts, thrusts, drags, w, half_w, move, dt)
+            rates, turn, rise = find(
+                vehicle, more, fall, pos, vel, half_vel, acts, thrusts, drags, w, move, half_w, half_move, dt
+            )
             if stage > 1:
                 stage += 2
                 if wp.static(rubs) and stage == 4 and pushes(friction, rates):
@@ -74,6 +122,8 @@ def make_limit_solver(find: wp.Function, articulation: Articulation, types: Roto
                 if stage == 0:
                     half_w = w + 0.5 * dt * turn
                     half_vel = 0.5 * (vel + rates)
+                    if wp.static(in_fluid):
+                        half_move = move + 0.5 * dt * (rise - fall)
                 else:
                     drive, friction = tangent_efforts(asked, side, rates, dt)
                 stage = wp.where(stage == 0, 1, 4)
@@ -90,7 +140,7 @@ def make_limit_solver(find: wp.Function, articulation: Articulation, types: Roto
                 efforts += share * (end - efforts)
                 at += share * (rates - at)
                 rounds += 1
-        return rates, turn, rise, half_w, drive, friction
+        return rates, turn, rise, drive, friction
 
     return solve_limits
 

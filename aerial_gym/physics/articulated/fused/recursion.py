@@ -72,18 +72,21 @@ def make_recursion(
     joints: JointTypes,
     air: Mapping[int, wp.Function],
     hubs: Mapping[int, wp.Function],
+    *,
+    centered: bool,
 ) -> tuple[wp.Function, wp.Function]:
     """Return the inward and the outward pass.
 
     Inward: (vehicle, positions of joints, their rates, rates of the velocity terms, constants of the step, thrusts, drag
-    torques, angular velocity of the base at the start of the step and of the velocity terms, its velocity, dt) -> ``Inertia``
+    torques, angular velocity and velocity of the base at the start of the step, both of the velocity terms, dt) -> ``Inertia``
     of all links on the base, with the base's rotors, and the kept numbers. ``air`` has the effects on links of
-    ``on_links.make_on_links``, ``hubs`` those of ``hubs.make_hubs``.
+    ``link_effects.make_on_links``, ``hubs`` those of ``hubs.make_hubs``. ``centered`` states whether the velocity terms have
+    other rates than those of the start.
     Outward: (kept numbers, angular acceleration and acceleration of the base, gravity included) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
-    links = [_make_link(articulation, k, types, joints, air, hubs) for k in range(articulation.num_joints)]
+    links = [_make_link(articulation, k, types, joints, air, hubs, centered) for k in range(articulation.num_joints)]
     inward, back = _make_leaf(types, joints)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
@@ -98,15 +101,16 @@ def make_recursion(
     @wp.func
     def sweep_inward(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
-        thrusts: types.vector, drags: types.vector, ang_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
+        thrusts: types.vector, drags: types.vector, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
+        lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
         kept = back_type()
         rotation = wp.identity(n=3, dtype=float)
         carried, kept = way_in(
-            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, ang_vel,
+            vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel_0, ang_vel,
             lin_vel, wp.vec3(), wp.vec3(), dt, kept,
         )  # fmt: skip
-        carried = base_rotors(vehicle, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel, carried)
+        carried = base_rotors(vehicle, held, thrusts, drags, rotation, wp.vec3(), ang_vel_0, lin_vel_0, carried)
         return carried, kept
 
     @wp.func
@@ -204,6 +208,7 @@ def _make_link(
     joints: JointTypes,
     air: Mapping[int, wp.Function],
     hubs: Mapping[int, wp.Function],
+    centered: bool,
 ) -> Any:
     """Return a function that makes the inward pass of joint k from that of its link's children."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
@@ -213,7 +218,7 @@ def _make_link(
     if not revolute:
         offset = offset + reference * own_axis
     com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
-    in_air, ahead = air.get(k + 1), articulation.solves_limits
+    in_air = air.get(k + 1)
     damped, felt = in_air is not None, any(articulation.tree.moves[link][k] for link in (*air, *hubs))
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
@@ -252,7 +257,7 @@ def _make_link(
                 swung = swung + rate * wp.cross(ang_vel, axis)
             turn_0 = turn
             move_0 = move
-            if wp.static(felt and ahead):  # effects of the air use the start of the step
+            if wp.static(felt and centered):  # effects of the air use the start of the step
                 turn_0 = ang_vel_0
                 move_0 = lin_vel_0 + wp.cross(ang_vel_0, lever)
                 if wp.static(revolute):
