@@ -226,6 +226,19 @@ def test_forces_are_those_of_an_integration_over_radius_and_azimuth(
         np.testing.assert_allclose(result, expected, rtol=rtol, atol=atol)
 
 
+def test_a_share_of_the_model_is_that_share_of_its_loads() -> None:
+    whole, none, part = (loads([0.1, 0.05, 0.03], share=share) for share in (1.0, 0.0, 0.3))
+    np.testing.assert_allclose(part, none + 0.3 * (whole - none), rtol=1e-12, atol=1e-15)
+
+
+def test_beyond_the_tip_speed_loads_stay_those_at_it() -> None:
+    for fast, limit in (([1.5, 0.0, 0.0], [1.0, 0.0, 0.0]), ([0.0, 0.0, 1.3], [0.0, 0.0, 1.0])):
+        np.testing.assert_allclose(loads(fast), loads(limit), atol=1e-9)
+    np.testing.assert_allclose(loads([0.0, 0.0, -1.3]), loads([0.0, 0.0, -1.0]), atol=1e-9)
+    for velocity in ([0.95, 0.0, 0.0], [0.0, 0.0, 0.95], [0.0, 0.0, -0.95]):
+        assert np.abs(loads(velocity) - loads([v / 0.95 for v in velocity])).max() > 1e-3
+
+
 def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
     """Forwards, counter-clockwise from above: the right side advances. Hinged: more H-force and no moment. Stiff: the lift of
     the right side turns the body to the left, negatively about x, by ``s a / 2 m_s mu``."""
@@ -320,10 +333,12 @@ def test_the_exponent_of_the_lift_slope_is_that_of_static_thrust() -> None:
     assert np.log2(static_thrust(1e5) / static_thrust(5e4)) == pytest.approx(0.09, abs=0.005)
 
 
-def test_the_default_lift_slope_is_that_of_the_reynolds_number_at_hover() -> None:
+@pytest.mark.parametrize("rotors", [1, 4])
+def test_the_default_lift_slope_is_that_of_the_reynolds_number_at_hover(rotors: int) -> None:
     """0.1 of solidity with two blades: a chord of 15.7 mm at 0.1 m; thrust and speed at hover by the quadratic map."""
     robot = one_rotor()
-    speed = sqrt(0.3 * STANDARD_GRAVITY / robot.the_rotor("the test").thrust_map[2])
+    robot = replace(robot, mounts=replace(robot.mounts, layout=robot.mounts.layout * rotors))
+    speed = sqrt(0.3 * STANDARD_GRAVITY / rotors / robot.the_rotor("the test").thrust_map[2])
     reynolds = 0.075 * speed * 0.05 * pi * RADIUS / 1.461e-5
     default = EFFECTS.get("blade_element").neutral(robot)[2]
     assert default == pytest.approx(3.3 * (reynolds / 5e4) ** 0.11, rel=1e-6)

@@ -3,7 +3,7 @@ own. The hull has 2 kg and (0.02, 0.03, 0.05) kg m²; rotors stand still."""
 
 from dataclasses import replace
 from itertools import pairwise
-from math import cos, exp, log2, pi, sqrt, tanh
+from math import cos, exp, log2, pi, sin, sqrt, tanh
 
 import pytest
 import torch
@@ -148,6 +148,15 @@ def test_added_mass_slows_a_fall_and_not_the_weight() -> None:
     model = hull({"buoyancy": {"force": 5.0, "x": 0.0, "y": 0.0, "z": 0.0}, "added_mass": ADDED})
     end = propagate(model, make_state(), 1e-6, steps=1)
     assert -end.lin_vel[0, 2].item() / 1e-6 == pytest.approx((MASS * G - 5.0) / (MASS + ADDED["z"]), rel=1e-9)
+
+
+def test_a_rolled_hull_falls_along_the_axis_of_its_lesser_added_mass() -> None:
+    """Rolled by p, world z is (0, sin p, cos p) in body axes: ``a_i = -(m g - B) up_i / (m + M_i)``, turned back."""
+    model = hull({"buoyancy": {"force": 5.0, "x": 0.0, "y": 0.0, "z": 0.0}, "added_mass": ADDED})
+    end = propagate(model, make_state(euler=(0.7, 0.0, 0.0)), 1e-6, steps=1)
+    y, z = (-(MASS * G - 5.0) * up / (MASS + ADDED[axis]) for axis, up in (("y", sin(0.7)), ("z", cos(0.7))))
+    expected = [[0.0, cos(0.7) * y - sin(0.7) * z, sin(0.7) * y + cos(0.7) * z]]
+    torch.testing.assert_close(end.lin_vel / 1e-6, torch.tensor(expected, dtype=F64), rtol=1e-8, atol=1e-8)
 
 
 def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
