@@ -12,7 +12,13 @@ from aerial_gym.config.controller import RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.betaflight.controller import BetaflightController
-from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mix_signals, throttle_attenuation
+from aerial_gym.control.betaflight.loop import (
+    RELAXED_FROM,
+    actual_rate,
+    integral_share,
+    mix_signals,
+    throttle_attenuation,
+)
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest, vehicle_from_config
@@ -55,6 +61,17 @@ def run(
         command, memory = law.command(state, torch.tensor([action], dtype=F64), memory)
         result.append(((command - law._low) / law._span)[0])
     return torch.stack(result), memory
+
+
+def test_a_largest_rate_below_that_about_the_centre_has_no_effect() -> None:
+    rows = (torch.full((1, 3), value, dtype=F64) for value in (0.5, 4.0, 3.0, 0.5))
+    assert actual_rate(*rows).tolist() == [[2.0, 2.0, 2.0]]
+
+
+def test_relax_and_windup_multiply_on_yaw() -> None:
+    """A change of half the rate of full relaxation, and half of the range above the start of the windup."""
+    change, used = torch.full((1, 3), 0.5 * RELAXED_FROM, dtype=F64), torch.full((1, 1), 0.9, dtype=F64)
+    assert integral_share(change, used, 0.8)[0].tolist() == pytest.approx([0.5, 0.5, 0.25])
 
 
 def test_actual_rates_are_those_of_the_public_calculators() -> None:

@@ -5,6 +5,7 @@ PX4's own code is laid beside it in ``tests/cross/test_px4.py``.
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -42,6 +43,24 @@ def mix_row(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, l
 ])  # fmt: skip
 def test_it_tells_which_torque_is_not_given(wanted: list[float], airmode: int, short: list[int]) -> None:
     torch.testing.assert_close(mix_row(wanted, airmode).short, torch.tensor([short], dtype=F64))
+
+
+@pytest.mark.parametrize("airmode", [0, 1, 2])
+def test_lost_torque_is_that_of_least_squares(airmode: int) -> None:
+    """Six random motors: torque that NumPy finds in the signals; all of it is lost where a motor was clamped."""
+    rng = np.random.default_rng(airmode)
+    columns, wanted = rng.uniform(-1.0, 1.0, (300, 6, 4)), rng.uniform(-0.6, 0.6, (300, 4))
+    columns[..., 3] = rng.uniform(0.5, 1.0, (300, 6))
+    low = np.full((300, 6), 0.05)
+    output = mix(*(torch.from_numpy(rows) for rows in (columns, wanted, low)), airmode=airmode)
+    clamped = 0
+    for column, command, signal, short in zip(columns, wanted, output.signal.numpy(), output.short, strict=True):
+        given, residual, *_ = np.linalg.lstsq(column, signal, rcond=None)
+        whole = residual[0] < 1e-16
+        clamped += not whole
+        lost = command[:3] - given[:3] * whole
+        assert short.tolist() == np.where(np.abs(lost) > 1e-6, np.sign(lost), 0.0).tolist()
+    assert 20 < clamped < 280
 
 
 def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
