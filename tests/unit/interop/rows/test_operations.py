@@ -111,7 +111,7 @@ def test_operations_of_traced_functions_are_numpys() -> None:
     width = wp.types.vector(length=expected.shape[1], dtype=wp.float32)
     traced = trace_to_warp("operations", {"a": wp.vec3, "b": wp.vec3}, all_results, (width,), constants={})
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def kernel(a: wp.array[wp.vec3], b: wp.array[wp.vec3], out: wp.array[width]):
         i = wp.tid()
         out[i] = traced(a[i], b[i])

@@ -70,7 +70,7 @@ def test_warp_functions_equal_torch(seed: int) -> None:
         lambda number, vector, matrix: evaluate_all(functions, (number, vector, matrix)), (width,),
     )  # fmt: skip
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def kernel(
         number: wp.array[float], vector: wp.array[wp.vec3], matrix: wp.array[MATRIX], out: wp.array[width]
     ):  # fmt: skip
