@@ -10,7 +10,6 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
-from aerial_gym.sim2real.identify.candidates.structure import rows_at_times
 from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, gap_closed
@@ -19,6 +18,7 @@ from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
 ACTS_FROM = 0.75  # An effect acts in the rows in which its contribution is above this quantile

@@ -20,6 +20,7 @@ from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
@@ -169,7 +170,7 @@ def longest_airborne_rows(flight: Flight, time: Array, bandwidth: float) -> slic
     if flight.on_ground is None:
         return slice(None)
     near = 2 * round(flight.rate / bandwidth) + 1
-    stood = ndimage.maximum_filter1d(flight.on_ground, near)[np.round(time * flight.rate).astype(int)]
+    stood = ndimage.maximum_filter1d(flight.on_ground, near)[rows_at_times(flight, time)]
     edges = np.flatnonzero(np.diff(np.concatenate(([True], stood, [True]))))
     if edges.size == 0:
         return slice(0, 0)

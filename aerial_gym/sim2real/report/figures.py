@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
-from aerial_gym.sim2real.identify.candidates.structure import rotate_forces_to_world, rows_at_times
+from aerial_gym.sim2real.identify.candidates.structure import rotate_forces_to_world
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.analysis import LoopResult
@@ -15,6 +15,7 @@ from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.outcome import SAME
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 from aerial_gym.sim2real.report import plots
 from aerial_gym.sim2real.report.evidence import ParameterEvidence, evidence_figure, parameter_evidence
 from aerial_gym.sim2real.report.profiles import Profile, profile_quantities

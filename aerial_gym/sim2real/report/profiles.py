@@ -14,13 +14,13 @@ import torch
 from aerial_gym.physics import Vehicle, vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.candidates.structure import rows_at_times
 from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
 from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 from aerial_gym.sim2real.statistics import BinMeans, bin_means
 
 BINS = 12  # Number of bins of equal count

@@ -18,7 +18,6 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     force_channel_indices,
     motion_features,
     rotate_residuals,
-    rows_at_times,
     structure_features,
 )
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
@@ -27,6 +26,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, We
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
 FORCES = ("specific_force", "kinematic_force")  # Kinds of channel with accelerometer readings
 OF_FLIGHTS = "flight"  # Kind of the offsets of single flights

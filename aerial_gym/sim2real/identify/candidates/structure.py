@@ -10,10 +10,11 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
 LEAST_SHARE = 0.3  # Least explained share of the variance on left-out flights
 
@@ -91,11 +92,6 @@ def rotate_forces_to_world(flight: Flight, time: Array, residual: Array, channel
     turned = residual.copy()
     turned[:, force] = Rotation.from_quat(flight.attitude[rows_at_times(flight, time)]).apply(residual[:, force])
     return turned
-
-
-def rows_at_times(flight: Flight, time: Array) -> Indices:
-    """Return the row indices of a flight at times [s], (T,)."""
-    return np.round(time * flight.rate).astype(int)
 
 
 def structure_features(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:

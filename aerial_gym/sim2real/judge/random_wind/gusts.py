@@ -29,6 +29,7 @@ from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, param
 from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
 NAME = "gusts"
 
@@ -175,10 +176,9 @@ def wind_series(
 
 def force_features(flight: Flight, time: Array) -> dict[str, Array]:
     """Return quantities that gusts do not depend on, but other causes of a force may, (T, P) by name."""
-    rows = np.minimum(np.round(time * flight.rate).astype(int), flight.num_rows - 1)
+    rows = rows_at_times(flight, time)
     turn = Rotation.from_quat(flight.attitude[rows])
-    ahead = turn.apply([1.0, 0.0, 0.0])
-    yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
+    yaw = np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T)
     results = {
         "heading": np.stack([wave(k * yaw) for k in (1, 2, 3) for wave in (np.cos, np.sin)], axis=1),
         "time in flight": np.stack((time, time**2, time**3), axis=1),

@@ -35,6 +35,11 @@ def row_stride(flight: Flight, bandwidth: float) -> int:
     return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
 
+def rows_at_times(flight: Flight, time: Array) -> Indices:
+    """Return the row indices of a flight at times [s], (T,)."""
+    return np.round(time * flight.rate).astype(int)
+
+
 def _slices_of_sizes(sizes: Sequence[int]) -> list[slice]:
     """Return the slices of parts of these sizes in sequence."""
     return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *sizes]))]
