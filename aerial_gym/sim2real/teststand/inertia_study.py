@@ -13,7 +13,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
 from aerial_gym.sim2real.statistics import Estimate
-from aerial_gym.sim2real.teststand.report import ReportTable, Study
+from aerial_gym.sim2real.teststand.report import ReportTable, Study, interval_text
 from aerial_gym.sim2real.teststand.throws import (
     PAIRS,
     FreeFlight,
@@ -157,14 +157,12 @@ def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, la
     near = [k for k in (0, 1) if values[k + 1] - values[k] < NEAR_EQUAL * values[k + 1]]
     notes = [Finding("axes_open", "", {"first": k + 1, "second": k + 2}) for k in near]
     rows = [
-        (f"principal moment {k + 1} [kg m²]", f"{moment.value:.4g} [{moment.low:.4g}, {moment.high:.4g}]",
-         ", ".join(f"{x:+.3f}" for x in result.axes[:, k]))
+        (f"principal moment {k + 1} [kg m²]", interval_text(moment), ", ".join(f"{x:+.3f}" for x in result.axes[:, k]))
         for k, moment in enumerate(result.moments)
-    ]  # fmt: skip
-    wheel = f"{result.wheel.value:.4g} [{result.wheel.low:.4g}, {result.wheel.high:.4g}]"
+    ]
     rows += [
         ("centre of mass from the IMU [m]", ", ".join(f"{x:+.4f}" for x in result.centre), ""),
-        ("inertia of the flywheel [kg m²]", wheel, ""),
+        ("inertia of the flywheel [kg m²]", interval_text(result.wheel), ""),
         ("wheel speed logged late by [ms]", f"{1e3 * lateness:.2f}", ""),
         ("unexplained change of momentum", f"{100.0 * fit.residual:.1f} %", ""),
     ]

@@ -12,6 +12,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.logs.flights import file_digests
 from aerial_gym.sim2real.report.run_folder import atomic_run_folder, check_out_dir, write_record
+from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.wording import render_findings, text
 
 if TYPE_CHECKING:
@@ -51,6 +52,16 @@ class Study:
             lines += [f"![{name.replace('_', ' ')}]({name}.png)", ""]
         notes = [f"- {text(note)}" for note in self.notes] or ["- none"]
         return "\n".join([*lines, "## Notes", "", *notes, ""])
+
+
+def interval_text(value: Estimate) -> str:
+    """Return a value with its 95 % interval as text."""
+    return f"{value.value:.4g} [{value.low:.4g}, {value.high:.4g}]"
+
+
+def relative_change_text(before: float, after: float) -> str:
+    """Return a relative change as text."""
+    return f"{100.0 * (after / before - 1.0):+.0f} %"
 
 
 def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: Sequence[str | Path]) -> None:

@@ -11,7 +11,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
-from aerial_gym.sim2real.statistics import Estimate, Rms
+from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.teststand import figures
 from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.hover import fit_hover
@@ -23,23 +23,13 @@ from aerial_gym.sim2real.teststand.joints.record import (
     fit_joint,
     release_record,
 )
-from aerial_gym.sim2real.teststand.report import ReportTable, Study, rotor_files
+from aerial_gym.sim2real.teststand.report import ReportTable, Study, interval_text, relative_change_text, rotor_files
 from aerial_gym.sim2real.teststand.static import MapChoice, StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import rms
 from aerial_gym.sim2real.teststand.step import BOUNDS, StepFit, fit_steps, step_record
 from aerial_gym.sim2real.teststand.tables import Bench
 
 MOST_TESTS_SHOWN = 3
-
-
-def interval_text(value: Estimate | Rms) -> str:
-    """Return a value with its 95 % interval as text."""
-    return f"{value.value:.4g} [{value.low:.4g}, {value.high:.4g}]"
-
-
-def relative_change_text(before: float, after: float) -> str:
-    """Return a relative change as text."""
-    return f"{100.0 * (after / before - 1.0):+.0f} %"
 
 
 def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCfg | None = None) -> Study:

@@ -24,8 +24,7 @@ from aerial_gym.sim2real.teststand.joints.angle_logs import JointResult, LogJoin
 from aerial_gym.sim2real.teststand.joints.body_motion_fit import fit_hidden_joints
 from aerial_gym.sim2real.teststand.joints.joint_motion import read_joint_motion
 from aerial_gym.sim2real.teststand.joints.joint_simulation import body_motion
-from aerial_gym.sim2real.teststand.report import ReportTable, Study
-from aerial_gym.sim2real.teststand.studies import interval_text, relative_change_text
+from aerial_gym.sim2real.teststand.report import ReportTable, Study, interval_text, relative_change_text
 
 BANDWIDTH_HZ = 15.0  # Default bandwidth of the identification [Hz]
 OF_RATE = 0.199  # Largest bandwidth as a share of the log rate: a fifth, with a margin for time errors
