@@ -17,14 +17,13 @@ from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.interop import plain_device, with_usual_settings
+from aerial_gym.interop import ReusableLaunch, plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness, copy_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 if TYPE_CHECKING:
     from aerial_gym.assets.clearance import Clearance
     from aerial_gym.assets.height_probe import HeightProbe
-    from aerial_gym.assets.obstacle_motion import ObstacleMotion
     from aerial_gym.assets.track import TrackPlacement
 
 _OWNER = "AssetManager"
@@ -34,7 +33,7 @@ _OWNER = "AssetManager"
 class AssetManager:
     """Obstacle states of all environments. Kept assets have the first rows; the others follow, shuffled in each environment."""
 
-    _motion: "ObstacleMotion | None" = None
+    _twists: "ReusableLaunch | None" = None
     _clearance: "Clearance | None" = None
 
     def __init__(
@@ -107,9 +106,9 @@ class AssetManager:
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
         if cfg.moves:  # local imports, as Warp functions take long to import
-            from aerial_gym.assets.obstacle_motion import ObstacleMotion
+            from aerial_gym.assets.obstacle_motion import make_twist_launch
 
-            self._motion = ObstacleMotion(obstacles, twists=self._env_actions)
+            self._twists = make_twist_launch(obstacles, self._env_actions)
         if cfg.clearance > 0.0 and self.num_assets > 0:
             from aerial_gym.assets.clearance import Clearance
 
@@ -147,7 +146,7 @@ class AssetManager:
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
         copy_mask(self.random.mask, mask)
         self._placement.draw()
-        if self._motion is not None:
+        if self._twists is not None:
             self._env_actions.masked_fill_(mask[:, None, None], 0.0)
             self._prev_env_actions.masked_fill_(mask[:, None, None], 0.0)
 
@@ -157,19 +156,14 @@ class AssetManager:
         Args:
             env_actions: Velocity [m/s] and angular velocity [rad/s], world, (E, A, 6); rows of all other obstacles are ignored.
         """
-        if self._motion is None:
+        if self._twists is None:
             raise ConfigError("env_actions: no obstacle of this environment moves. Give an asset motion: {kind: twist}")
         shape = tuple(self._env_actions.shape)
         if tuple(env_actions.shape) != shape:
             raise ShapeError(f"env_actions has shape {tuple(env_actions.shape)}, expected (E, A, 6) = {shape}")
         self._prev_env_actions.copy_(self._env_actions)
         self._env_actions.copy_(env_actions)
-        self._motion.take_twists()
-
-    def step(self, dt: float) -> None:
-        """Launch the motion of moving obstacles over ``dt`` [s] on torch's current stream."""
-        if self._motion is not None:
-            self._motion.step(dt)
+        self._twists.launch(self._env_actions)
 
     def set_track_start(self, start: Tensor) -> None:
         """Set the start positions of robots [m], world, (E, 3), for the race tracks of ``place_track``."""

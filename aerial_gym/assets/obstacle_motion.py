@@ -5,13 +5,11 @@ A twist is constant during a step: the origin moves by ``v dt`` in a straight li
 Frames: velocities and angular velocities in the world frame. Letters: E environments, A instances.
 """
 
-import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.obstacles import BOUNCE, PASS, STILL, TWIST, WAYPOINTS, WRAP, Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW
-from aerial_gym.assets.views import check_tensor
 from aerial_gym.interop import ReusableLaunch
 
 
@@ -143,23 +141,7 @@ def make_motion_launch(obstacles: Obstacles, dt: float) -> ReusableLaunch:
     )
 
 
-class ObstacleMotion:
-    """Motion of the obstacles of all environments; all views are made at construction."""
-
-    def __init__(self, obstacles: Obstacles, *, twists: Tensor) -> None:
-        """Record the launches; ``twists`` are velocities [m/s] and angular velocities [rad/s], world, float32, (E, A, 6)."""
-        shape = (*obstacles.asset.shape, 6)
-        check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
-        self._twists, dim = twists, obstacles.asset.shape
-        device = wp.device_from_torch(twists.device)
-        self._advance_instances = make_motion_launch(obstacles, 0.0)
-        self._take = ReusableLaunch(_set_twists, dim=dim, inputs=[twists], outputs=[obstacles], device=device)
-
-    def step(self, dt: float) -> None:
-        """Launch the motion over ``dt`` [s] on torch's current stream."""
-        self._advance_instances.set_param_at_index(0, dt)
-        self._advance_instances.launch(self._twists)
-
-    def take_twists(self) -> None:
-        """Launch the update of twists from the tensor."""
-        self._take.launch(self._twists)
+def make_twist_launch(obstacles: Obstacles, twists: Tensor) -> ReusableLaunch:
+    """Record the launch that takes velocities [m/s] and angular velocities [rad/s], world, float32, (E, A, 6)."""
+    device = wp.device_from_torch(twists.device)
+    return ReusableLaunch(_set_twists, dim=obstacles.asset.shape, inputs=[twists], outputs=[obstacles], device=device)

@@ -72,6 +72,7 @@ class Film:
         from aerial_gym.config.images import LightCfg
         from aerial_gym.config.sensor import CameraCfg
         from aerial_gym.sensors import RayCaster, make_images
+        from aerial_gym.sensors.mounts import Carrier
         from aerial_gym.task.commands.command import TARGET
 
         self._robot, device, rows = task.env.gtd["robot_position"], task.device, task.num_envs
@@ -84,10 +85,9 @@ class Film:
         self._place = torch.zeros(rows, 3, device=device)
         attitude = torch.tensor([0.0, sin(DOWN / 2), 0.0, cos(DOWN / 2)], device=device)
         still = torch.zeros(rows, 3, device=device)
-        self._caster = RayCaster(
-            cfg, task.env.asset_manager.scene, self._images, position=self._place,
-            attitude=attitude.repeat(rows, 1), lin_vel=still, ang_vel=still, random=task.env.random,
-        )  # fmt: skip
+        carrier = Carrier(position=self._place, attitude=attitude.repeat(rows, 1), lin_vel=still, ang_vel=still)
+        scene = task.env.asset_manager.scene
+        self._caster = RayCaster(cfg, scene, self._images, carrier, random=task.env.random)
         self._caster.reset(torch.ones(rows, dtype=torch.bool, device=device))
         self._caster.due.zero_()[0] = True
         self._dt, self._every = task.env.dt, max(1, round(1.0 / (FRAMES_PER_S * task.env.dt)))

@@ -69,13 +69,12 @@ def _sensor_pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str,
 
     from aerial_gym.math.quaternion import quat_rotate
     from aerial_gym.sensors import RayCaster, make_images
+    from aerial_gym.sensors.mounts import Carrier
 
     images, attitude = make_images(cfg, 1, device=env.device), env.gtd["robot_orientation"]
-    caster = RayCaster(
-        cfg, env.asset_manager.scene, images, position=env.gtd["robot_position"], attitude=attitude,
-        lin_vel=quat_rotate(attitude, torch.tensor([[1.0, 0.0, 0.0]], device=env.device)),
-        ang_vel=torch.zeros(1, 3, device=env.device), random=env.random,
-    )  # fmt: skip
+    ahead = quat_rotate(attitude, torch.tensor([[1.0, 0.0, 0.0]], device=env.device))
+    carrier = Carrier(position=env.gtd["robot_position"], attitude=attitude, lin_vel=ahead, ang_vel=0.0 * ahead)
+    caster = RayCaster(cfg, env.asset_manager.scene, images, carrier, random=env.random)
     caster.reset(torch.ones(1, dtype=torch.bool, device=env.device))
     caster.cast()
 

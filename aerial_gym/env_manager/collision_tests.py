@@ -3,12 +3,10 @@
 Letters: E environments, L links, K substeps of a step.
 """
 
-from collections.abc import Mapping
 from math import inf
 from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from aerial_gym.assets import AssetManager
 from aerial_gym.config.environment import EnvironmentCfg
@@ -51,7 +49,6 @@ class CollisionTests:
         gtd: GlobalTensorDictionary,
         assets: AssetManager,
         *,
-        pose: Mapping[str, Tensor],
         links: LinkTensors | None,
         places: "LinkPlaces | None",
         trajectory: Trajectory | None,
@@ -60,7 +57,6 @@ class CollisionTests:
         """Declare the distance between links on request, and take views.
 
         Args:
-            pose: ``position`` [m], world, (E, 3), and ``attitude``, (E, 4), of the body.
             trajectory: Record of each step; None where nothing is followed.
         """
         crashes = gtd["crashes"]
@@ -74,7 +70,8 @@ class CollisionTests:
                 links=() if links is None else links.link_shapes(robot.collision),
                 distance_out=gtd["robot_clearance"],
                 moving=assets.moving,
-                **pose,
+                position=gtd["robot_position"],
+                attitude=gtd["robot_orientation"],
             )
         followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
         if places is not None and places.trajectory is not None:

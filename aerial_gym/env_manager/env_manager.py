@@ -41,6 +41,7 @@ from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.joints.link_tensors import declare_links
 from aerial_gym.robots.range_warnings import report_range_faults
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
+from aerial_gym.sensors.mounts import Carrier
 
 if TYPE_CHECKING:
     from aerial_gym.assets.height_probe import HeightProbe
@@ -168,16 +169,16 @@ class EnvManager:
         if surface is not None:
             self._below = self.asset_manager.make_height_probe(self.gtd["robot_position"], height_out=surface)
         self.asset_manager.set_track_start(self.gtd["robot_position"])
-        pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
-        twist = {"lin_vel": self.gtd["robot_linvel"], "ang_vel": self.gtd["robot_body_angvel"]}
+        keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
+        position, attitude, lin_vel, ang_vel = (self.gtd[key] for key in keys)
+        body = Carrier(position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel)
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
         carriers = {} if links is None else links.link_of_sensors({**range_sensors, **imus})
         self.sensor_manager = SensorManager(
             {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,
             scene,
-            **pose,
-            **twist,
+            body,
             num_envs=num_envs,
             device=device,
             dt=self.dt,
@@ -188,8 +189,7 @@ class EnvManager:
         self.imus = ImuSet(
             imus,
             self.gtd,
-            attitude=pose["attitude"],
-            **twist,
+            body,
             dt=self.dt,
             gravity=sim.gravity,
             random=self.random,
@@ -198,14 +198,7 @@ class EnvManager:
         )
         self._move_links()
         self._collision = CollisionTests(
-            robot,
-            self.gtd,
-            self.asset_manager,
-            pose=pose,
-            links=links,
-            places=self._links,
-            trajectory=trajectory,
-            dt=sim.dt,
+            robot, self.gtd, self.asset_manager, links=links, places=self._links, trajectory=trajectory, dt=sim.dt
         )
         self._identity = config_digests(
             sim=sim,

@@ -41,13 +41,9 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
 @contextmanager
 def explain_memory_errors(num_envs: int, device: torch.device) -> Iterator[None]:
     """Convert out-of-memory errors into a ``CapabilityError``, and that of a singular matrix into a ``ConfigError``."""
-    too_large = (
-        f"{num_envs:,} environments do not fit into the memory of {device} ({{}}). Take fewer, or smaller images"
-    )
+    too_large = f"{num_envs:,} environments do not fit in the memory of {device} ({{}}). Take fewer, or smaller images"
     held = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else inf
-    if (
-        device.type == "cpu" and held < num_envs * LEAST_BYTES <= MAX_COUNT * LEAST_BYTES
-    ):  # filling it first would take a minute
+    if device.type == "cpu" and held < num_envs * LEAST_BYTES <= MAX_COUNT * LEAST_BYTES:  # filling it takes a minute
         raise CapabilityError(too_large.format(f"of {held / 2**30:.0f} GiB"))
     try:
         yield

@@ -26,7 +26,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp, with_usual_settings
 from aerial_gym.interop.streams import BLOCK_DIM
@@ -35,7 +35,7 @@ from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
 from aerial_gym.physics.effects.imu_errors import WIDTH
 from aerial_gym.sensors.images import CLOCK_MARGIN, latency_steps
-from aerial_gym.sensors.mounts import Pose, file_pose
+from aerial_gym.sensors.mounts import Carrier, Pose, file_pose
 from aerial_gym.sensors.sensor_poses import PoseRange, draw_pose, pose_range
 
 
@@ -68,9 +68,7 @@ class ImuMotion:
     attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
     lin_vel: wp.array[wp.vec3]  # (E,) of the body origin, world [m/s]
     ang_vel: wp.array[wp.vec3]  # (E,) body [rad/s]
-    errors: wp.array2d[
-        wp.vec3
-    ]  # (E, 8) of the effects on inertial sensors, see physics.effects.imu_errors; not read without
+    errors: wp.array2d[wp.vec3]  # (E, 8) of effects on inertial sensors (physics.effects.imu_errors); not read without
 
 
 @wp.struct
@@ -79,8 +77,8 @@ class ImuOutputs:
 
     sample: wp.array[wp.int32]  # (E,) counted from the reset on
     point_vel: wp.array[wp.vec3]  # (E,) world [m/s]
-    position: wp.array[wp.vec3]  # (E,) from the body origin, body [m]
-    mount: wp.array[wp.quat]  # (E,) IMU to body, with misalignment
+    mount_position: wp.array[wp.vec3]  # (E,) from the body origin, body [m]
+    mount_attitude: wp.array[wp.quat]  # (E,) IMU to body, with misalignment
     bias: wp.array2d[wp.vec3]  # (E, 2) [m/s²], [rad/s]
     clock: wp.array[float]  # (E,) age of the last sample [s]
     steps: wp.array[wp.int32]  # (E,) since the last sample
@@ -190,7 +188,7 @@ def _measure(motion: ImuMotion, unit: ImuParameters, random: RandomArrays, numbe
     """Add the last step to the sample, and write the sample if due."""
     e = wp.tid()
     ang_vel = motion.ang_vel[e]
-    velocity = _point_velocity(motion, out.position[e], e)
+    velocity = _point_velocity(motion, out.mount_position[e], e)
     acceleration = (velocity - out.point_vel[e]) / unit.dt
     out.point_vel[e] = velocity
     middle = motion.attitude[e] * small_turn(-0.5 * unit.dt * ang_vel)
@@ -202,7 +200,9 @@ def _measure(motion: ImuMotion, unit: ImuParameters, random: RandomArrays, numbe
         state = _next_sample_state(random, number, e, out)
         accel_bias = out.bias[e, 0] + _normal_vector(state, 2, wp.sqrt(count) * unit.accel_walk)
         gyro_bias = out.bias[e, 1] + _normal_vector(state, 3, wp.sqrt(count) * unit.gyro_walk)
-        _write_sample(motion, unit, out, e, state, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
+        _write_sample(
+            motion, unit, out, e, state, out.mount_attitude[e], force / count, ang_vel, accel_bias, gyro_bias, count
+        )
         clock -= unit.period
         steps = 0
         force = wp.vec3()
@@ -229,8 +229,8 @@ def _reset(
     accel_bias = _uniform_vector(state, 5, unit.accel_initial_bias)
     gyro_bias = _uniform_vector(state, 6, unit.gyro_initial_bias)
     force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))
-    out.position[e] = position
-    out.mount[e] = mount
+    out.mount_position[e] = position
+    out.mount_attitude[e] = mount
     out.point_vel[e] = _point_velocity(motion, position, e)
     _write_sample(motion, unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
     out.clock[e] = 0.0
@@ -250,10 +250,8 @@ class Imu:
     def __init__(
         self,
         cfg: ImuCfg,
+        carrier: Carrier,
         *,
-        attitude: Tensor,
-        lin_vel: Tensor,
-        ang_vel: Tensor,
         measurement_out: Tensor,
         dt: float,
         gravity: float,
@@ -265,9 +263,7 @@ class Imu:
         """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
 
         Args:
-            attitude: Body to world, xyzw, unit, (E, 4), strided or not; read at every sample, as are the next two.
-            lin_vel: Velocity of the body origin [m/s], world, (E, 3).
-            ang_vel: Angular velocity [rad/s], body, (E, 3).
+            carrier: With velocities.
             measurement_out: Receives specific force [m/s²] and angular velocity [rad/s], IMU axes, float32, (E, 6).
             dt: Time between two samples [s], > 0: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
@@ -293,13 +289,16 @@ class Imu:
         """Place in this episode from the body origin [m], body, (E, 3)."""
         self.mount_attitude = pose.attitude.float().to(device).expand(envs, 4).clone()
         """IMU to body, with the misalignment of the episode, (E, 4)."""
-        self._point_vel = torch.zeros(envs, 3, device=device)
-        self._sample = torch.zeros(envs, dtype=torch.int32, device=device)
         latency = latency_steps(cfg.latency_s, dt)
-        self._clock, self._force_sum = torch.zeros(envs, device=device), torch.zeros(envs, 3, device=device)
-        self._steps, self._place = torch.zeros_like(self._sample), torch.zeros_like(self._sample)
-        self._fresh = torch.zeros_like(measurement_out)
-        self._line = torch.zeros(latency, envs, 6, device=device)
+        vectors = {"point_vel": (envs, 3), "clock": (envs,), "force_sum": (envs, 3), "fresh": (envs, 6)}
+        self._state = {
+            "bias": self.bias,
+            "mount_position": self.mount_position,
+            "mount_attitude": self.mount_attitude,
+            **{name: torch.zeros(envs, dtype=torch.int32, device=device) for name in ("sample", "steps", "place")},
+            **{name: torch.zeros(size, device=device) for name, size in vectors.items()},
+            "line": torch.zeros(latency, envs, 6, device=device),
+        }
         self._random = random or Randomness(envs, device=device)
         self._mask = self._random.mask
         unit = _imu_parameters(cfg, pose, dt, gravity)
@@ -307,25 +306,14 @@ class Imu:
         self.is_drawn = bool(unit.mount.is_drawn)
         """Whether its place differs between episodes."""
         motion = ImuMotion()
-        motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
-        motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
-        motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
+        for name, width in (("attitude", 4), ("lin_vel", 3), ("ang_vel", 3)):
+            setattr(motion, name, vector_view(name, getattr(carrier, name), (envs, width), device=device))
         if errors is not None:
             check_tensor("errors", errors, (envs, WIDTH), device=device)
             motion.errors = wp.from_torch(errors.view(envs, -1, 3), dtype=wp.vec3)
-        pairs = {"bias": self.bias, "fresh": self._fresh, "line": self._line, "measurement": self.measurement}
-        outputs = make_struct(
-            ImuOutputs,
-            sample=self._sample,
-            point_vel=self._point_vel,
-            position=self.mount_position,
-            mount=self.mount_attitude,
-            clock=self._clock,
-            steps=self._steps,
-            place=self._place,
-            force_sum=self._force_sum,
-            **{name: rows.unflatten(-1, (2, 3)) for name, rows in pairs.items()},
-        )
+        arrays = {**self._state, "measurement": self.measurement}
+        arrays |= {name: arrays[name].unflatten(-1, (2, 3)) for name in ("bias", "fresh", "line", "measurement")}
+        outputs = make_struct(ImuOutputs, **arrays)
         inputs = [motion, unit, random_arrays(self._random), number, outputs]
         launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
         self._measure_command = ReusableLaunch(_measure, inputs=inputs, **launch)
@@ -333,19 +321,7 @@ class Imu:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""
-        return {
-            "bias": self.bias,
-            "mount_position": self.mount_position,
-            "mount_attitude": self.mount_attitude,
-            "point_vel": self._point_vel,
-            "sample": self._sample,
-            "clock": self._clock,
-            "force_sum": self._force_sum,
-            "steps": self._steps,
-            "place": self._place,
-            "fresh": self._fresh,
-            "line": self._line,
-        }
+        return dict(self._state)
 
     def measure(self) -> None:
         """Take the step that has just ended into the measurement; launched on torch's current stream, once per ``dt``."""

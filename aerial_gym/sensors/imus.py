@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.interop import with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 class ImuSet:
     """Owner of the IMU measurements. The first IMU has the plain key, the keys of others are prefixed by their names."""
 
+    imus: "dict[str, Imu]"
+
     def __init__(
         self,
         mounted: Mapping[str, RobotSensor[ImuCfg]],
         gtd: GlobalTensorDictionary,
+        body: Carrier,
         *,
-        attitude: Tensor,
-        lin_vel: Tensor,
-        ang_vel: Tensor,
         dt: float,
         gravity: float,
         random: Randomness,
@@ -41,27 +41,23 @@ class ImuSet:
 
         Args:
             gtd: Receives ``imu_measurement`` (E, 6), and for further ones ``<name>_imu_measurement``.
-            attitude: Body to world, xyzw, unit, (E, 4); read at every sample, as are the next two.
-            lin_vel: Velocity of the body origin [m/s], world, (E, 3).
-            ang_vel: Angular velocity [rad/s], body, (E, 3).
             dt: Time between two calls of ``measure`` [s]: the environment step.
             errors: IMU errors by effects of the robot, (E, 24); None without such effects.
             carriers: Links that carry IMUs, by the names of these; the others sit on the body.
         """
-        self.imus: dict[str, Imu] = {}
+        self.imus = {}
         for name, given in mounted.items():
-            carrier = (carriers or {}).get(name)
+            from aerial_gym.sensors.imu import Imu  # only where a robot has one: an import of Warp functions takes long
+
             measurement = gtd.declare(TensorSpec(
                 key="imu_measurement" if not self.imus else f"{name}_imu_measurement",
                 shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="SensorManager",
                 meaning=_measurement_meaning(given.cfg),
             ))  # fmt: skip
-            self.imus[name] = _imu_class()(
+            self.imus[name] = Imu(
                 given.cfg,
+                (carriers or {}).get(name, body),
                 pose=given.pose,
-                attitude=attitude if carrier is None else carrier.attitude,
-                lin_vel=lin_vel if carrier is None else carrier.lin_vel,
-                ang_vel=ang_vel if carrier is None else carrier.ang_vel,
                 measurement_out=measurement,
                 dt=dt,
                 gravity=gravity,
@@ -92,13 +88,6 @@ class ImuSet:
         """Restart in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit."""
         for imu in self.imus.values():
             imu.reset(mask)
-
-
-def _imu_class() -> "type[Imu]":
-    """Return ``Imu``, imported only where a robot has one, as an import of Warp functions takes long."""
-    from aerial_gym.sensors.imu import Imu
-
-    return Imu
 
 
 def _measurement_meaning(cfg: ImuCfg) -> str:

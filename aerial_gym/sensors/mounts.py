@@ -10,9 +10,8 @@ from typing import Generic, TypeVar
 import torch
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
-from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
+from aerial_gym.config.sensor import ImuCfg, RangeSensorCfg, SensorCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, suggest_name
@@ -50,8 +49,8 @@ class Carrier:
     number: int = 0  # Of the link; 0 of the body
     position: Tensor  # Origin of its frame [m], world, (E, 3)
     attitude: Tensor  # To the world, xyzw, unit, (E, 4)
-    lin_vel: Tensor  # Of the origin [m/s], world, (E, 3)
-    ang_vel: Tensor  # [rad/s], its own axes, (E, 3)
+    lin_vel: Tensor | None = None  # Of the origin [m/s], world, (E, 3); not for sensors without motion, as the next
+    ang_vel: Tensor | None = None  # [rad/s], its own axes, (E, 3)
 
 
 @dataclass(frozen=True, kw_only=True)

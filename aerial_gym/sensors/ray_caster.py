@@ -31,7 +31,7 @@ from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow_inputs, record_relative_twist
 from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
-from aerial_gym.sensors.mounts import Pose
+from aerial_gym.sensors.mounts import Carrier, Pose
 from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
@@ -55,28 +55,19 @@ class RayCaster:
         cfg: RangeSensorCfg,
         scene: Scene,
         images: SensorImages,
+        carrier: Carrier,
         *,
-        position: Tensor,
-        attitude: Tensor,
-        lin_vel: Tensor | None = None,
-        ang_vel: Tensor | None = None,
         random: Randomness | None = None,
         number: int = 0,
         pose: Pose | None = None,
-        link: int = 0,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
         Args:
-            position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
-            attitude: Body to world, xyzw, unit, (E, 4); likewise.
-            lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow
-                and by a lidar with a scan time or a rosette.
-            ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
+            carrier: With velocities for optical flow, a lidar with a scan time and a rosette.
             number: Of the kind on its robot: two kinds are drawn apart.
             pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
                 it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
-            link: Number of the robot's link that carries the sensor; position, attitude and velocities are then its.
         """
         envs, device = scene.num_envs, scene.device
         images.check(cfg, envs, device)
@@ -88,16 +79,17 @@ class RayCaster:
         self.due = torch.ones(envs, dtype=torch.bool, device=device)
         """Environments whose images the next ``cast`` takes, bool, (E,)."""
         self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
-        frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
-        self._frames = RayPatterns(envs, frames, device)
+        self._num_frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
+        self._frame = torch.full((envs,), self._num_frames - 1, dtype=torch.int32, device=device)
+        """Index of the ray pattern of the last image, int32, (E,)."""
         sensors = make_struct(
             SensorsOnCarrier,
-            position=vector_view("position", position, (envs, 3), device=device),
-            attitude=vector_view("attitude", attitude, (envs, 4), device=device),
+            position=vector_view("position", carrier.position, (envs, 3), device=device),
+            attitude=vector_view("attitude", carrier.attitude, (envs, 4), device=device),
             mount_position=self.places.position,
             mount_attitude=self.places.attitude,
-            link=link,
-            **_twist_views(cfg, lin_vel, ang_vel, envs, device),
+            link=carrier.number,
+            **_twist_views(cfg, carrier, envs, device),
         )
         self._scan: ColumnScan | None = None
         if isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None:
@@ -111,16 +103,6 @@ class RayCaster:
             self._flow = make_flow_inputs(cfg, scene)
             self._prepare.append(record_relative_twist(self._flow, scene, sensors))
         self._launches = self._record_rays(scene)
-
-    @property
-    def mount_position(self) -> Tensor:
-        """From the body origin [m], body, (E, S, 3)."""
-        return self.places.position
-
-    @property
-    def mount_attitude(self) -> Tensor:
-        """Sensor to body, xyzw, (E, S, 4)."""
-        return self.places.attitude
 
     def _record_preparations(self, scene: Scene, sensors: SensorsOnCarrier) -> list[ReusableLaunch]:
         """Record the launches before the rays: sensor poses, and parts in the sensors' frames."""
@@ -164,7 +146,7 @@ class RayCaster:
             tilings = [self._scan.make_tiles(direction, height=height, width=width) for direction in directions]
             parts = [tiles for tiles, _ in tilings]
             rays.group = wp.from_torch(tilings[0][1])
-        tiles, rays.num_tiles, rays.frame = stack_tiles(parts), parts[0].num_tiles, wp.from_torch(self._frames.number)
+        tiles, rays.num_tiles, rays.frame = stack_tiles(parts), parts[0].num_tiles, wp.from_torch(self._frame)
         rays.direction, rays.pixel = wp.from_torch(tiles.direction, dtype=wp.vec3), wp.from_torch(tiles.pixel)
         rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
         rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
@@ -175,7 +157,7 @@ class RayCaster:
             shadows=cfg.light is not None and cfg.light.shadows,
             lamps=cfg.light is not None and bool(scene.lamps),
             scan=self._scan is not None,
-            frames=self._frames.count > 1,
+            frames=self._num_frames > 1,
         )
         images, due, light = self._make_images(scene), wp.from_torch(self.due), _light_arrays(cfg, scene)
         inputs = [self._view, rays, _distance_limits(cfg), self._make_noise(), light, self.num_sensors, due, images]
@@ -211,7 +193,8 @@ class RayCaster:
         """Write the images of the environments that are due; launched on torch's current stream, not waited for."""
         if self.cfg.active_noise is not None:
             self._image_number.add_(self.due)
-        self._frames.advance(self.due)
+        if self._num_frames > 1:
+            self._frame.add_(self.due).remainder_(self._num_frames)
         with on_torch_stream(self.images.distance):
             for launch in self._prepare:
                 launch.launch()
@@ -220,27 +203,25 @@ class RayCaster:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""
         places = {"position": self.places.position, "attitude": self.places.attitude}
-        frame = {"frame": self._frames.number} if self._frames.count > 1 else {}
+        frame = {"frame": self._frame} if self._num_frames > 1 else {}
         return {"due": self.due, "image_number": self._image_number, **frame, **places} | dict(self.images.items())
 
     def reset(self, mask: Tensor) -> None:
         """Reset the mounts of masked environments, bool (E,), to nominal or drawn poses; restart image and frame counts."""
         self.places.reset(mask)
         self._image_number.masked_fill_(mask, 0)
-        self._frames.reset(mask)
+        self._frame.masked_fill_(mask, self._num_frames - 1)
 
 
-def _twist_views(
-    cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
-) -> dict[str, wp.array]:
+def _twist_views(cfg: RangeSensorCfg, carrier: Carrier, envs: int, device: torch.device) -> dict[str, wp.array]:
     """Return views of the velocities that a sensor needs, by name."""
     scan = isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None
     if not (cfg.optical_flow or scan):
         return {}
-    if lin_vel is None or ang_vel is None:
+    if carrier.lin_vel is None or carrier.ang_vel is None:
         name = ("frames" if isinstance(cfg, RosetteCfg) else "scan_s") if scan else "optical_flow"
         raise ConfigError(f"{type(cfg).__name__}.{name} needs lin_vel and ang_vel, the velocities of the body")
-    velocities = {"lin_vel": lin_vel, "ang_vel": ang_vel}
+    velocities = {"lin_vel": carrier.lin_vel, "ang_vel": carrier.ang_vel}
     return {name: vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()}
 
 
@@ -281,22 +262,3 @@ def _make_view(scene: Scene, mounts: int) -> SensorView:
     view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
     view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
     return view
-
-
-class RayPatterns:
-    """Index of the ray pattern of each environment; it advances with every image and restarts at a reset."""
-
-    def __init__(self, num_envs: int, count: int, device: torch.device) -> None:
-        """Begin before the first of ``count`` frames."""
-        self.count = count
-        self.number = torch.full((num_envs,), count - 1, dtype=torch.int32, device=device)
-        """Frame of the last image, int32, (E,)."""
-
-    def advance(self, due: Tensor) -> None:
-        """Go to the next frame in the environments ``due``, bool (E,)."""
-        if self.count > 1:
-            self.number.add_(due).remainder_(self.count)
-
-    def reset(self, mask: Tensor) -> None:
-        """Begin again with the first ray pattern in the environments of ``mask``, bool (E,)."""
-        self.number.masked_fill_(mask, self.count - 1)

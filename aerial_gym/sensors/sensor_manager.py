@@ -30,16 +30,15 @@ _OWNER = "SensorManager"
 class SensorManager:
     """Owner of the images. The first sensor has the plain keys, the keys of others are prefixed by their names."""
 
+    casters: "dict[str, RayCaster]"
+
     def __init__(
         self,
         cfgs: Mapping[str, RangeSensorCfg],
         gtd: GlobalTensorDictionary,
         scene: Scene,
+        body: Carrier,
         *,
-        position: Tensor,
-        attitude: Tensor,
-        lin_vel: Tensor | None = None,
-        ang_vel: Tensor | None = None,
         num_envs: int,
         device: torch.device,
         dt: float | None = None,
@@ -52,11 +51,7 @@ class SensorManager:
         Args:
             gtd: Receives the keys of ``IMAGES`` that a sensor has, (E, S, H, W) or (E, S, H, W, 2 or 3); for further sensors
                 with ``<name>_`` in front.
-            position: Body origin [m], world, (E, 3), strided or not; read at every capture.
-            attitude: Body to world, xyzw, unit, (E, 4), likewise.
-            lin_vel: Velocity of the body's origin [m/s], world, (E, 3), likewise; needed by sensors with optical flow
-                or a scan time.
-            ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3), likewise.
+            body: With velocities for sensors with optical flow or a scan time.
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
             poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
             carriers: Links that carry sensors, by the names of these; the others sit on the body.
@@ -64,15 +59,14 @@ class SensorManager:
         if num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
         self._num_envs, self._device, self._dt = num_envs, plain_device(device), dt
-        self.casters: dict[str, RayCaster] = {}
+        self.casters = {}
         self._clock: dict[str, Tensor] = {}
         self._delay: dict[str, DelayLine] = {}
-        body = {"position": position, "attitude": attitude, "lin_vel": lin_vel, "ang_vel": ang_vel, "link": 0}
         for name, cfg in cfgs.items():
+            from aerial_gym.sensors.ray_caster import RayCaster  # only here: an import of Warp functions takes long
+
             self._check_timing(name, cfg)
-            carrier = (carriers or {}).get(name)
-            moved = body if carrier is None else {**vars(carrier), "link": carrier.number}
-            moved.pop("number", None)
+            carrier = (carriers or {}).get(name, body)
             first = not self.casters
             if first:
                 for letter, size in (("S", cfg.count), ("H", cfg.height), ("W", cfg.width)):
@@ -83,8 +77,8 @@ class SensorManager:
             taken = zero_images_like(seen) if steps else seen
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
-            self.casters[name] = _caster_class()(
-                cfg, scene, taken, **moved, random=random, number=len(self.casters), pose=(poses or {}).get(name)
+            self.casters[name] = RayCaster(
+                cfg, scene, taken, carrier, random=random, number=len(self.casters), pose=(poses or {}).get(name)
             )
             if cfg.rate_hz is not None:
                 self._clock[name] = torch.full((num_envs,), 1.0 / cfg.rate_hz, device=device)
@@ -152,10 +146,3 @@ class SensorManager:
             caster.reset(mask)
             if name in self._clock:
                 self._clock[name].masked_fill_(mask, 1.0 / (caster.cfg.rate_hz or 1.0))
-
-
-def _caster_class() -> "type[RayCaster]":
-    """Return ``RayCaster``, imported only where a robot has a range sensor, as an import of Warp functions takes long."""
-    from aerial_gym.sensors.ray_caster import RayCaster
-
-    return RayCaster

@@ -23,11 +23,12 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ShapeError
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors import IMUS, Imu
+from aerial_gym.sensors.mounts import Carrier
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,16 +82,8 @@ def record_at_rest(cfg: ImuCfg, *, num_sensors: int, num_samples: int, dt: float
     attitude[:, 3] = 1.0
     still, measurement = torch.zeros(num_sensors, 3), torch.zeros(num_sensors, 6)
     random, every = Randomness(num_sensors, seed=seed), torch.ones(num_sensors, dtype=torch.bool)
-    imu = Imu(
-        cfg,
-        attitude=attitude,
-        lin_vel=still,
-        ang_vel=still,
-        measurement_out=measurement,
-        dt=dt,
-        gravity=STANDARD_GRAVITY,
-        random=random,
-    )
+    body = Carrier(position=still, attitude=attitude, lin_vel=still, ang_vel=still)
+    imu = Imu(cfg, body, measurement_out=measurement, dt=dt, gravity=STANDARD_GRAVITY, random=random)
     random.begin(every)
     imu.reset(every)
     samples = torch.empty(num_samples, num_sensors, 6)

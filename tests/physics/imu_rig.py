@@ -6,10 +6,11 @@ from math import nan
 import torch
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.imu import Imu
+from aerial_gym.sensors.mounts import Carrier
 
 G = 9.81
 ZERO = (0.0, 0.0, 0.0)
@@ -38,12 +39,12 @@ class ImuRig:
         self.all = torch.ones(num_envs, dtype=torch.bool)
         self.random = Randomness(num_envs, seed=seed)
         self.imu = Imu(
-            cfg, attitude=self.attitude, lin_vel=self.lin_vel, ang_vel=self.ang_vel, measurement_out=self.measurement,
-            dt=dt, gravity=G, random=self.random, errors=errors, pose=pose,
+            cfg, Carrier(position=self.lin_vel, attitude=self.attitude, lin_vel=self.lin_vel, ang_vel=self.ang_vel),
+            measurement_out=self.measurement, dt=dt, gravity=G, random=self.random, errors=errors, pose=pose,
         )  # fmt: skip
-        poisoned = (self.imu._clock, self.imu._force_sum, self.imu._fresh, self.imu._line)
-        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu.mount_position, self.imu._point_vel, *poisoned):
-            tensor.fill_(nan)
+        for name, tensor in self.imu.state_tensors().items():
+            if name not in ("sample", "steps", "place"):
+                tensor.fill_(nan)
 
     def reset(self) -> Tensor:
         self.random.begin(self.all)
@@ -62,9 +63,9 @@ class ImuRig:
         self.ang_vel.copy_(ang_vel)
 
     def memory(self) -> list[Tensor]:
-        imu = self.imu
-        kept = [imu.mount_position, imu._clock, imu._steps, imu._force_sum, imu._fresh, imu._place]
-        return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample, *kept, *imu._line]
+        state = self.imu.state_tensors()
+        line, drawn = state.pop("line"), [state.pop(name) for name in ("bias", "mount_attitude")]
+        return [self.measurement, *drawn, *state.values(), *line]
 
 
 def spin_about_z(rig: ImuRig, samples: int, rate: float, growth: float) -> list[Tensor]:

@@ -11,6 +11,7 @@ from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors import RayCaster, make_images
+from aerial_gym.sensors.mounts import Carrier
 
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
@@ -51,9 +52,8 @@ def make_caster(cfg: RangeSensorCfg, scene: Scene, *, seed: int = 0, **state: Te
     body = {"position": zero, "attitude": LEVEL.repeat(num_envs, 1), "lin_vel": zero, "ang_vel": zero, **state}
     images = make_images(cfg, num_envs, device=device, poisoned=True)
     random = Randomness(num_envs, device=device, seed=seed)
-    return RayCaster(
-        cfg, scene, images, random=random, **{name: rows.float().clone().to(device) for name, rows in body.items()}
-    )
+    carrier = Carrier(**{name: rows.float().clone().to(device) for name, rows in body.items()})
+    return RayCaster(cfg, scene, images, carrier, random=random)
 
 
 def shoot(cfg: RangeSensorCfg, scene: Scene, *, seed: int = 0, **state: Tensor) -> RayCaster:

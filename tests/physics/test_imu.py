@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.robot import InitialStateCfg
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import (
     euler_from_quat,
@@ -32,6 +32,7 @@ from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.secondary_states import SecondaryStates
 from aerial_gym.sensors import Pose
 from aerial_gym.sensors.imu import Imu
+from aerial_gym.sensors.mounts import Carrier
 from benchmarks.devices.imu_allan import record_at_rest
 from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, ImuRig, spin_about_z
 
@@ -144,7 +145,7 @@ def test_a_first_sample_is_that_of_a_vehicle_without_acceleration() -> None:
     upwards = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, G]]))
     close(rig.reset(), torch.cat((upwards, turn), dim=-1), 3e-6)
     point = quat_rotate(attitude, torch.linalg.cross(turn, torch.tensor([[0.3, 0.2, 0.1]])))
-    close(rig.imu._point_vel, torch.tensor([[5.0, -4.0, 3.0]]) + point, 1e-6)
+    close(rig.imu.state_tensors()["point_vel"], torch.tensor([[5.0, -4.0, 3.0]]) + point, 1e-6)
 
 
 SLOW = replace(NOISY, rate_hz=40.0, latency_s=0.03)
@@ -178,8 +179,9 @@ def test_tensors_and_times_that_do_not_fit_are_refused() -> None:
     good |= {"measurement_out": torch.zeros(2, 6)}
     for name in good:
         bad = {**good, name: torch.zeros(2, 5)}
+        output = bad.pop("measurement_out")
         with pytest.raises(ShapeError, match=rf"{name} is \(2, 5\)"):
-            Imu(IDEAL, **bad, dt=0.01, gravity=G)
+            Imu(IDEAL, Carrier(position=torch.zeros(2, 3), **bad), measurement_out=output, dt=0.01, gravity=G)
 
 
 def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:

@@ -14,11 +14,10 @@ from torch import Tensor
 
 from aerial_gym.assets import ENVIRONMENTS, CollisionTest, Scene
 from aerial_gym.assets.collision import LinkGeometry
-from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg, SphereCfg
 from aerial_gym.config.environment import EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.config.loader import dump_yaml
-from aerial_gym.config.robot import InitialStateCfg, RobotCfg
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, InitialStateCfg, RobotCfg, SphereCfg
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, RangeSensorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.shape import ROBOT_ID
@@ -27,6 +26,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, RayCaster, make_images
+from aerial_gym.sensors.mounts import Carrier
 from aerial_gym.sensors.scan import column_group_ages
 from tests.builders import simulation
 
@@ -87,10 +87,8 @@ def take_image(manager: EnvManager, cfg: RangeSensorCfg, link: int = 0) -> RayCa
     state, rates = gtd["robot_link_state_tensor"][:, link], gtd["robot_link_body_angvel"][:, link]
     images = make_images(cfg, manager.num_envs, device=manager.device, poisoned=True)
     position, attitude, lin_vel, _ = state.split((3, 4, 3, 3), dim=-1)
-    caster = RayCaster(
-        cfg, manager.asset_manager.scene, images, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=rates,
-        link=link,
-    )  # fmt: skip
+    carrier = Carrier(number=link, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=rates)
+    caster = RayCaster(cfg, manager.asset_manager.scene, images, carrier)
     caster.cast()
     return caster
 

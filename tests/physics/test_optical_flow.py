@@ -16,6 +16,7 @@ from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply,
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import SENSORS, RayCaster, SensorManager, make_images
+from aerial_gym.sensors.mounts import Carrier
 from tests.builders import simulation
 from tests.physics.sensor_rig import LEVEL, make_wall, shoot
 
@@ -192,7 +193,9 @@ def test_flow_stands_in_the_gtd_for_every_sensor_and_environment(device: torch.d
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     twist = {"lin_vel": torch.zeros(1, 3, device=device), "ang_vel": torch.zeros(1, 3, device=device)}
     cameras = {"front": PINHOLE, "wide": FISHEYE, "late": replace(PINHOLE, latency_s=0.01)}
-    manager = SensorManager(cameras, gtd, make_wall(4.0, device), num_envs=1, device=device, dt=0.01, **pose, **twist)
+    manager = SensorManager(
+        cameras, gtd, make_wall(4.0, device), Carrier(**pose, **twist), num_envs=1, device=device, dt=0.01
+    )
     manager.capture()
     assert gtd["optical_flow_pixels"].shape == (1, 1, 28, 36, 2)
     assert (gtd["optical_flow_pixels"] == 0.0).all()
@@ -216,11 +219,12 @@ def test_flow_is_refused_where_there_is_no_image_plane_or_no_velocity(device: to
     scene, images = make_wall(4.0, device), make_images(PINHOLE, 1, device=device)
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     with pytest.raises(ConfigError, match=r"CameraCfg.optical_flow needs lin_vel and ang_vel"):
-        RayCaster(PINHOLE, scene, images, **pose)
+        RayCaster(PINHOLE, scene, images, Carrier(**pose))
     with pytest.raises(ShapeError, match=r"optical_flow must be given exactly if the sensor has such an image"):
-        RayCaster(replace(PINHOLE, optical_flow=False), scene, images, **pose)
+        RayCaster(replace(PINHOLE, optical_flow=False), scene, images, Carrier(**pose))
+    twist = {"lin_vel": torch.zeros(2, 3, device=device), "ang_vel": torch.zeros(1, 3)}
     with pytest.raises(ShapeError, match=r"lin_vel is \(2, 3\)"):
-        RayCaster(PINHOLE, scene, images, **pose, lin_vel=torch.zeros(2, 3, device=device), ang_vel=torch.zeros(1, 3))
+        RayCaster(PINHOLE, scene, images, Carrier(**pose, **twist))
 
 
 def test_the_environment_gives_its_cameras_the_velocities_of_the_robot() -> None:

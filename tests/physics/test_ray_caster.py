@@ -18,6 +18,7 @@ from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import MISS_ID, RayCaster, SensorImages, SensorManager
+from aerial_gym.sensors.mounts import Carrier
 from tests.physics.sensor_rig import make_caster, make_scene, shoot
 from tests.physics.test_collision import random_unit_quaternions, rotation
 
@@ -332,7 +333,7 @@ def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.de
     depth = caster.images.distance
     caster.cast()
     nominal = depth.clone()
-    caster.mount_position.add_(torch.tensor([0.3, 0.2, -0.1], device=device))
+    caster.places.position.add_(torch.tensor([0.3, 0.2, -0.1], device=device))
     caster.cast()
     shifted = depth.clone()
     assert (shifted != nominal).flatten(1).any(dim=1).all()
@@ -348,7 +349,12 @@ def test_sensor_manager_declares_an_image_per_camera_and_writes_all(device: torc
     position, attitude = (t.to(device) for t in level(2))
     small = replace(CAMERA, width=8, height=6, segmentation=False, kind="depth")
     manager = SensorManager(
-        {"front": CAMERA, "small": small}, gtd, scene, position=position, attitude=attitude, num_envs=2, device=device
+        {"front": CAMERA, "small": small},
+        gtd,
+        scene,
+        Carrier(position=position, attitude=attitude),
+        num_envs=2,
+        device=device,
     )
     assert tuple(gtd) == ("depth_range_pixels", "segmentation_pixels", "small_depth_range_pixels")
     assert gtd["depth_range_pixels"].shape == (2, 1, CAMERA.height, CAMERA.width)
@@ -373,7 +379,7 @@ def test_wrong_tensors_are_refused_with_shape_and_expectation(device: torch.devi
         given = {"position": position, "attitude": attitude, "distance": image, "segmentation": ids, **changed}
         images = SensorImages(distance=given["distance"], segmentation=given["segmentation"])
         with pytest.raises(ShapeError, match=match):
-            RayCaster(CAMERA, scene, images, position=given["position"], attitude=given["attitude"])
+            RayCaster(CAMERA, scene, images, Carrier(position=given["position"], attitude=given["attitude"]))
 
     turned = image.transpose(2, 3).contiguous()
     refuse(r"distance is \(2, 1, 48, 37\).*expected \(2, 1, 37, 48\)", distance=turned)

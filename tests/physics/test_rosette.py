@@ -13,6 +13,7 @@ from aerial_gym.config.sensor import LidarCfg, PrismCfg, RosetteCfg, load_sensor
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SENSORS, SensorManager
+from aerial_gym.sensors.mounts import Carrier
 from aerial_gym.sensors.rays import ray_table, rosette_rays, through_prisms
 from aerial_gym.sensors.scan import column_group_ages
 from tests.physics.sensor_rig import LEVEL, make_caster, make_wall
@@ -291,7 +292,9 @@ def make_manager(cfg: RosetteCfg, dt: float, device: torch.device) -> tuple[Sens
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
     zero = torch.zeros(1, 3, device=device)
     state = {"position": zero, "attitude": LEVEL.repeat(1, 1).to(device), "lin_vel": zero, "ang_vel": zero}
-    return SensorManager({"top": cfg}, gtd, make_wall(6.0, device), num_envs=1, device=device, dt=dt, **state), gtd
+    return SensorManager(
+        {"top": cfg}, gtd, make_wall(6.0, device), Carrier(**state), num_envs=1, device=device, dt=dt
+    ), gtd
 
 
 def test_the_scan_keeps_time_between_its_frames(device: torch.device) -> None:

@@ -14,6 +14,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorImages, SensorManager
+from aerial_gym.sensors.mounts import Carrier
 from tests.physics.sensor_rig import LEVEL, make_wall, shoot
 
 SCAN_S = 0.1
@@ -230,7 +231,7 @@ def test_a_scan_with_rate_and_latency_is_that_of_its_own_capture(device: torch.d
     state = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     twist = {"lin_vel": torch.tensor([[2.0, 0.0, 0.0]], device=device), "ang_vel": torch.zeros(1, 3, device=device)}
     manager = SensorManager(
-        {"top": cfg}, gtd, make_wall(6.0, device), num_envs=1, device=device, dt=0.01, **state, **twist
+        {"top": cfg}, gtd, make_wall(6.0, device), Carrier(**state, **twist), num_envs=1, device=device, dt=0.01
     )
     manager.reset(torch.ones(1, dtype=torch.bool, device=device))
     ahead = manager.casters["top"].direction[..., 0].cpu().double()
@@ -250,10 +251,9 @@ def test_impossible_scans_are_refused(device: torch.device) -> None:
             replace(LIDAR, scan_columns=columns)
     shape = (1, 1, 12, 40)
     images = SensorImages(distance=torch.zeros(shape), segmentation=torch.zeros(shape, dtype=torch.int32))
+    pose = Carrier(position=torch.zeros(1, 3), attitude=LEVEL.repeat(1, 1))
     with pytest.raises(ConfigError, match=r"LidarCfg.scan_s needs lin_vel and ang_vel"):
-        RayCaster(
-            LIDAR, make_wall(4.0, torch.device("cpu")), images, position=torch.zeros(1, 3), attitude=LEVEL.repeat(1, 1)
-        )
+        RayCaster(LIDAR, make_wall(4.0, torch.device("cpu")), images, pose)
 
 
 def test_an_empty_scene_is_scanned(device: torch.device) -> None:

@@ -15,6 +15,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SensorManager
+from aerial_gym.sensors.mounts import Carrier
 from tests.physics.sensor_rig import LEVEL, WALL, place_shapes, shoot
 
 CAMERA = CameraCfg(
@@ -353,12 +354,12 @@ def test_placements_are_drawn_within_their_ranges_for_masked_environments(device
     caster = shoot(cfg, place_shapes([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=50))
     mask = torch.arange(50, device=device) < 30
     caster.reset(mask)
-    place = caster.mount_position.cpu()
+    place = caster.places.position.cpu()
     assert (place[30:] == 0.0).all()
     assert (place[:30].abs() <= 0.1).all()
     assert (place[:30, :, :2] != 0.0).all()
     assert (place[:30, 0, :2] != place[:30, 1, :2]).all()
-    pitch = 2.0 * torch.asin(caster.mount_attitude[:30, :, 1].cpu())
+    pitch = 2.0 * torch.asin(caster.places.attitude[:30, :, 1].cpu())
     assert (pitch.abs() <= 0.2 + 1e-6).all()
     assert pitch.abs().max() > 0.15
 
@@ -370,7 +371,7 @@ def test_a_sensor_with_a_rate_keeps_its_image_between_captures(device: torch.dev
     position = torch.zeros(2, 3, device=device)
     pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
     slow = replace(CAMERA, kind="depth", rate_hz=30.0)
-    manager = SensorManager({"slow": slow}, gtd, scene, num_envs=2, device=device, dt=0.01, **pose)
+    manager = SensorManager({"slow": slow}, gtd, scene, Carrier(**pose), num_envs=2, device=device, dt=0.01)
     all_rows, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
     manager.reset(all_rows)
     taken: list[list[int]] = [[], []]
@@ -397,7 +398,7 @@ def test_images_of_a_sensor_with_latency_appear_so_many_steps_later(steps: int, 
     position = torch.zeros(2, 3, device=device)
     pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
     late = replace(CAMERA, kind="depth", latency_s=0.02 * steps, points="sensor")
-    manager = SensorManager({"late": late}, gtd, scene, num_envs=2, device=device, dt=0.02, **pose)
+    manager = SensorManager({"late": late}, gtd, scene, Carrier(**pose), num_envs=2, device=device, dt=0.02)
     all_rows, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
     manager.reset(all_rows)
     begin = [0, 0]
@@ -423,7 +424,7 @@ def test_every_image_stands_in_the_gtd_under_its_key(device: torch.device) -> No
         elevation_high_deg=10.0, min_range=0.1, max_range=20.0, points="sensor", source="chosen for the test",
     )  # fmt: skip
     full = replace(CAMERA, points="world", normals="sensor", face_ids=True)
-    manager = SensorManager({"full": full, "lidar": lidar}, gtd, scene, num_envs=1, device=device, **pose)
+    manager = SensorManager({"full": full, "lidar": lidar}, gtd, scene, Carrier(**pose), num_envs=1, device=device)
     manager.capture()
     kinds = ("depth_range", "segmentation", "point_cloud", "normal", "face_id")
     assert set(gtd) == {f"{kind}_pixels" for kind in kinds} | {
@@ -434,4 +435,4 @@ def test_every_image_stands_in_the_gtd_under_its_key(device: torch.device) -> No
     assert ahead[ahead != 0.0].min() > 3.99
     late = replace(CAMERA, latency_s=0.1)
     with pytest.raises(ConfigError, match=r"sensor late: latency_s = 0.1 needs the length of a step"):
-        SensorManager({"late": late}, gtd, scene, num_envs=1, device=device, **pose)
+        SensorManager({"late": late}, gtd, scene, Carrier(**pose), num_envs=1, device=device)

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds
+from aerial_gym.assets.obstacle_motion import make_motion_launch
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
@@ -31,6 +32,12 @@ def make_manager(
     Bounds(cfg, lower=lower, upper=upper, random=random).draw(every(num_envs, device))
     place = {"num_envs": num_envs, "device": device, "random": random, "asset_state": asset_state}
     return AssetManager(cfg, gtd, bounds_min=lower, bounds_max=upper, **place), gtd, (lower, upper)
+
+
+def move_obstacles(manager: AssetManager, dt: float) -> None:
+    """Move the obstacles by ``dt`` [s], if any moves."""
+    if manager.moving is not None:
+        make_motion_launch(manager.moving, dt).launch(manager.scene.asset_state)
 
 
 def every(num_envs: int, device: torch.device = CPU) -> Tensor:

@@ -17,6 +17,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import euler_from_quat
 from aerial_gym.sensors import MISS_ID, SENSORS, SensorManager
+from aerial_gym.sensors.mounts import Carrier
 from tests.builders import simulation
 from tests.unit.assets.managers import ANYWHERE, MIDDLE, begin, box_environment, every, make_manager
 
@@ -75,8 +76,8 @@ def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -
     begin(manager, every(8, device))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0], device=device).repeat(8, 1)
     camera = {"camera": replace(SENSORS.get("depth_camera_64"), max_range=20.0, min_range=0.0)}
-    place = {"position": 0.5 * (lower + upper), "attitude": attitude, "num_envs": 8, "device": device}
-    sensors = SensorManager(camera, gtd, manager.scene, **place)
+    body = Carrier(position=0.5 * (lower + upper), attitude=attitude)
+    sensors = SensorManager(camera, gtd, manager.scene, body, num_envs=8, device=device)
     sensors.capture()
     ids = gtd["segmentation_pixels"]
     assert (ids != MISS_ID).all()

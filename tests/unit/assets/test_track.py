@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym import ENVIRONMENTS, EnvManager
-from aerial_gym.config.environment import EnvironmentCfg
-from aerial_gym.config.track import GatePlaceCfg, LayoutCfg, TrackCfg
+from aerial_gym.config.environment import EnvironmentCfg, GatePlaceCfg, LayoutCfg, TrackCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
 from tests.builders import simulation

@@ -17,6 +17,7 @@ from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images, pixels, ray_kernels
 from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.sensors.images import POISON, arrays_type, sensor_images
+from aerial_gym.sensors.mounts import Carrier
 
 SIZE = {"width": 8, "height": 6, "hfov_deg": 60.0, "min_range": 0.0, "max_range": 5.0, "source": "chosen for the test"}
 STEREO = StereoCfg(
@@ -38,7 +39,7 @@ def wall(depth: float) -> Scene:
 def test_a_pixel_that_sees_nothing_holds_what_the_table_says() -> None:
     images = make_images(STEREO, 2, device=torch.device("cpu"), poisoned=True)
     assert set(images) == set(IMAGES)
-    RayCaster(STEREO, wall(30.0), images, **POSE, lin_vel=torch.zeros(2, 3), ang_vel=torch.zeros(2, 3)).cast()
+    RayCaster(STEREO, wall(30.0), images, Carrier(**POSE, lin_vel=torch.zeros(2, 3), ang_vel=torch.zeros(2, 3))).cast()
     for name, row in sensor_images(STEREO).items():
         empty = row.empty_pixel(STEREO) if callable(row.empty_pixel) else row.empty_pixel
         expected = torch.zeros(()) if empty is None else torch.tensor(empty)  # at rest at the origin
@@ -86,7 +87,9 @@ def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest
 
     monkeypatch.setattr(ray_kernels, "make_write_pixel", make_write_pixel)
     gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": 2})
-    manager = SensorManager({"camera": CAMERA}, gtd, wall(3.0), **POSE, num_envs=2, device=torch.device("cpu"), dt=0.01)
+    manager = SensorManager(
+        {"camera": CAMERA}, gtd, wall(3.0), Carrier(**POSE), num_envs=2, device=torch.device("cpu"), dt=0.01
+    )
     spec = gtd.spec("heading_pixels")
     assert (spec.shape, spec.unit, spec.frame) == (("E", "S", "H", "W", 2), "m", "sensor")
     caster = manager.casters["camera"]

@@ -19,6 +19,7 @@ from aerial_gym.math.quaternion import euler_from_quat, quat_conjugate, quat_fro
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, SENSORS, Pose, SensorManager, mounted_sensors, sensor_by_name
+from aerial_gym.sensors.mounts import Carrier
 from tests.builders import simulation
 
 BASE = ROBOTS.get("base_quadrotor")
@@ -38,7 +39,7 @@ def manager(cfgs: dict, poses: dict, scene: Scene) -> tuple[SensorManager, Globa
     envs, device = scene.num_envs, torch.device("cpu")
     gtd = GlobalTensorDictionary(device=device, sizes={"E": envs})
     pose = {"position": torch.zeros(envs, 3), "attitude": LEVEL.repeat(envs, 1)}
-    return SensorManager(cfgs, gtd, scene, **pose, num_envs=envs, device=device, dt=0.01, poses=poses), gtd
+    return SensorManager(cfgs, gtd, scene, Carrier(**pose), num_envs=envs, device=device, dt=0.01, poses=poses), gtd
 
 
 def pose(position: tuple[float, float, float], roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Pose:
@@ -120,13 +121,13 @@ def test_what_is_drawn_deviates_from_the_mount_along_its_own_axes() -> None:
     sensors, _ = manager({"camera": turned}, {"camera": pose((0.3, 0.2, 0.1), roll=0.5 * pi)}, boxes([[4.0, 0, 0]], 64))
     sensors.reset(torch.ones(64, dtype=torch.bool))
     caster = sensors.casters["camera"]
-    x, y, z = caster.mount_position[:, 0].unbind(-1)
+    x, y, z = caster.places.position[:, 0].unbind(-1)
     torch.testing.assert_close(x, torch.full_like(x, 0.3))
     torch.testing.assert_close(y, torch.full_like(y, 0.2))
     assert ((z >= 0.1 - 1e-6) & (z <= 0.15 + 1e-6)).all()
     assert z.std() > 0.01
     rolled = quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0])).expand(64, 4)
-    own = euler_from_quat(quat_multiply(quat_conjugate(rolled), caster.mount_attitude[:, 0]))
+    own = euler_from_quat(quat_multiply(quat_conjugate(rolled), caster.places.attitude[:, 0]))
     torch.testing.assert_close(own[:, :2], torch.zeros(64, 2), rtol=0.0, atol=1e-6)
     yaw = own[:, 2]
     assert ((yaw >= -1e-6) & (yaw <= 0.2 + 1e-6)).all()  # about the camera's own z, which is minus the body's y
@@ -142,7 +143,7 @@ def test_a_mount_in_the_nominal_place_changes_nothing() -> None:
     for given in (None, pose(cfg.position, *cfg.euler)):
         sensors, _ = manager({"camera": cfg}, {"camera": given}, boxes([[4.0, 0.0, 0.0]], 16))
         sensors.reset(torch.ones(16, dtype=torch.bool))
-        result.append((sensors.casters["camera"].mount_position, sensors.casters["camera"].mount_attitude))
+        result.append((sensors.casters["camera"].places.position, sensors.casters["camera"].places.attitude))
     for plain, mounted in zip(*result, strict=True):
         torch.testing.assert_close(plain, mounted, rtol=0.0, atol=3e-7)
 
