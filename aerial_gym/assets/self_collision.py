@@ -20,7 +20,7 @@ from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.assets.sweep import make_path, make_touches
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.checks import Vec3
-from aerial_gym.config.collision import CollisionCfg
+from aerial_gym.config.robot import CollisionCfg
 from aerial_gym.config.shape import BASE, ShapeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, on_torch_stream
@@ -36,7 +36,7 @@ def _link_gap(one: Shape, x: wp.vec3, q: wp.quat, other: BodyShape, y: wp.vec3, 
 
 
 @wp.kernel(enable_backward=False)
-def _measure_reference(
+def _reference_gaps(
     shapes: wp.array[Shape],  # (C,)
     body: wp.array[BodyShape],  # (C,)
     pairs: wp.array2d[wp.int32],  # (N, 2)
@@ -199,9 +199,7 @@ def select_link_pairs(
         table = ShapeTable([ShapeCfg(kind="compound", parts=parts)], device=device)
         gap = wp.zeros(len(index_pairs), dtype=wp.float32, device=place)
         pairs = wp.array(index_pairs, dtype=wp.int32, device=place, ndim=2)
-        wp.launch(
-            _measure_reference, dim=len(index_pairs), inputs=[table.array, body, pairs], outputs=[gap], device=place
-        )
+        wp.launch(_reference_gaps, dim=len(index_pairs), inputs=[table.array, body, pairs], outputs=[gap], device=place)
         index_pairs = [pair for pair, apart in zip(index_pairs, gap.numpy().tolist(), strict=True) if apart > 0.0]
     if not index_pairs:
         raise ConfigError(

@@ -11,7 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.config.track import LayoutCfg, TrackCfg
+from aerial_gym.config.environment import LayoutCfg, TrackCfg
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream

@@ -213,9 +213,7 @@ def _shape_cfg(geometry: "Geometry", folder: Path) -> ShapeCfg:
         raise ConfigError(f"mesh {geometry.mesh.filename}: scale {given.tolist()} must be one number, or three")
     scale = np.ones(3) * given
     if np.ptp(scale) != 0.0:
-        raise ConfigError(
-            f"mesh {geometry.mesh.filename}: scale {scale.tolist()} differs by axis; scale the file instead"
-        )
+        raise ConfigError(f"mesh {geometry.mesh.filename}: scale {scale.tolist()} differs by axis: scale the file")
     file = _mesh_file(geometry.mesh.filename, folder)
     return ShapeCfg(kind="mesh", path=str(file), scale=float(scale[0]), up="z" if is_collada(file) else None)
 

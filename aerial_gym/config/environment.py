@@ -1,16 +1,16 @@
-"""Environment files: bounds, lamps, and obstacles placed inside the bounds at every reset, with their motion.
+"""Environment files: bounds, lamps, obstacles placed inside the bounds at every reset, with their motion, contact, race tracks.
 
-Frames: the environment's own world frame, z up; lengths in metres, angles in radians.
+Frames: the environment's own world frame, z up; lengths in metres, angles in radians. A gate is flown through along its own x,
+its opening lies in its y and z.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, pi
 from pathlib import Path
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import MAX_MADE, Vec3
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.checks import MAX_MADE, Vec3, require, require_not_negative, require_positive
 from aerial_gym.config.loader import load
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.shape import (
@@ -23,8 +23,121 @@ from aerial_gym.config.shape import (
     absolute_paths,
     require_color,
 )
-from aerial_gym.config.track import TrackCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
+
+GATES, POLES = "gates", "poles"  # First two assets of a track: an instance for each gate and for each pole
+
+Vec2 = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactCfg:
+    """A spring, a damper and Coulomb friction at every collision sphere; they scale with the robot's mass."""
+
+    friction: float  # Coulomb coefficient, friction per normal force, >= 0
+
+    sinking: float = 1e-3
+    """Depth to which the robot's weight on Earth presses one sphere into a surface [m], > 0. The default is the rest offset
+    of PhysX in the Aerial Gym Simulator."""
+
+    damping_ratio: float = 1.0  # Damping of the robot's mass on one sphere per critical damping, >= 0; 1: no bounce
+
+    crash_speed: float = 0.0
+    """A touch is a crash where the surfaces approach at this speed or faster [m/s], >= 0: every touch with 0, none with inf."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "sinking")
+        require_not_negative(self, "friction", "damping_ratio")
+        require(self, "crash_speed", self.crash_speed >= 0.0, "must be >= 0; .inf for no crash at all")
+
+    @property
+    def stiffness(self) -> float:
+        """Spring constant per mass of the robot [1/s²]."""
+        return STANDARD_GRAVITY / self.sinking
+
+    @property
+    def damping(self) -> float:
+        """Damping constant per mass of the robot [1/s]."""
+        return 2.0 * self.damping_ratio * self.stiffness**0.5
+
+    @property
+    def least_approach(self) -> float:
+        """Approach speed from which a touch is a crash [m/s]; -inf if every touch is one, even when separating."""
+        return self.crash_speed if self.crash_speed > 0.0 else -inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class GatePlaceCfg:
+    """Nominal place of a gate."""
+
+    position: Vec3  # Middle of the opening [m], world
+    euler: Vec3 = (0.0, 0.0, 0.0)  # ZYX roll, pitch, yaw [rad], within +-2 pi; with yaw 0 it is flown through along x
+
+    def __post_init__(self) -> None:
+        checks.require_finite(self, "position")
+        checks.require_angles(self, "euler")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutCfg:
+    """A whole track drawn at every reset: places in x and y, and yaws; heights are those of the gates and poles as listed.
+
+    One after the other, gates are drawn uniformly where they keep their distances, and are flown through in the direction
+    of travel from the one before (the first: from the robot's start), give or take ``yaw_range``. A pole is drawn into the
+    corridor between the two if there is room, otherwise anywhere it keeps its distances. Where nothing keeps them, the draw
+    that comes closest is taken.
+
+    Source: the rule and the defaults are those of github learnsyslab/lsy_drone_racing, envs/randomize.py, build_random_track_fn
+    (there on a grid of 10 cm).
+    """
+
+    lower: Vec2  # Lowest x and y of gates and poles [m]
+    upper: Vec2  # Highest x and y [m]
+    start_distance: float = 1.0  # Least distance of gates and poles to the robot's start [m], >= 0
+    gate_distance: float = 1.0  # Least distance between gates [m], >= 0
+    pole_to_gate: float = 0.8  # Least distance between a pole and a gate [m], >= 0
+    pole_distance: float = 0.3  # Least distance between poles [m], >= 0
+    corridor: float = 0.5  # Largest distance of a pole to the line from one gate to the next [m], > 0
+    yaw_range: float = 0.75  # Largest angle between a gate and the direction of travel [rad], 0 to pi
+
+    def __post_init__(self) -> None:
+        checks.require_finite(self, "lower", "upper")
+        checks.require_ordered(self, "lower", "upper")
+        checks.require_positive(self, "corridor")
+        checks.require_not_negative(self, "start_distance", "gate_distance", "pole_to_gate", "pole_distance")
+        checks.require(self, "yaw_range", 0.0 <= self.yaw_range <= pi, "must be 0 to pi rad")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackCfg:
+    """Gates and poles. A pilot knows their nominal poses: as listed, or as ``layout`` draws them.
+
+    A reset adds uniform offsets to the nominal places.
+    """
+
+    gates: tuple[GatePlaceCfg, ...]  # In the order in which they are flown through; at least one
+    poles: tuple[Vec3, ...] = ()  # Nominal tops of the poles [m], world
+    gate_position_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest offset of a gate [m], world
+    gate_position_high: Vec3 = (0.0, 0.0, 0.0)  # Highest offset of a gate [m], world
+    gate_euler_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest offset of a gate's roll, pitch, yaw [rad]
+    gate_euler_high: Vec3 = (0.0, 0.0, 0.0)  # Highest offset of a gate's roll, pitch, yaw [rad]
+    pole_low: Vec3 = (0.0, 0.0, 0.0)  # Lowest offset of a pole [m], world
+    pole_high: Vec3 = (0.0, 0.0, 0.0)  # Highest offset of a pole [m], world
+    layout: LayoutCfg | None = None  # Random layout of the whole track; None keeps the listed one
+
+    def __post_init__(self) -> None:
+        checks.require(self, "gates", bool(self.gates), "needs at least one")
+        checks.require_finite(self, "poles")
+        checks.require_ranges(self, "gate_position", "gate_euler", "pole")
+        holds = self.layout is None or len(self.poles) <= len(self.gates)
+        checks.require(self, "poles", holds, "layout draws one pole, at most, on the way to each gate")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of instances of each asset of the track, in their order."""
+        return {name: count for name, count in ((GATES, len(self.gates)), (POLES, len(self.poles))) if count}
+
 
 MOTIONS = ("none", "twist", "waypoints")  # Kinds of obstacle motion between resets
 AT_BOUNDS = ("pass", "bounce", "wrap")  # Behaviours at the bounds of an asset that moves by its twist
@@ -57,9 +170,7 @@ class MotionCfg:
             "waypoints": ("lin_vel_low", "lin_vel_high", "at_bounds"),
         }
         for name in unused[self.kind]:
-            checks.require(
-                self, name, getattr(self, name) == still[name].default, f"motion {self.kind!r} does not use it"
-            )
+            checks.require(self, name, getattr(self, name) == still[name].default, f"motion {self.kind!r} ignores it")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,7 +79,5 @@ def _merge_entries(base: list[object], value: Mapping[str, object], where: str) 
     if len(entries) < len(base) or not base:
         raise ConfigError(f"{where}: entries of this list have no names in the base. Give the whole list")
     if unknown := [name for name in value if name not in entries]:
-        raise ConfigError(
-            f"{where}: the base has nothing named {format_value(unknown[0])} here. Names: {', '.join(entries)}"
-        )
+        raise ConfigError(f"{where}: the base has no {format_value(unknown[0])} here. Names: {', '.join(entries)}")
     return list(_overlay(entries, value, where).values())

@@ -82,9 +82,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
             checks.require(self, name, isinstance(getattr(self, name), int), "must be whole")
         checks.require_count(self, "width", "height", "count", most=MAX_MADE)
         holds = 0.0 <= self.min_range < self.max_range < inf
-        checks.require(
-            self, "min_range", holds, f"must be >= 0 and below max_range = {self.max_range!r}, which is finite"
-        )
+        checks.require(self, "min_range", holds, f"must be >= 0 and below max_range = {self.max_range!r}, finite")
         checks.require_finite(self, "far_out_of_range_value", "near_out_of_range_value")
         checks.require_choice(self, "kind", KINDS)
         for name in ("points", "normals"):

@@ -72,11 +72,9 @@ class RotorCfg:
         for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map"):
             given = getattr(self, name) is not None
             checks.require(self, name, not given, "in force mode the state is the thrust; give torque_ratio alone")
-        checks.require(
-            self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust; leave it out"
-        )
+        checks.require(self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust: omit it")
         is_polynomial = self.rotor_map == POLYNOMIAL_MAP
-        checks.require(self, "rotor_map", is_polynomial, "in force mode the state is the thrust; leave it out")
+        checks.require(self, "rotor_map", is_polynomial, "in force mode the state is the thrust: omit it")
 
     def _check_maps(self) -> None:
         if self.rotor_map == POLYNOMIAL_MAP:

@@ -91,9 +91,7 @@ class SensorMountCfg:
         try:
             checks.require_finite(self, "position", "quaternion")
             checks.require_angles(self, "euler")
-            checks.require(
-                self, "euler", self.euler is None or self.quaternion is None, "give this or quaternion, not both"
-            )
+            checks.require(self, "euler", self.euler is None or self.quaternion is None, "give it or quaternion")
             holds = self.quaternion is None or sum(q * q for q in self.quaternion) >= 1e-12
             checks.require(self, "quaternion", holds, "must not be zero")
             checks.require_positive(self, "rate_hz")

@@ -130,13 +130,9 @@ class ShapeCfg:
                 raise ConfigError(f"ShapeCfg.parts: a part on link {part.link!r}: only a robot has links that move")
         checks.require_positive(self, "scale")
         is_mesh, is_urdf = self.kind == "mesh", self.kind == "urdf"
-        checks.require(
-            self, "scale", is_mesh or self.scale == 1.0, f"only a mesh is scaled; change the size of a {self.kind}"
-        )
+        checks.require(self, "scale", is_mesh or self.scale == 1.0, "only a mesh is scaled: change size")
         checks.require(self, "up", self.up in (None, "x", "y", "z"), "must be x, y or z")
-        checks.require(
-            self, "up", is_mesh or self.up is None, f"only a mesh file has an up axis; turn a {self.kind} instead"
-        )
+        checks.require(self, "up", is_mesh or self.up is None, f"only a mesh has an up axis: turn the {self.kind}")
         checks.require(self, "link_ids", is_urdf or not self.link_ids, f"a {self.kind} has no links; only a urdf has")
         checks.require(
             self, "first_link_id", is_urdf or self.first_link_id is None, f"a {self.kind} has no links; only a urdf has"

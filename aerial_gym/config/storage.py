@@ -63,9 +63,7 @@ def read_archive(path: str | Path, kind: str) -> dict[str, Any]:
     try:
         payload = torch.load(path, map_location="cpu", weights_only=True)
     except Exception:  # torch's own message advises to unpickle arbitrary code
-        raise ConfigError(
-            f"{kind} {path}: holds something other than tensors, numbers and text; it is not opened"
-        ) from None
+        raise ConfigError(f"{kind} {path}: holds more than tensors, numbers and text: it is not opened") from None
     if not isinstance(payload, dict):
         raise ConfigError(f"{kind} {path}: must hold a mapping, found {type(payload).__name__}")
     return payload

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.contact import Contacts, push
 from aerial_gym.physics.integrators import MassState

@@ -35,15 +35,14 @@ def describe_own_code(entries: Mapping[str, object]) -> dict[str, str]:
     As for the package's own entries, the source is not compared.
     """
     own = {name: entry for name, entry in entries.items() if not _module(entry).startswith("aerial_gym.")}
-    return {name: f"{_module(entry)} {entry!r} {_attributes(entry)!r}" for name, entry in own.items()}
+    attributes = {
+        name: {} if isinstance(entry, type) else getattr(entry, "__dict__", {}) for name, entry in own.items()
+    }
+    return {name: f"{_module(entry)} {entry!r} {attributes[name]!r}" for name, entry in own.items()}
 
 
 def _module(entry: object) -> str:
     return getattr(entry, "__module__", type(entry).__module__)
-
-
-def _attributes(entry: object) -> object:
-    return {} if isinstance(entry, type) else getattr(entry, "__dict__", {})
 
 
 def add_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

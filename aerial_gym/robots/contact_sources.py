@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.assets import Scene
 from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.config.sim import SimCfg

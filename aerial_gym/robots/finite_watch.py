@@ -199,6 +199,6 @@ def read_dump(path: str | Path) -> tuple[list[list[str]], list[str]]:
         raise ConfigError(f"{path}: is no dump of a watch; task.dump() writes one")
     ends = [line for line in table[1:] if line[0] in ("0.0", "0")]
     sentences = [
-        f"environment {env}, step {step} of its episode: {names} not finite" for _, env, step, names, *_ in ends
+        f"environment {env}, step {step} of its episode: {names} non-finite" for _, env, step, names, *_ in ends
     ]
     return table, sentences

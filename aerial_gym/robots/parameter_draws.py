@@ -157,7 +157,7 @@ def _kernel_lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int])
     """Yield the kernel lines that draw each number; ``joint_columns`` are the columns of the joint distribution."""
     yield f"episode = episode_stream(given.random, row, {int(Purpose.PARAMETERS)})"
     for i, each in enumerate(drawn):
-        yield f"quantity_{i} = substream(episode, {_stream_number(each.name)})"
+        yield f"quantity_{i} = substream(episode, {crc32(each.name.encode()) & 0x7FFFFFFF})"
         for element, k in enumerate(range(each.columns.start, each.columns.stop)):
             state = f"substream(quantity_{i}, {element})"
             if k in joint_columns:
@@ -167,11 +167,6 @@ def _kernel_lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int])
     for i, k in enumerate(joint_columns):
         weighted = " + ".join(f"given.factor[{k}, {j}] * normal_{j}" for j in joint_columns[: i + 1])
         yield f"made_{k} = joint(given.draws[{k}], {weighted})"
-
-
-def _stream_number(name: str) -> int:
-    """Return the random stream of a quantity: the CRC32 of its name."""
-    return crc32(name.encode()) & 0x7FFFFFFF
 
 
 def _fill_limits(row: np.void, distribution: str, low: float, high: float, mean: float, std: float) -> None:

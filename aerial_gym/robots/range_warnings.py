@@ -49,16 +49,13 @@ def report_range_faults(
     )
     faults = [each for each in ends if not each[2].holds]
     if faults:
-        said = "; ".join(f"{name} = {end}: {_describe_fault(hover, dt)}" for name, end, hover in faults)
+        texts = [hover_error(one) if one.stable else fault_of_unstable_loop(one, dt) for _, _, one in faults]
+        said = "; ".join(f"{name} = {end}: {text}" for (name, end, _), text in zip(faults, texts, strict=True))
         helps = dict.fromkeys(remedy(hover) for _, _, hover in faults if hover.stable)
         logging.getLogger(__name__).warning(
             f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s does not hover within {HOVER_RANGE:g} m for "
             f"{HOVER_SPAN:g} s at these ends of drawn ranges: {said}. {'. '.join((*helps, 'Narrow the ranges (randomize:)'))}"
         )
-
-
-def _describe_fault(hover: HoverResult, dt: float) -> str:
-    return hover_error(hover) if hover.stable else fault_of_unstable_loop(hover, dt)
 
 
 def hovers_at_range_ends(
@@ -94,9 +91,7 @@ def _vehicle_quantities(randomize: Randomize, effects: set[str]) -> Randomize:
     chosen = {}
     for name, each in randomize.items():
         family, *rest = name.split(".")
-        missing = (
-            family == "effects" and rest[0] in EFFECTS and rest[0] not in effects
-        )  # on links, which do not move here
+        missing = family == "effects" and rest[0] in EFFECTS and rest[0] not in effects  # on links, at rest here
         if family not in ("gains", "sensors") and not missing:
             chosen[name] = replace(each, correlation={})
     return chosen

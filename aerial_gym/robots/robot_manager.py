@@ -94,9 +94,7 @@ class RobotManager:
         self.differentiable: DifferentiableBackend | None = None
         if gradients is not None:
             if not isinstance(self.backend, TorchBackend):
-                raise CapabilityError(
-                    f"{type(self.backend).__name__}: gradients flow on backend 'torch' alone. Choose it"
-                )
+                raise CapabilityError(f"{type(self.backend).__name__}: gradients need backend 'torch'. Choose it")
             state, actions = self.tensors.state, (self.tensors.actions, self.tensors.prev_actions)
             self.backend = self.differentiable = DifferentiableBackend(state, actions, dtype=gradients)
         self._declare_model()

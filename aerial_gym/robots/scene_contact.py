@@ -20,7 +20,7 @@ from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.obstacle_motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import ReusableLaunch, make_struct
@@ -266,23 +266,13 @@ class SceneContact:
         self._command.launch(self._state.lin_vel)
 
     def _record_launch(self) -> ReusableLaunch:
-        scene, robot, envs, device = self._scene, self._robot, (self._scene.num_envs,), self._scene.device
-        check_tensor("mass", robot.mass, envs, device=device)
-        check_tensor("inertia", robot.inertia, (*envs, 3, 3), device=device)
-
-        def view(name: str, tensor: Tensor) -> wp.array:
-            return vector_view(name, tensor, (*envs, tensor.shape[-1]), device=device)
-
-        inputs = [self._data, wp.from_torch(robot.mass), wp.from_torch(robot.inertia, dtype=wp.mat33)]
-        inputs += [
-            view(name, tensor) for name, tensor in zip(("com", *_FIRST_MOTION), (robot.com, *self._first), strict=True)
-        ]
-        moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
-        self._views = (inputs, moved)
+        scene, robot, state = self._scene, self._robot, self._state
+        for name, size in (("mass", ()), ("inertia", (3, 3)), ("com", (3,))):
+            check_tensor(name, getattr(robot, name), (scene.num_envs, *size), device=scene.device)
         return ReusableLaunch(
             _make_contact_kernel(**self._kinds),
             dim=scene.num_envs,
-            inputs=[*inputs, self._dt],
-            outputs=moved,
-            device=device,
+            inputs=[self._data, robot.mass, robot.inertia, robot.com, *self._first, self._dt],
+            outputs=[state.position, state.attitude, state.lin_vel, state.ang_vel],
+            device=scene.device,
         )

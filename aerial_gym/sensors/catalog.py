@@ -1,8 +1,7 @@
 """Every range sensor and inertial measurement unit of the package: the files of ``config/sensors`` and ``config/imus``."""
 
 from aerial_gym.config import family_files, read_summary
-from aerial_gym.config.imu import ImuCfg, load_imu
-from aerial_gym.config.sensor import RangeSensorCfg, load_sensor
+from aerial_gym.config.sensor import ImuCfg, RangeSensorCfg, load_imu, load_sensor
 from aerial_gym.registry import Registry
 from aerial_gym.registry.registry import register_files
 

@@ -16,9 +16,7 @@ class Surface:
     """Hit point of a ray on a part."""
 
     normal: wp.vec3  # unit, sensor frame, towards the sensor
-    face: (
-        wp.int32
-    )  # triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; else 0
+    face: wp.int32  # triangle of a mesh; box: 2 axis + (1 on the upper side); cylinder: 0 side, 1 bottom, 2 top; else 0
     place: wp.vec3  # in the frame of the bounding box
     slope: wp.vec3  # gradient of a function that is 0 on the surface and positive outside
     u: wp.float32  # weights of the corners of a triangle: u, v, 1 - u - v

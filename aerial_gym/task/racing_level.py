@@ -14,11 +14,10 @@ from typing import Any
 
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.checks import Vec3
-from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.environment import GATES, POLES, EnvironmentCfg, GatePlaceCfg, LayoutCfg, TrackCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.config.task import TaskCfg
-from aerial_gym.config.track import GATES, POLES, GatePlaceCfg, LayoutCfg, TrackCfg
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.errors import ConfigError
 

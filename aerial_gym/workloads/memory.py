@@ -24,7 +24,7 @@ class MemoryBench:
 
     def run(self) -> int:
         """Build, reset, step once, add up and print; return the exit status."""
-        from aerial_gym.workloads.output import print_figures
+        from aerial_gym.workloads.measure import print_figures
 
         total, *arrays = self.measure()
         print_figures(total, as_json=self.json)
@@ -41,8 +41,7 @@ class MemoryBench:
 
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.interop import resolve_device
-        from aerial_gym.workloads.measure import require_at_least
-        from aerial_gym.workloads.output import device_name, packages_of_backend, provenance
+        from aerial_gym.workloads.measure import device_name, packages_of_backend, provenance, require_at_least
 
         require_at_least(1, num_envs=self.num_envs)
         require_at_least(0, largest=self.largest)

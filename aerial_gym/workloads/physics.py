@@ -27,7 +27,7 @@ class PhysicsBench:
 
     def run(self) -> int:
         """Measure and print; return the exit status."""
-        from aerial_gym.workloads.output import print_figures
+        from aerial_gym.workloads.measure import print_figures
 
         print_figures(self.measure(), as_json=self.json)
         return 0
@@ -36,8 +36,15 @@ class PhysicsBench:
         """Return the figures with everything they depend on."""
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.flight import make_flight
-        from aerial_gym.workloads.measure import rate_figures, require_at_least, time_launches, torch_threads
-        from aerial_gym.workloads.output import device_name, packages_of_backend, provenance
+        from aerial_gym.workloads.measure import (
+            device_name,
+            packages_of_backend,
+            provenance,
+            rate_figures,
+            require_at_least,
+            time_launches,
+            torch_threads,
+        )
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
         device = resolve_device(self.device)

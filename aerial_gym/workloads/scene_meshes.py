@@ -67,10 +67,8 @@ class SceneMeshes:
         self.depth = torch.zeros(num_envs, len(direction), device=scene.state.device)
         mesh_index = torch.arange(num_envs, device=scene.state.device) % len(self.meshes)
         self._kept = order, direction
-        self._position, self._attitude = (
-            scene.position[mesh_index].contiguous(),
-            scene.attitude[mesh_index].contiguous(),
-        )
+        self._position = scene.position[mesh_index].contiguous()
+        self._attitude = scene.attitude[mesh_index].contiguous()
         self._launch = wp.launch(
             _cast_scene,
             dim=(num_envs, len(direction)),

@@ -23,7 +23,7 @@ class TaskBench:
 
     def run(self) -> int:
         """Measure and print; return the exit status."""
-        from aerial_gym.workloads.output import print_figures
+        from aerial_gym.workloads.measure import print_figures
 
         print_figures(self.measure(), as_json=self.json)
         return 0
@@ -33,8 +33,14 @@ class TaskBench:
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
         from aerial_gym.workloads.episodes import Episodes, time_parts
-        from aerial_gym.workloads.measure import rate_figures, time_launches, torch_threads
-        from aerial_gym.workloads.output import device_name, packages_of_backend, provenance
+        from aerial_gym.workloads.measure import (
+            device_name,
+            packages_of_backend,
+            provenance,
+            rate_figures,
+            time_launches,
+            torch_threads,
+        )
 
         device = resolve_device(self.device)
         options = {"num_envs": self.num_envs, "seed": self.seed, "backend": self.backend}

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
-from aerial_gym.workloads.output import device_name, format_value, provenance
+from aerial_gym.workloads.measure import device_name, format_value, provenance
 from aerial_gym.workloads.process import RunFailedError, absence_reason, interpreters
 from benchmarks.peers.runs import CASES, PEERS, Measurement, Ratio, measure_case, ratios, schedule
 

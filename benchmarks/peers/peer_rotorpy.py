@@ -33,10 +33,8 @@ def main() -> None:
         device,
         integrator="rk4",
     )
-    command, rows = (
-        {"cmd_motor_speeds": torch.full_like(start["rotor_speeds"], speed)},
-        torch.arange(count, device=device),
-    )
+    command = {"cmd_motor_speeds": torch.full_like(start["rotor_speeds"], speed)}
+    rows = torch.arange(count, device=device)
     state = dict(start)
 
     def restart() -> None:

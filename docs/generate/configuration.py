@@ -12,13 +12,10 @@ import aerial_gym
 from docs.generate.markdown import DocumentedField, code_marks, documented_fields, page, table, type_text, value_text
 
 PAGES: Mapping[str, tuple[str, Sequence[str]]] = {
-    "robot": ("Keys of a robot file", ("robot", "rotor", "joint", "collision", "sensor_mount", "learned_residual")),
+    "robot": ("Keys of a robot file", ("robot", "rotor", "joint", "sensor_mount", "learned_residual")),
     "control": ("Keys of controllers", ("controller", "autopilots")),
-    "environment": ("Keys of an environment file", ("environment", "shape", "contact", "track")),
-    "sensor": (
-        "Keys of a sensor file",
-        ("range_sensor", "camera", "lidar", "imu", "images", "sensor"),
-    ),
+    "environment": ("Keys of an environment file", ("environment", "shape")),
+    "sensor": ("Keys of a sensor file", ("range_sensor", "sensor", "lidar", "images")),
     "task": ("Keys of a task file", ("task", "task_terms", "randomize", "sim")),
     "training": (
         "Keys of training settings",

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from aerial_gym.assets.sweep import NEAR
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import quat_normalize

@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 import torch
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import BACKENDS, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.ground import Ground

@@ -11,6 +11,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest
 from aerial_gym.sensors import RayCaster, SensorImages
+from aerial_gym.sensors.mounts import Carrier
 from aerial_gym.workloads.episodes import check_crashes, check_finite_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
 from aerial_gym.workloads.measure import WorkloadError, rate_figures, time_launches, torch_threads
@@ -217,7 +218,7 @@ def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) 
     )  # fmt: skip
     depth = torch.zeros(3, 1, 32, 32)
     images = SensorImages(distance=depth)
-    caster = RayCaster(camera, scene.build(), images, position=scene.position, attitude=scene.attitude)
+    caster = RayCaster(camera, scene.build(), images, Carrier(position=scene.position, attitude=scene.attitude))
     caster.cast()
     merged = SceneMeshes(scene, caster.direction)
     merged.cast()

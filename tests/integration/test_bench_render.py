@@ -12,18 +12,17 @@ import torch
 
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.workloads import peers
 from aerial_gym.workloads.measure import WorkloadError
-from aerial_gym.workloads.peers import renderer_names
+from aerial_gym.workloads.peers import RENDER_PEERS, mismatch_share, renderer_names, run_peer, scene_arrays
 from aerial_gym.workloads.process import absence_reason, interpreters
-from aerial_gym.workloads.renderers import runs
-from aerial_gym.workloads.renderers.runs import RENDER_PEERS, mismatch_share, run_peer, scene_arrays
 from aerial_gym.workloads.scenes import RenderScene, make_scene
 from tests.integration.commands import run_bench as run
 from tests.refusals import assert_refused
 
 CPU = torch.device("cpu")
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.01", "--width", "32", "--height", "24")
-PEER_FOLDER = Path(runs.__file__).parent
+PEER_FOLDER = Path(peers.__file__).parent / "renderers"
 
 
 def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,7 +96,7 @@ def test_other_images_give_no_figure() -> None:
 
 
 def test_a_run_with_other_images_ends_with_status_1(monkeypatch, capsys) -> None:
-    monkeypatch.setattr(runs, "_is_floor", lambda *_: True)  # every box becomes a rectangle
+    monkeypatch.setattr(peers, "_is_floor", lambda *_: True)  # every box becomes a rectangle
     argv = ("--scene", "boxes", "--num-envs", "2", "--json", "--against", "mujoco")
     status, out, err = run(capsys, "render", *QUICK, *argv)
     assert (status, len(out.splitlines())) == (1, 1)

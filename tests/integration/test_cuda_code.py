@@ -10,8 +10,8 @@ import warp as wp
 
 from aerial_gym.assets import clearance, obstacle_motion, placement, track
 from aerial_gym.assets.collision import make_collision_kernel
-from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControlCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.images import IMAGES
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.shape import ShapeCfg

@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from aerial_gym import ROBOTS, SIMS, EnvManager
-from aerial_gym.config.collision import CapsuleCfg, CollisionCfg
 from aerial_gym.config.environment import AssetCfg, PartCfg, ShapeCfg
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg
 from tests.builders import simulation
 from tests.unit.assets.managers import MIDDLE, box_environment
 

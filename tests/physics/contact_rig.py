@@ -9,8 +9,7 @@ from torch import Tensor
 from aerial_gym.assets import Scene
 from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacles import Obstacles, asset_table, view_obstacles
-from aerial_gym.config.contact import ContactCfg
-from aerial_gym.config.environment import AssetCfg, MotionCfg
+from aerial_gym.config.environment import AssetCfg, ContactCfg, MotionCfg
 from aerial_gym.config.robot import BodyCfg, CollisionShape
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.interop import start_warp

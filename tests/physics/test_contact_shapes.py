@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from aerial_gym.assets.cores import contact_points
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate

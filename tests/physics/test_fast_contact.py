@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from aerial_gym.assets.cores import contact_points
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import TorchBackend, WarpBackend

@@ -12,8 +12,7 @@ import trimesh
 from torch import Tensor
 
 from aerial_gym.assets import PARKED_Z, CollisionTest, Scene
-from aerial_gym.config.contact import ContactCfg
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
+from aerial_gym.config.environment import AssetCfg, ContactCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, SphereCfg
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
@@ -21,6 +20,7 @@ from aerial_gym.physics import Trajectory
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
+from tests.unit.assets.managers import move_obstacles
 
 K, DT = 10, 0.01
 PLATE = ShapeCfg(kind="box", size=(0.05, 2.0, 2.0))
@@ -90,7 +90,7 @@ def loop(env: EnvManager) -> Tensor:
     gtd["crashes"].zero_()
     for _ in range(K):
         env.robot_manager.advance(1)
-        env.asset_manager.step(DT)
+        move_obstacles(env.asset_manager, DT)
         env._collision.measure()
         touched.append(gtd["robot_clearance"] < 0.0)
     gtd["crashes"].logical_or_(torch.stack(touched).any(dim=0))

@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.assets import AssetManager, CollisionTest, Scene
 from aerial_gym.assets.self_collision import SelfCollisionTest
-from aerial_gym.config.collision import CollisionCfg
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, ShapeCfg
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
-from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, SphereCfg
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary

@@ -4,7 +4,7 @@ from typing import Any
 
 from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, idle_field, native_field, unchangeable_field
 from aerial_gym.compat.config.sensors import register_config
-from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import IMUS
 

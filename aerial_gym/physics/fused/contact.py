@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, vector_type
 from aerial_gym.physics.contact import CAUTIOUS_ITERATIONS, ITERATIONS, PENALTY
 from aerial_gym.physics.fused.types import rotor_types

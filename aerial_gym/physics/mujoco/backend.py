@@ -15,7 +15,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.ground_gaps import sphere_gaps

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.errors import MissingDependencyError
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.articulated.tree import Links, Tree

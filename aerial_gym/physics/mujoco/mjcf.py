@@ -14,7 +14,7 @@ from math import isfinite, sqrt
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.ground import LinkContacts

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.mujoco.bodies import (
     COM,

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.physics.articulated.tree import Tree

@@ -19,8 +19,7 @@ from aerial_gym.control.trim import trim_axes
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_maps import rotor_state_for_thrust
-from aerial_gym.robots.check.flights import StableStep, largest_stable_step
-from aerial_gym.robots.check.tail import TailRotorModel, tail_rotor_model
+from aerial_gym.robots.check.flights import StableStep, TailRotorModel, largest_stable_step, tail_rotor_model
 
 AXES = ("x", "y", "z")
 

@@ -17,15 +17,17 @@ from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCf
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import (
+    FileJoint,
     FileRotor,
     FileVehicle,
+    LinkMass,
     WeightlessMass,
     euler_of_matrix,
     group_lines_by_kind,
+    joint_configs,
     moves_thrust_line,
     round_vec3,
 )
-from aerial_gym.robots.importers.joints import FileJoint, LinkMass, joint_configs
 from aerial_gym.robots.importers.mjcf_actuators import Actuator
 
 
@@ -53,9 +55,7 @@ def read_mjcf(path: Path, lag: float | None, *, take_actuators: bool, joints: bo
     delays = sorted({one.delay for one in pushing})
     delayed = len(delays) == 1 and delays[0] > 0.0
     left = [one.name for one in actuators if one not in pushing]
-    label = "actuators" + (
-        " (drives of joints are written by hand, docs/guides/articulated_vehicles.md)" if joints else ""
-    )
+    label = "actuators" + (" (write drives of joints by hand, docs/guides/articulated_vehicles.md)" if joints else "")
     return FileVehicle(
         body=reader.body(),
         rotors=rotors,

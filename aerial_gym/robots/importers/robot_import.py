@@ -16,6 +16,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import mjcf, sdf, urdf
 from aerial_gym.robots.importers.file_vehicle import (
+    ENDS,
     FileRotor,
     FileVehicle,
     buoyant_forces,
@@ -23,7 +24,6 @@ from aerial_gym.robots.importers.file_vehicle import (
     read_xml,
     round_vec3,
 )
-from aerial_gym.robots.importers.joints import ENDS
 
 ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"  # Names of links of a URDF without motors that are taken for rotors
 
@@ -145,9 +145,7 @@ def _rotor_fields(vehicle: Sequence[FileRotor], hints: RotorHints, where: str) -
         raise ConfigError(f"{where}: {len(hints.spins)} spins for {len(vehicle)} rotors: {names}")
     spins = hints.spins or [rotor.spin for rotor in vehicle]
     if None in spins:
-        raise ConfigError(
-            f"{where}: does not say which way its rotors turn. Give --spins, 1 or -1 for each of: {names}"
-        )
+        raise ConfigError(f"{where}: does not say how its rotors turn. Give --spins, 1 or -1 for each of: {names}")
     like = None if other is None else other.the_rotor("rotors_of")
     kinds = [rotor.rotor or like for rotor in vehicle]
     if None in kinds:

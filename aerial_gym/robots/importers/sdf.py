@@ -17,6 +17,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
+    LinkMass,
     Tags,
     WeightlessMass,
     euler_of_matrix,
@@ -27,7 +28,6 @@ from aerial_gym.robots.importers.file_vehicle import (
     round_vec3,
     unread_elements,
 )
-from aerial_gym.robots.importers.joints import LinkMass
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
     Motor,
@@ -202,10 +202,8 @@ class _SdfReader:
         """Return the test of whether a joint on the way to a rotor moves its thrust line."""
 
         def tilts_rotor(joint: str) -> bool:
-            axis, place = (
-                self.from_root[:3, :3] @ self.tree.joint_axis(joint),
-                (self.from_root @ self.tree.pose(joint))[:3, 3],
-            )
+            axis = self.from_root[:3, :3] @ self.tree.joint_axis(joint)
+            place = (self.from_root @ self.tree.pose(joint))[:3, 3]
             return moves_thrust_line(rotor, self.tree.joints[joint].get("type", ""), axis, place)
 
         return lambda joint: self._is_moving(joint) and tilts_rotor(joint)

@@ -22,8 +22,7 @@ from aerial_gym.assets import load_mesh
 from aerial_gym.assets.mesh_files import is_collada
 from aerial_gym.assets.urdf import weld
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import parse_number, parse_numbers
-from aerial_gym.robots.importers.joints import LinkMass
+from aerial_gym.robots.importers.file_vehicle import LinkMass, parse_number, parse_numbers
 from aerial_gym.robots.importers.sdf_tree import TRUE, Element, SdfTree
 
 if TYPE_CHECKING:
@@ -72,9 +71,7 @@ def data_without_use(tree: SdfTree, link: str) -> Iterator[str]:
     element = tree.links[link]
     inertial = element.find("inertial")
     if inertial is not None and _is_auto_inertial(inertial):
-        yield from (
-            f"{tag} of an inertial that is auto" for tag in ("pose", "inertia") if inertial.find(tag) is not None
-        )
+        yield from (f"{tag} of an auto inertial" for tag in ("pose", "inertia") if inertial.find(tag) is not None)
     elif any(element.find(f"{tag}/density") is not None for tag in ("collision", "inertial")):
         yield "density, for the inertial is not auto"
 
@@ -116,9 +113,7 @@ def _weight_from_shapes(tree: SdfTree, link: str, inertial: Element) -> LinkMass
         poses.append(pose)
         inertias.append(density * solid.inertia)
     if not sum(masses) > 0.0:
-        raise ConfigError(
-            f"{at}: auto needs a collision with a volume and a density > 0. Give one, or mass and inertia"
-        )
+        raise ConfigError(f"{at}: auto needs a collision with volume and density > 0. Give one, or mass and inertia")
     body = weld(masses, poses, inertias)
     share = parse_number(inertial.findtext("mass"), body.mass, f"{at}: mass") / body.mass
     pose = np.eye(4)
@@ -147,9 +142,7 @@ def _collision_solid(tree: SdfTree, link: str, collision: Element) -> _Solid | N
     if kind == "mesh":
         return _mesh_solid(load_collision_mesh(tree, link, shape), at)
     if kind not in _SOLIDS:
-        raise ConfigError(
-            f"{at}: auto cannot weigh a {kind}: must be {', '.join(_SOLIDS)} or mesh. Give mass and inertia"
-        )
+        raise ConfigError(f"{at}: auto cannot weigh a {kind}: give {', '.join(_SOLIDS)}, mesh, or mass and inertia")
     return _SOLIDS[kind](*shape_lengths(shape, at))
 
 

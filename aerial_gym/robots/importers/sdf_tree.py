@@ -207,9 +207,7 @@ def read_pose(pose: Element, where: str) -> np.ndarray:
     if kind == "quat_xyzw" and not degrees:
         x, y, z, *quaternion = parse_numbers(pose.text or "0 0 0 0 0 0 1", 7, where)
         if not np.linalg.norm(quaternion) > 0.0:
-            raise ConfigError(
-                f"{where} = {pose.text!r}: the quaternion is 0: must turn by some angle, 0 0 0 1 for none"
-            )
+            raise ConfigError(f"{where} = {pose.text!r}: the quaternion is 0: give a turn, 0 0 0 1 for none")
         turned = quaternion_matrix([quaternion[3], *quaternion[:3]])
         turned[:3, 3] = x, y, z
         return turned

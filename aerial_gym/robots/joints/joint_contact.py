@@ -33,9 +33,7 @@ def shapes_on_links(
         own = replace(shape, center=tuple(c - o for c, o in zip(shape.center, origins[link], strict=True)))
         center, attitude, half, radius = shape_core(own)
         core = {"center": center, "attitude": attitude, "half": half}
-        shapes.append(
-            LinkShape(link=link, radius=radius, **{name: tuple(values.tolist()) for name, values in core.items()})
-        )
+        shapes.append(LinkShape(link=link, radius=radius, **{name: tuple(x.tolist()) for name, x in core.items()}))
         points.append(contact_points([own], device=device))
     spheres = torch.cat(points)
     links = tuple(shape.link for shape, rows in zip(shapes, points[1:], strict=True) for _ in rows)

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 from aerial_gym.config.checks import Vec3
-from aerial_gym.config.collision import CollisionCfg
-from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.joint import JointsCfg
-from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.config.robot import CollisionCfg
+from aerial_gym.config.sensor import ImuCfg, RangeSensorCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.sensors.mounts import Carrier, RobotSensor

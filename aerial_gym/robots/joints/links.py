@@ -144,10 +144,8 @@ class LinkTrajectory:
     def __init__(self, cfg: JointsCfg, trajectory: Trajectory) -> None:
         """Take views of a record with joints, and make room for the links."""
         assert trajectory.joint_pos is not None
-        device, self.pieces = (
-            trajectory.position.device,
-            1 if all(joint.parent == BASE for joint in cfg.layout) else PIECES,
-        )
+        device = trajectory.position.device
+        self.pieces = 1 if all(joint.parent == BASE for joint in cfg.layout) else PIECES
         """Pieces M of a substep: one where all joints sit on the base."""
         rows, num_envs = trajectory.max_substeps * self.pieces + 1, trajectory.position.shape[1]
         size = (rows, num_envs, len(cfg.link_names))
@@ -155,17 +153,11 @@ class LinkTrajectory:
         """Origins of the frames [m], world, (K M + 1, E, L, 3)."""
         self.attitude = torch.zeros(*size, 4, device=device)
         """To the world, xyzw, (K M + 1, E, L, 4)."""
-        place = wp.device_from_torch(device)
+        place, base = wp.device_from_torch(device), (trajectory.position, trajectory.attitude)
         self._command = ReusableLaunch(
             _place_links_in_substeps,
             dim=size[:2],
-            inputs=[
-                _joint_arrays(cfg, place),
-                trajectory.position,
-                trajectory.attitude,
-                trajectory.joint_pos,
-                self.pieces,
-            ],
+            inputs=[_joint_arrays(cfg, place), *base, trajectory.joint_pos, self.pieces],
             outputs=[self.position, self.attitude],
             device=place,
             block_dim=BLOCK_DIM,
@@ -184,9 +176,7 @@ class LinkPlaces:
     ) -> None:
         """Take views of the state, which must keep its memory, and of the outputs; follow a trajectory with joints."""
         followed = trajectory is not None and trajectory.joint_pos is not None
-        self.trajectory: LinkTrajectory | None = (
-            LinkTrajectory(cfg, trajectory) if followed and trajectory is not None else None
-        )
+        self.trajectory = LinkTrajectory(cfg, trajectory) if followed and trajectory is not None else None
         """Link poses after each substep of the last step; None without a record."""
         place = wp.device_from_torch(state.position.device)
         table = _joint_arrays(cfg, place)

@@ -17,7 +17,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacle_motion import make_motion_launch
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import ReusableLaunch, on_torch_stream

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness

@@ -151,7 +151,7 @@ def test_paths_are_relative_to_the_file_that_names_them_and_a_saved_robot_needs_
     ("extends: mine.yaml", r"extends itself \(mine.yaml -> mine.yaml\)"),
     ("extends: other.yaml", r"extends itself \(mine.yaml -> other.yaml -> mine.yaml\)"),
     ("extends: base_quadrotor\nmas: 1.0", "mine.yaml: unknown field 'mas'"),
-    ("extends: morphy\njoints: {layout: {elevation_9: {}}}", "layout: the base has nothing named 'elevation_9'"),
+    ("extends: morphy\njoints: {layout: {elevation_9: {}}}", "layout: the base has no 'elevation_9'"),
     ("extends: base_quadrotor\nmounts: {layout: {front: {spin: 1}}}", "layout: entries of this list have no names"),
 ])  # fmt: skip
 def test_what_cannot_be_extended_is_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_impossible_bodies_are_refused_by_name(change: dict, message: str) -> No
     ({"dead_band": -1.0}, "RotorCfg.dead_band = -1.0"),
     ({"slew_rate": 0.0}, "RotorCfg.slew_rate = 0.0"),
     ({"mode": "torque"}, "must be one of speed, force"),
-    ({"mode": "force"}, "in force mode the state is the thrust; leave it out"),
+    ({"mode": "force"}, "in force mode the state is the thrust: omit it"),
     ({"reverse_thrust_map": [0.0, 0.0, 1e-6]}, "only for a reversible rotor"),
     ({"thrust_range": [-1.0, 1.0], "thrust_map": [0.1, 0.0, 1e-6]}, "is 0 without speed"),
     ({"thrust_map": [0.0, 1.0, 0.0]}, "the coefficient of w² must be > 0"),

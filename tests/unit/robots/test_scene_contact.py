@@ -9,8 +9,7 @@ import torch
 import warp as wp
 
 from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager
-from aerial_gym.config.contact import ContactCfg
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg
+from aerial_gym.config.environment import AssetCfg, ContactCfg, EnvironmentCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler

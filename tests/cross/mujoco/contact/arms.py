@@ -2,7 +2,7 @@
 
 import torch
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Drive, Spring
 from aerial_gym.physics.articulated.motion import move_links, place_links

@@ -7,8 +7,7 @@ import pytest
 import torch
 import trimesh
 
-from aerial_gym.config.contact import ContactCfg
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
+from aerial_gym.config.environment import AssetCfg, ContactCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
 from aerial_gym.errors import CapabilityError
 from tests.cross.mujoco.contact.on_legs import STANDING, build, let_go, put
 

@@ -7,7 +7,7 @@ from math import asin, exp, pi, sqrt, tan
 import pytest
 import torch
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics import BACKENDS, EFFECTS, Ground, TorchBackend, build_model, vehicle_from_config

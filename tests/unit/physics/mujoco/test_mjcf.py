@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 import torch
 
-from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import ContactCfg
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.mujoco.mjcf import Floor, contact_softness, solver_numbers, write_mjcf

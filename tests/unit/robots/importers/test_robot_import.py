@@ -144,7 +144,7 @@ def urdf(mass: float = 0.321) -> str:
 def test_links_of_a_urdf_take_the_rotor_type_of_another_robot(tmp_path: Path) -> None:
     """Four point masses of 13 g at ±0.16 m add 4 m a² about x and y, twice that about z. Arms are no rotors."""
     path, like = put(tmp_path, urdf()), ROBOTS.get("tinyprop")
-    with pytest.raises(ConfigError, match=r"which way its rotors turn. Give --spins.*motor_0, motor_1, motor_2, mo"):
+    with pytest.raises(ConfigError, match=r"how its rotors turn. Give --spins.*motor_0, motor_1, motor_2, mo"):
         import_robot(path, RotorHints(rotors_of=like))
     with pytest.raises(ConfigError, match=r"have no thrust, torque and lag: motor_0.*--rotors-of ROBOT"):
         import_robot(path, RotorHints(spins=(1, -1, 1, -1)))

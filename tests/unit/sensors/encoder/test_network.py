@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.distributions import Normal, kl_divergence
 
-from aerial_gym.config.camera import CameraCfg
+from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.config.storage import write_archive
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.sensors import pinhole_rays

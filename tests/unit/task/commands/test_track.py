@@ -7,9 +7,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym import ENVIRONMENTS, Task, task_registry
-from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.environment import EnvironmentCfg, GatePlaceCfg, TrackCfg
 from aerial_gym.config.task_terms import CommandCfg, ObservationCfg
-from aerial_gym.config.track import GatePlaceCfg, TrackCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.task.commands.gates import gate_crossing_flags
