@@ -15,16 +15,8 @@ if TYPE_CHECKING:
     from aerial_gym.assets.urdf import load_urdf
 
 __all__ = [
-    "ENVIRONMENTS",
-    "FAMILIES",
-    "PARKED_Z",
-    "AssetManager",
-    "Bounds",
-    "CollisionTest",
-    "Scene",
-    "family_shapes",
-    "load_mesh",
-    "load_urdf",
-]
+    "ENVIRONMENTS", "FAMILIES", "PARKED_Z", "AssetManager", "Bounds", "CollisionTest", "Scene", "family_shapes",
+    "load_mesh", "load_urdf",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -21,13 +21,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 DEFAULT_COLORS: dict[str, Vec3] = {
-    "box": (0.66, 0.63, 0.58),
-    "sphere": (0.62, 0.47, 0.44),
-    "cylinder": (0.50, 0.56, 0.62),
-    "capsule": (0.55, 0.52, 0.62),
-    "plane": (0.42, 0.45, 0.36),
-    "mesh": (0.70, 0.70, 0.70),
-}
+    "box": (0.66, 0.63, 0.58), "sphere": (0.62, 0.47, 0.44), "cylinder": (0.50, 0.56, 0.62),
+    "capsule": (0.55, 0.52, 0.62), "plane": (0.42, 0.45, 0.36), "mesh": (0.70, 0.70, 0.70),
+}  # fmt: skip
 """Default colours of shapes. Plain choices: muted and distinct."""
 
 NO_ENTRY = wp.constant(-1)  # Marks the absence of coloured triangles or of a texture

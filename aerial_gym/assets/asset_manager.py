@@ -37,21 +37,11 @@ class AssetManager:
     _clearance: "Clearance | None" = None
 
     def __init__(
-        self,
-        cfg: EnvironmentCfg,
-        gtd: GlobalTensorDictionary,
-        *,
-        num_envs: int,
-        device: torch.device,
-        random: Randomness,
-        bounds_min: Tensor,
-        bounds_max: Tensor,
-        asset_state: Tensor | None = None,
-        robot_radius: float = 0.0,
-        robot_parts: Sequence[PartCfg] = (),
-        robot_state: Tensor | None = None,
+        self, cfg: EnvironmentCfg, gtd: GlobalTensorDictionary, *, num_envs: int, device: torch.device,
+        random: Randomness, bounds_min: Tensor, bounds_max: Tensor, asset_state: Tensor | None = None,
+        robot_radius: float = 0.0, robot_parts: Sequence[PartCfg] = (), robot_state: Tensor | None = None,
         robot_links: Sequence[str] = (BASE,),
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Draw the obstacles of each environment, build the scene and park everything until the first reset.
 
         Args:
@@ -89,13 +79,9 @@ class AssetManager:
             lamps=cfg.lamps,
         )
         obstacles = view_obstacles(
-            self._state,
-            self._waypoints,
-            table=asset_table(self._assets, device=self._device),
-            asset=self._asset,
-            bounds=(bounds_min, bounds_max),
-            random=random,
-        )
+            self._state, self._waypoints, table=asset_table(self._assets, device=self._device), asset=self._asset,
+            bounds=(bounds_min, bounds_max), random=random,
+        )  # fmt: skip
         self._placement: Placement | None = None
         if self.num_assets:
             self._placement = Placement(
@@ -171,13 +157,9 @@ class AssetManager:
             from aerial_gym.assets.track import TrackPlacement
 
             self._track = TrackPlacement(
-                self.cfg.track,
-                self._obstacles,
-                nominal=self._places[:3],
-                places=self._places[3:],
-                start=start,
+                self.cfg.track, self._obstacles, nominal=self._places[:3], places=self._places[3:], start=start,
                 random=self.random,
-            )
+            )  # fmt: skip
 
     def place_track(self, mask: Tensor) -> None:
         """Draw gates and poles in the environments of ``mask``, bool (E,), after ``reset`` and the robot's start."""

@@ -47,14 +47,9 @@ def shape_gap(
 
 @wp.func
 def body_distance(
-    shape: Shape,
-    origin: wp.vec3,
-    turn: wp.quat,
-    body: wp.array[BodyShape],
-    position: wp.vec3,
-    attitude: wp.quat,
+    shape: Shape, origin: wp.vec3, turn: wp.quat, body: wp.array[BodyShape], position: wp.vec3, attitude: wp.quat,
     limit: float,
-) -> float:
+) -> float:  # fmt: skip
     """Return the least signed distance of a robot's shapes to a part [m], at most ``limit``.
 
     Origin and turn are those of the part, position and attitude those of the robot, all world.

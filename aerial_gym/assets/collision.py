@@ -58,16 +58,9 @@ class CollisionTest:
     """Signed distance of one robot per environment to the scene; all views are made at construction."""
 
     def __init__(
-        self,
-        scene: Scene,
-        shapes: Sequence[CollisionShape],
-        *,
-        position: Tensor,
-        attitude: Tensor,
-        distance_out: Tensor,
-        moving: "Obstacles | None" = None,
-        links: Sequence["LinkGeometry"] = (),
-    ) -> None:
+        self, scene: Scene, shapes: Sequence[CollisionShape], *, position: Tensor, attitude: Tensor,
+        distance_out: Tensor, moving: "Obstacles | None" = None, links: Sequence["LinkGeometry"] = (),
+    ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are.
 
         Args:
@@ -120,26 +113,15 @@ class CollisionTest:
         ]
 
     def _record_link_launches(
-        self,
-        own: _LinkShapes,
-        position: Tensor,
-        attitude: Tensor,
-        *,
-        dt: float,
-        crashes: Tensor,
+        self, own: _LinkShapes, position: Tensor, attitude: Tensor, *, dt: float, crashes: Tensor,
         flags: tuple[bool, ...],
-    ) -> list[ReusableLaunch]:
+    ) -> list[ReusableLaunch]:  # fmt: skip
         scene, rows = self._scene, (position.shape[0], self._scene.num_envs)
         inputs = [
-            scene.arrays,
-            vector_view("position", position, (*rows, 3), device=scene.device),
-            vector_view("attitude", attitude, (*rows, 4), device=scene.device),
-            own.shapes,
-            own.hull,
-            wp.vec3(*own.link.pivot),
-            dt,
-            *flags,
-        ]
+            scene.arrays, vector_view("position", position, (*rows, 3), device=scene.device),
+            vector_view("attitude", attitude, (*rows, 4), device=scene.device), own.shapes, own.hull,
+            wp.vec3(*own.link.pivot), dt, *flags,
+        ]  # fmt: skip
         moves, shared = self._moving is not None, scene.device.type == "cuda"
         outputs = [self._moving if moves else NoObstacles(), self._out, crashes]
         kernel = make_collision_kernel(moves=moves, shared=shared, cores=own.cores, meshes=scene.has_meshes)

@@ -50,14 +50,9 @@ def _make_sphere_gap(*, meshes: bool) -> wp.Function:
 
     @wp.func
     def sphere_gap(
-        shape: Shape,
-        origin: wp.vec3,
-        turn: wp.quat,
-        sphere: wp.array[wp.vec4],
-        position: wp.vec3,
-        attitude: wp.quat,
+        shape: Shape, origin: wp.vec3, turn: wp.quat, sphere: wp.array[wp.vec4], position: wp.vec3, attitude: wp.quat,
         limit: float,
-    ) -> float:
+    ) -> float:  # fmt: skip
         """Return the least signed distance of the robot's spheres to a part [m], at most ``limit``."""
         nearest = float(limit)
         for c in range(sphere.shape[0]):

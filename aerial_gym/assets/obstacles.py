@@ -76,14 +76,9 @@ class Obstacles:
 
 
 def view_obstacles(
-    state: Tensor,
-    waypoints: Tensor,
-    *,
-    table: wp.array,
-    asset: Tensor,
-    bounds: tuple[Tensor, Tensor],
+    state: Tensor, waypoints: Tensor, *, table: wp.array, asset: Tensor, bounds: tuple[Tensor, Tensor],
     random: Randomness,
-) -> Obstacles:
+) -> Obstacles:  # fmt: skip
     """Return views of tensors, which must stay where they are.
 
     Args:
@@ -94,15 +89,9 @@ def view_obstacles(
     """
     low, high = bounds
     arrays = make_struct(
-        Obstacles,
-        table=table,
-        asset=asset,
-        bounds_min=low,
-        bounds_max=high,
-        random=random_arrays(random),
-        waypoint_a=waypoints[:, :, 0],
-        waypoint_b=waypoints[:, :, 1],
-    )
+        Obstacles, table=table, asset=asset, bounds_min=low, bounds_max=high, random=random_arrays(random),
+        waypoint_a=waypoints[:, :, 0], waypoint_b=waypoints[:, :, 1],
+    )  # fmt: skip
     for name, columns in (("position", (0, 3)), ("attitude", (3, 7)), ("lin_vel", (7, 10)), ("ang_vel", (10, 13))):
         view = state[..., slice(*columns)]
         setattr(arrays, name, vector_view(name, view, tuple(view.shape), device=state.device))

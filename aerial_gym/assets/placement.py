@@ -120,13 +120,9 @@ class Placement:
         self._mask = mask
         asked = wp.from_torch(mask)
         self._command = ReusableLaunch(
-            _place_instances,
-            dim=obstacles.asset.shape,
-            inputs=[asked, num_kept, num_others, PARKED_Z],
-            outputs=[obstacles],
-            device=asked.device,
-            block_dim=BLOCK_DIM,
-        )
+            _place_instances, dim=obstacles.asset.shape, inputs=[asked, num_kept, num_others, PARKED_Z],
+            outputs=[obstacles], device=asked.device, block_dim=BLOCK_DIM,
+        )  # fmt: skip
 
     def draw(self) -> None:
         """Launch the placement of obstacles on torch's current stream."""

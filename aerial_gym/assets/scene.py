@@ -35,19 +35,10 @@ class Scene:
     """Instances of shared shapes in E environments."""
 
     def __init__(
-        self,
-        shapes: Sequence[ShapeCfg],
-        *,
-        shape_index: Tensor,
-        semantic_id: Tensor,
-        asset_state: Tensor,
-        groups: Sequence[tuple[int, int]] | None = None,
-        fixed: Sequence[PartCfg] = (),
-        robot: Sequence[PartCfg] = (),
-        robot_state: Tensor | None = None,
-        robot_links: Sequence[str] = (BASE,),
-        lamps: Sequence[LampCfg] = (),
-    ) -> None:
+        self, shapes: Sequence[ShapeCfg], *, shape_index: Tensor, semantic_id: Tensor, asset_state: Tensor,
+        groups: Sequence[tuple[int, int]] | None = None, fixed: Sequence[PartCfg] = (), robot: Sequence[PartCfg] = (),
+        robot_state: Tensor | None = None, robot_links: Sequence[str] = (BASE,), lamps: Sequence[LampCfg] = (),
+    ) -> None:  # fmt: skip
         """Read the shapes and take views of the poses.
 
         Args:
@@ -83,16 +74,12 @@ class Scene:
         self._allocate_parts(self._max_num_parts(groups), carriers)
         self._lay_out_parts()
         self.arrays = make_struct(
-            SceneArrays,
-            shapes=self.shape_table.array,
-            part_shape=self._part_shape,
-            part_instance=self._part_instance,
-            semantic_id=self._part_semantic,
-            num_solid=self.num_parts - len(robot),
+            SceneArrays, shapes=self.shape_table.array, part_shape=self._part_shape,
+            part_instance=self._part_instance, semantic_id=self._part_semantic, num_solid=self.num_parts - len(robot),
             radius=self._radius,
             position=vector_view("position", asset_state[..., 0:3], (*size, 3), device=self.device),
             attitude=vector_view("attitude", asset_state[..., 3:7], (*size, 4), device=self.device),
-        )
+        )  # fmt: skip
         self.robot_state: Tensor | None = None
         """States of the robot's links, (E, L, 13); None where it is not seen."""
         if robot:

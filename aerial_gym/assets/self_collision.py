@@ -99,15 +99,9 @@ class SelfCollisionTest:
     """Signed distances between the links of one robot per environment; all views are made at construction."""
 
     def __init__(
-        self,
-        cfg: CollisionCfg,
-        *,
-        names: Sequence[str],
-        parents: Sequence[int],
-        pivots: Sequence[Vec3],
-        state: Tensor,
-        distance_out: Tensor,
-    ) -> None:
+        self, cfg: CollisionCfg, *, names: Sequence[str], parents: Sequence[int], pivots: Sequence[Vec3],
+        state: Tensor, distance_out: Tensor,
+    ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are.
 
         Args:
@@ -153,13 +147,9 @@ class SelfCollisionTest:
             vector_view("attitude", attitude, (*position.shape[:3], 4), device=device),
         ]
         return ReusableLaunch(
-            _test_pairs,
-            dim=len(self._out),
-            inputs=[*self._fixed, *poses, is_step],
-            outputs=[self._out, crashes],
-            device=self._place,
-            block_dim=BLOCK_DIM,
-        )
+            _test_pairs, dim=len(self._out), inputs=[*self._fixed, *poses, is_step], outputs=[self._out, crashes],
+            device=self._place, block_dim=BLOCK_DIM,
+        )  # fmt: skip
 
     def measure(self) -> None:
         """Launch the measurement at the present poses on torch's current stream."""

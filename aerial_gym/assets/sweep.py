@@ -259,17 +259,9 @@ def make_static_sweep(*, cores: bool, meshes: bool) -> wp.Function:
 
     @wp.func
     def touches_static(
-        shape: Shape,
-        x: wp.vec3,
-        q: wp.quat,
-        radius: float,
-        body: body_type,
-        hull: float,
-        pivot: wp.vec3,
-        position: wp.array2d[wp.vec3],
-        attitude: wp.array2d[wp.quat],
-        env: int,
-    ) -> wp.bool:
+        shape: Shape, x: wp.vec3, q: wp.quat, radius: float, body: body_type, hull: float, pivot: wp.vec3,
+        position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int,
+    ) -> wp.bool:  # fmt: skip
         """Return whether a shape touches the part of a carrier at pose (x, q) between any two consecutive poses.
 
         ``radius`` [m] bounds the part about its origin, ``hull`` the robot about the body's.
@@ -301,19 +293,9 @@ def make_moving_sweep(*, cores: bool, meshes: bool) -> wp.Function:
 
     @wp.func
     def touches_moving(
-        obstacles: Obstacles,
-        env: int,
-        a: int,
-        x: wp.vec3,
-        q: wp.quat,
-        v: wp.vec3,
-        dt: float,
-        shape: Shape,
-        radius: float,
-        body: body_type,
-        hull: float,
-        path: Path,
-    ) -> wp.bool:
+        obstacles: Obstacles, env: int, a: int, x: wp.vec3, q: wp.quat, v: wp.vec3, dt: float, shape: Shape,
+        radius: float, body: body_type, hull: float, path: Path,
+    ) -> wp.bool:  # fmt: skip
         """Return whether a shape touches the part; its carrier, instance a, starts at pose (x, q) with velocity v.
 
         The carrier moves in a straight line between the times of its reversals and wraps.

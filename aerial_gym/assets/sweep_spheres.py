@@ -50,17 +50,9 @@ def _ball_touches(
 
 @wp.func
 def spheres_touch_static(
-    shape: Shape,
-    x: wp.vec3,
-    q: wp.quat,
-    _radius: float,
-    body: wp.array[wp.vec4],
-    _hull: float,
-    pivot: wp.vec3,
-    position: wp.array2d[wp.vec3],
-    attitude: wp.array2d[wp.quat],
-    env: int,
-) -> wp.bool:
+    shape: Shape, x: wp.vec3, q: wp.quat, _radius: float, body: wp.array[wp.vec4], _hull: float, pivot: wp.vec3,
+    position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int,
+) -> wp.bool:  # fmt: skip
     """Return whether a sphere touches the part, as ``touches_static`` does.
 
     The nearest pair at the last pose gives a plane. It clears nearly all substeps, those wholly above it, at once.

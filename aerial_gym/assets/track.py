@@ -229,15 +229,9 @@ class TrackPlacement:
     """Draws of the tracks of masked environments; all views are made at construction."""
 
     def __init__(
-        self,
-        cfg: TrackCfg,
-        obstacles: Obstacles,
-        *,
-        nominal: Sequence[Tensor],
-        places: Sequence[Tensor],
-        start: Tensor,
-        random: Randomness,
-    ) -> None:
+        self, cfg: TrackCfg, obstacles: Obstacles, *, nominal: Sequence[Tensor], places: Sequence[Tensor],
+        start: Tensor, random: Randomness,
+    ) -> None:  # fmt: skip
         """Record the launch.
 
         Args:
@@ -257,13 +251,9 @@ class TrackPlacement:
         track.layout = _layout_struct(cfg.layout)
         self._mask = random.mask
         self._command = ReusableLaunch(
-            _draw_track,
-            dim=start.shape[0],
-            inputs=[self._mask, start, random_arrays(random), track],
-            outputs=[_pose_arrays(nominal), _pose_arrays(places), obstacles],
-            device=device,
-            block_dim=BLOCK_DIM,
-        )
+            _draw_track, dim=start.shape[0], inputs=[self._mask, start, random_arrays(random), track],
+            outputs=[_pose_arrays(nominal), _pose_arrays(places), obstacles], device=device, block_dim=BLOCK_DIM,
+        )  # fmt: skip
 
     def draw(self) -> None:
         """Launch the draw for the masked environments of ``random`` on torch's current stream."""

@@ -137,13 +137,9 @@ __all__ = [
 ]  # fmt: skip
 
 MODELS: dict[str, type[RangeSensorCfg]] = {
-    "pinhole": CameraCfg,
-    "stereo": StereoCfg,
-    "fisheye": FisheyeCfg,
-    "lidar": LidarCfg,
-    "ray_table": RayTableCfg,
+    "pinhole": CameraCfg, "stereo": StereoCfg, "fisheye": FisheyeCfg, "lidar": LidarCfg, "ray_table": RayTableCfg,
     "rosette": RosetteCfg,
-}
+}  # fmt: skip
 """Class of each ``model``."""
 
 

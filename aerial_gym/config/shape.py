@@ -18,15 +18,9 @@ GROUND_ID = 15  # Segmentation id of the ground: the first after those of the wa
 BASE = "base"  # Name of the link of a robot that is no joint's: the body itself
 
 _FIELDS_OF_KIND = {
-    "box": ("size",),
-    "sphere": ("radius",),
-    "cylinder": ("radius", "height"),
-    "capsule": ("radius", "height"),
-    "plane": (),
-    "mesh": ("path",),
-    "compound": ("parts",),
-    "urdf": ("path",),
-}
+    "box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "height"), "capsule": ("radius", "height"),
+    "plane": (), "mesh": ("path",), "compound": ("parts",), "urdf": ("path",),
+}  # fmt: skip
 
 
 def require_color(config: object, *names: str) -> None:

@@ -44,16 +44,9 @@ class CollisionTests:
     _between: "SelfCollisionTest | None" = None
 
     def __init__(
-        self,
-        robot: RobotCfg,
-        gtd: GlobalTensorDictionary,
-        assets: AssetManager,
-        *,
-        links: LinkTensors | None,
-        places: "LinkPlaces | None",
-        trajectory: Trajectory | None,
-        dt: float,
-    ) -> None:
+        self, robot: RobotCfg, gtd: GlobalTensorDictionary, assets: AssetManager, *, links: LinkTensors | None,
+        places: "LinkPlaces | None", trajectory: Trajectory | None, dt: float,
+    ) -> None:  # fmt: skip
         """Declare the distance between links on request, and take views.
 
         Args:
@@ -65,14 +58,11 @@ class CollisionTests:
             from aerial_gym.assets.collision import CollisionTest
 
             self._collision = CollisionTest(
-                assets.scene,
-                robot.collision.link_shapes(BASE),
+                assets.scene, robot.collision.link_shapes(BASE),
                 links=() if links is None else links.link_shapes(robot.collision),
-                distance_out=gtd["robot_clearance"],
-                moving=assets.moving,
-                position=gtd["robot_position"],
+                distance_out=gtd["robot_clearance"], moving=assets.moving, position=gtd["robot_position"],
                 attitude=gtd["robot_orientation"],
-            )
+            )  # fmt: skip
         followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
         if places is not None and places.trajectory is not None:
             followed, dt = (places.trajectory.position, places.trajectory.attitude), dt / places.trajectory.pieces

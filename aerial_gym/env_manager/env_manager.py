@@ -80,21 +80,10 @@ class EnvManager:
     """A batch of environments: obstacles, one robot each, sensors, and the Global Tensor Dictionary they share."""
 
     def __init__(
-        self,
-        *,
-        sim: SimCfg,
-        env: EnvironmentCfg,
-        robot: RobotCfg,
-        controller: ControllerCfg,
-        num_envs: int,
-        device: torch.device,
-        seed: int,
-        first_env: int = 0,
-        first_episode: int = 0,
-        differentiable: bool = False,
-        dtype: torch.dtype = torch.float32,
-        randomize: Randomize | None = None,
-    ) -> None:
+        self, *, sim: SimCfg, env: EnvironmentCfg, robot: RobotCfg, controller: ControllerCfg, num_envs: int,
+        device: torch.device, seed: int, first_env: int = 0, first_episode: int = 0, differentiable: bool = False,
+        dtype: torch.dtype = torch.float32, randomize: Randomize | None = None,
+    ) -> None:  # fmt: skip
         """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` documents the arguments."""
         if not 1 <= num_envs <= MAX_COUNT:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1, and at most {MAX_COUNT:,}")
@@ -109,46 +98,27 @@ class EnvManager:
         root, bounds = self.gtd["vec_root_tensor"], (self.gtd["env_bounds_min"], self.gtd["env_bounds_max"])
         self._bounds = Bounds(env, lower=bounds[0], upper=bounds[1], random=self.random)
         self.asset_manager = AssetManager(
-            env,
-            self.gtd,
-            num_envs=num_envs,
-            device=device,
-            random=self.random,
-            bounds_min=bounds[0],
-            bounds_max=bounds[1],
-            asset_state=root[:, 1:],
-            robot_radius=body_reach(robot.collision.shapes),
-            robot_parts=robot.visible_parts,
-            robot_state=root[:, 0] if links is None else links.state,
+            env, self.gtd, num_envs=num_envs, device=device, random=self.random, bounds_min=bounds[0],
+            bounds_max=bounds[1], asset_state=root[:, 1:], robot_radius=body_reach(robot.collision.shapes),
+            robot_parts=robot.visible_parts, robot_state=root[:, 0] if links is None else links.state,
             robot_links=robot.link_names,
-        )
+        )  # fmt: skip
         random = {**robot.randomize, **env.randomize, **(randomize or {})}
         places = {name: each for name, each in random.items() if name.startswith("sensors.")}
         names = (_registry_name(ROBOTS, robot), _registry_name(CONTROLLERS, controller))
         for check in (check_closed_loop, report_range_faults):
             check(
-                robot,
-                controller,
-                gravity=sim.gravity,
-                dt=sim.dt,
-                integrator=sim.integrator,
-                names=names,
+                robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names,
                 randomize=random,
-            )
+            )  # fmt: skip
         check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
         scene = self.asset_manager.scene
         trajectory = make_trajectory(env, robot, num_envs=num_envs, device=device, differentiable=differentiable)
         around = Surroundings(
-            bounds=bounds,
-            crashes=self.gtd["crashes"],
-            ground_height=env.ground_height,
-            ceiling_height=env.ceiling_height,
-            contact=env.contact,
-            scene=scene,
-            moving=self.asset_manager.moving,
-            links=links,
-            hook=trajectory,
-        )
+            bounds=bounds, crashes=self.gtd["crashes"], ground_height=env.ground_height,
+            ceiling_height=env.ceiling_height, contact=env.contact, scene=scene, moving=self.asset_manager.moving,
+            links=links, hook=trajectory,
+        )  # fmt: skip
         self.robot_manager = RobotManager(
             robot,
             controller,
@@ -187,27 +157,17 @@ class EnvManager:
             carriers=carriers,
         )
         self.imus = ImuSet(
-            imus,
-            self.gtd,
-            body,
-            dt=self.dt,
-            gravity=sim.gravity,
-            random=self.random,
-            errors=self.robot_manager.imu_errors,
-            carriers=carriers,
-        )
+            imus, self.gtd, body, dt=self.dt, gravity=sim.gravity, random=self.random,
+            errors=self.robot_manager.imu_errors, carriers=carriers,
+        )  # fmt: skip
         self._move_links()
         self._collision = CollisionTests(
             robot, self.gtd, self.asset_manager, links=links, places=self._links, trajectory=trajectory, dt=sim.dt
         )
         self._identity = config_digests(
-            sim=sim,
-            environment=env,
-            robot=robot,
-            controller=controller,
-            randomize=dict(randomize or {}),
+            sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {}),
             **_own_code(robot, controller, random),
-        )
+        )  # fmt: skip
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
     def _declare(self, num_assets: int) -> None:

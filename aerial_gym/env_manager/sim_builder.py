@@ -66,22 +66,11 @@ class SimBuilder:
     """Builds an ``EnvManager`` from names, or from configurations."""
 
     def build_env(
-        self,
-        *,
-        sim_name: str | SimCfg,
-        env_name: str | Path | EnvironmentCfg,
-        robot_name: str | Path | RobotCfg,
-        controller_name: str | ControllerCfg,
-        num_envs: int,
-        device: str | torch.device = "auto",
-        seed: int = 0,
-        first_env: int = 0,
-        first_episode: int = 0,
-        backend: str | None = None,
-        differentiable: bool = False,
-        dtype: torch.dtype = torch.float32,
-        randomize: Randomize | None = None,
-    ) -> EnvManager:
+        self, *, sim_name: str | SimCfg, env_name: str | Path | EnvironmentCfg, robot_name: str | Path | RobotCfg,
+        controller_name: str | ControllerCfg, num_envs: int, device: str | torch.device = "auto", seed: int = 0,
+        first_env: int = 0, first_episode: int = 0, backend: str | None = None, differentiable: bool = False,
+        dtype: torch.dtype = torch.float32, randomize: Randomize | None = None,
+    ) -> EnvManager:  # fmt: skip
         """Return a simulation, built and not yet reset. Unregistered configurations can replace names.
 
         Args:

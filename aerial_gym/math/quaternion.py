@@ -61,16 +61,10 @@ def quat_to_matrix(q: Tensor) -> Tensor:
     """Return the rotation matrix R, body to world, (..., 3, 3). Source: Diebel (2006), eq. 125, for xyzw."""
     x, y, z, w = q.unbind(-1)
     rows = (
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - w * z),
-        2.0 * (x * z + w * y),
-        2.0 * (x * y + w * z),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - w * x),
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        1.0 - 2.0 * (x * x + y * y),
-    )
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 

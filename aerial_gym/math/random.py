@@ -104,14 +104,9 @@ class Randomness:
     """
 
     def __init__(
-        self,
-        num_envs: int,
-        *,
-        device: str | torch.device = "cpu",
-        seed: int = 0,
-        first_env: int = 0,
+        self, num_envs: int, *, device: str | torch.device = "cpu", seed: int = 0, first_env: int = 0,
         first_episode: int = 0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Store the seed and the numbers of the environments.
 
         Args:

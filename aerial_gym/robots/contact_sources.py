@@ -71,13 +71,9 @@ class ContactSources:
         if height is None and (self._on_links is None or self._on_links.solids is None):
             return None
         return Ground(
-            height=-inf if height is None else height,
-            spheres=self._spheres,
-            contact=self._around.crashes,
-            cfg=self._around.contact,
-            impulse=self.force,
-            on_links=self._on_links,
-        )
+            height=-inf if height is None else height, spheres=self._spheres, contact=self._around.crashes,
+            cfg=self._around.contact, impulse=self.force, on_links=self._on_links,
+        )  # fmt: skip
 
     def make_hook(
         self, state: BodyState, sim: SimCfg, *, mass: Tensor, inertia: Tensor, com: Tensor
@@ -100,13 +96,6 @@ class ContactSources:
             mass=mass, inertia=inertia, com=com, spheres=self._spheres, shapes=robot.collision.shapes, in_fluid=in_fluid
         )
         return SceneContact(
-            scene,
-            contact,
-            pushed,
-            state,
-            integrator=sim.integrator,
-            dt=sim.dt,
-            crashes_out=around.crashes,
-            impulse_out=self.force,
-            moving=around.moving,
-        )
+            scene, contact, pushed, state, integrator=sim.integrator, dt=sim.dt, crashes_out=around.crashes,
+            impulse_out=self.force, moving=around.moving,
+        )  # fmt: skip

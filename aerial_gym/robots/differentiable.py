@@ -46,16 +46,9 @@ class DifferentiableBackend(TorchBackend):
         self.actions, self._traced = (action.to(self._dtype), self.actions[0]), None
 
     def allocate(
-        self,
-        model: Model,
-        control: ControlLaw,
-        *,
-        integrator: str,
-        ground: Ground | None = None,
-        hook: SubstepHook | None = None,
-        random: Randomness | None = None,
-        efforts: JointEfforts | None = None,
-    ) -> None:
+        self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None,
+        hook: SubstepHook | None = None, random: Randomness | None = None, efforts: JointEfforts | None = None,
+    ) -> None:  # fmt: skip
         """Take everything in the float type of the graph; the control law is in it already."""
         if ground is not None:
             ground = replace(ground, spheres=ground.spheres.to(self._dtype))
@@ -173,14 +166,10 @@ class GradientTensors(Mapping[str, Tensor]):
         """Take the motion, and the last action and the one before, each (E, U)."""
         self.state = state
         self._known: dict[str, Tensor] = {
-            "robot_position": state.position,
-            "robot_orientation": state.attitude,
-            "robot_linvel": state.lin_vel,
-            "robot_body_angvel": state.ang_vel,
-            "rotor_speed": state.rotor_speed,
-            "robot_actions": actions[0],
+            "robot_position": state.position, "robot_orientation": state.attitude, "robot_linvel": state.lin_vel,
+            "robot_body_angvel": state.ang_vel, "rotor_speed": state.rotor_speed, "robot_actions": actions[0],
             "robot_prev_actions": actions[1],
-        }
+        }  # fmt: skip
         self._following = FOLLOWING
         if isinstance(state, ArticulatedState):
             self._known |= {"dof_position": state.joint_pos, "dof_velocity": state.joint_vel}

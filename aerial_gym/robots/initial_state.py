@@ -127,12 +127,9 @@ class ActionStore:
         """Take the output tensors, the first two (E, U)."""
         self._actions = actions
         self._command = ReusableLaunch(
-            _store_actions,
-            dim=tuple(actions.shape),
-            inputs=[actions],
-            outputs=[actions, prev_actions, noticed.episode_step, *noticed.flags],
-            device=actions.device,
-        )
+            _store_actions, dim=tuple(actions.shape), inputs=[actions],
+            outputs=[actions, prev_actions, noticed.episode_step, *noticed.flags], device=actions.device,
+        )  # fmt: skip
 
     def begin(self, given: Tensor) -> None:
         """Begin with an action, (E, U); launched on torch's current stream, not waited for."""
@@ -145,18 +142,10 @@ class InitialState:
     """Resets the motion of one robot per environment, with all views made at construction."""
 
     def __init__(
-        self,
-        cfg: InitialStateCfg,
-        state: BodyState,
-        derived: SecondaryStates,
-        *,
-        bounds: tuple[Tensor, Tensor],
-        rest_speed: Tensor,
-        actions: Tensor,
-        prev_actions: Tensor,
-        random: Randomness,
+        self, cfg: InitialStateCfg, state: BodyState, derived: SecondaryStates, *, bounds: tuple[Tensor, Tensor],
+        rest_speed: Tensor, actions: Tensor, prev_actions: Tensor, random: Randomness,
         noticed: NonFiniteRows | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the output tensors and the inputs of the draws.
 
         Args:
@@ -186,12 +175,9 @@ class InitialState:
         self.work = RowWork(function=start_episode, given_type=StartArrays, given=given)
         """The start of one environment, for use in another kernel."""
         self._command = ReusableLaunch(
-            _start_episodes,
-            dim=state.num_envs,
-            inputs=[self._mask, given],
-            device=state.position.device,
+            _start_episodes, dim=state.num_envs, inputs=[self._mask, given], device=state.position.device,
             block_dim=BLOCK_DIM,
-        )
+        )  # fmt: skip
 
     def reset(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""

@@ -28,15 +28,9 @@ SPREAD = 3.0  # Standard deviations at which a normal range ends: 99.7 % of its 
 
 
 def report_range_faults(
-    robot: RobotCfg,
-    controller: ControllerCfg,
-    *,
-    gravity: float,
-    dt: float,
-    integrator: str,
-    names: tuple[str, str],
+    robot: RobotCfg, controller: ControllerCfg, *, gravity: float, dt: float, integrator: str, names: tuple[str, str],
     randomize: Randomize,
-) -> None:
+) -> None:  # fmt: skip
     """Warn of ranges at whose ends a vehicle is unstable or leaves ``HOVER_RANGE``, with the remedy.
 
     Args:
@@ -59,15 +53,9 @@ def report_range_faults(
 
 
 def hovers_at_range_ends(
-    robot: RobotCfg,
-    controller: ControllerCfg,
-    randomize: Randomize,
-    *,
-    gravity: float,
-    dt: float,
-    integrator: str,
+    robot: RobotCfg, controller: ControllerCfg, randomize: Randomize, *, gravity: float, dt: float, integrator: str,
     names: tuple[str, str],
-) -> Iterator[tuple[str, str, HoverResult]]:
+) -> Iterator[tuple[str, str, HoverResult]]:  # fmt: skip
     """Yield quantity, end and hover of every end of every drawn range; arguments as for ``report_range_faults``."""
     robot = add_effects_to_randomise(robot, randomize)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)

@@ -72,13 +72,9 @@ class RobotDraws:
     """Layout of the draws of one robot; its methods are plain torch on rows."""
 
     def __init__(
-        self,
-        cfg: Randomize,
-        robot: RobotCfg,
-        declared: Vehicle,
-        effects: Sequence[tuple[Effect, Tensor]],
+        self, cfg: Randomize, robot: RobotCfg, declared: Vehicle, effects: Sequence[tuple[Effect, Tensor]],
         gains: Mapping[str, Tensor],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Assign a column to every number.
 
         Args:

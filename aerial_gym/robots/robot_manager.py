@@ -46,18 +46,10 @@ class RobotManager:
     """Owns the robot's tensors in the GTD."""
 
     def __init__(
-        self,
-        robot: RobotCfg,
-        controller: ControllerCfg,
-        sim: SimCfg,
-        gtd: GlobalTensorDictionary,
-        around: Surroundings,
-        *,
-        root_state: Tensor,
-        random: Randomness,
-        gradients: torch.dtype | None = None,
+        self, robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, gtd: GlobalTensorDictionary,
+        around: Surroundings, *, root_state: Tensor, random: Randomness, gradients: torch.dtype | None = None,
         randomize: Randomize | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
         Args:
@@ -83,12 +75,9 @@ class RobotManager:
             asked |= {"gradients": True, "dtype": gradients}
         self.backend: PhysicsBackend = choose_backend(sim.backend, needs=robot_needs(robot, gtd.device, **asked))
         self.controller: Controller = make_controller(
-            controller,
-            self.declared if gradients is None else self.declared.to(gradients),
-            sim.gravity,
-            dt=sim.dt,
+            controller, self.declared if gradients is None else self.declared.to(gradients), sim.gravity, dt=sim.dt,
             control=robot.control,
-        )
+        )  # fmt: skip
         gtd.define_size("U", len(self.action_names))
         self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state, robot.joints)
         self.differentiable: DifferentiableBackend | None = None
@@ -123,16 +112,10 @@ class RobotManager:
         self.noticed = NonFiniteRows.from_gtd(gtd)
         """Rows that were not finite."""
         self._initial = InitialState(
-            robot.initial_state,
-            self.tensors.state,
-            self.tensors.derived,
-            bounds=around.bounds,
-            rest_speed=rest_speed,
-            actions=self.tensors.actions,
-            prev_actions=self.tensors.prev_actions,
-            random=random,
-            noticed=self.noticed,
-        )
+            robot.initial_state, self.tensors.state, self.tensors.derived, bounds=around.bounds,
+            rest_speed=rest_speed, actions=self.tensors.actions, prev_actions=self.tensors.prev_actions,
+            random=random, noticed=self.noticed,
+        )  # fmt: skip
         self._joints: JointStates | None = None
         if robot.joints is not None:
             assert isinstance(self.tensors.state, ArticulatedState)
@@ -303,14 +286,10 @@ class RobotManager:
         types = [target.dtype for target in drawn]
         targets = (*(shown[name] for name in own), *drawn, *self.backend.parameter_targets())
         return RowUpdate(
-            rows,
-            self._parameter_sources(),
-            targets,
-            mask=self._random.mask,
-            made=draw_code(self._randomized.drawn, self._random, device=self._gtd.device),
-            beside=self._initial.work,
+            rows, self._parameter_sources(), targets, mask=self._random.mask,
+            made=draw_code(self._randomized.drawn, self._random, device=self._gtd.device), beside=self._initial.work,
             plain=partial(rows, declared=self.declared),
-        )
+        )  # fmt: skip
 
     def refresh_model(self) -> bool:
         """Apply parameters written by DLPack or a kernel to the physics; ``step`` does so after other writes.

@@ -204,18 +204,9 @@ class SceneContact:
     max_substeps: int | None = None  # Any number
 
     def __init__(
-        self,
-        scene: Scene,
-        cfg: ContactCfg,
-        robot: ContactBody,
-        state: BodyState,
-        *,
-        integrator: str,
-        dt: float,
-        crashes_out: Tensor,
-        impulse_out: Tensor,
-        moving: "Obstacles | None" = None,
-    ) -> None:
+        self, scene: Scene, cfg: ContactCfg, robot: ContactBody, state: BodyState, *, integrator: str, dt: float,
+        crashes_out: Tensor, impulse_out: Tensor, moving: "Obstacles | None" = None,
+    ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are.
 
         Args:

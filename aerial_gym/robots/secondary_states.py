@@ -135,30 +135,17 @@ class SecondaryStates:
     """Keeps the derived states of one robot per environment, with all views made at construction."""
 
     def __init__(
-        self,
-        state: BodyState,
-        *,
-        ang_vel_world: Tensor,
-        lin_vel_body: Tensor,
-        vehicle_attitude: Tensor,
-        vehicle_lin_vel: Tensor,
-        euler: Tensor,
-        root_state: Tensor,
-        checked: FiniteCheck | None = None,
-    ) -> None:
+        self, state: BodyState, *, ang_vel_world: Tensor, lin_vel_body: Tensor, vehicle_attitude: Tensor,
+        vehicle_lin_vel: Tensor, euler: Tensor, root_state: Tensor, checked: FiniteCheck | None = None,
+    ) -> None:  # fmt: skip
         """Take the motion as input, the output tensors (E, 3), (E, 4) and (E, 13), and the check."""
         start_warp()
         self._like = state.position
         self._checked = checked = checked or FiniteCheck.placeholder(state)
         self.arrays = make_struct(
-            SecondaryArrays,
-            ang_vel_world=ang_vel_world,
-            lin_vel_body=lin_vel_body,
-            vehicle_attitude=vehicle_attitude,
-            vehicle_lin_vel=vehicle_lin_vel,
-            euler=euler,
-            root_state=root_state,
-        )
+            SecondaryArrays, ang_vel_world=ang_vel_world, lin_vel_body=lin_vel_body,
+            vehicle_attitude=vehicle_attitude, vehicle_lin_vel=vehicle_lin_vel, euler=euler, root_state=root_state,
+        )  # fmt: skip
         self._command = ReusableLaunch(
             _derive_states,
             dim=state.num_envs,

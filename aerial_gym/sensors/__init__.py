@@ -15,20 +15,8 @@ if TYPE_CHECKING:
     from aerial_gym.sensors.sensor_manager import SensorManager
 
 __all__ = [
-    "IMUS",
-    "MISS_ID",
-    "SENSORS",
-    "Imu",
-    "ImuSet",
-    "Pose",
-    "RayCaster",
-    "SensorImages",
-    "SensorManager",
-    "make_images",
-    "mounted_sensors",
-    "pinhole_rays",
-    "ray_table",
-    "sensor_by_name",
-]
+    "IMUS", "MISS_ID", "SENSORS", "Imu", "ImuSet", "Pose", "RayCaster", "SensorImages", "SensorManager",
+    "make_images", "mounted_sensors", "pinhole_rays", "ray_table", "sensor_by_name",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -108,14 +108,10 @@ def make_flow_inputs(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     table = pixel_derivatives(cfg, device=scene.device).view(-1, 2, 3)
     columns = scene.num_instances + scene.num_links + 2
     return make_struct(
-        Flow,
-        right=table[:, 0].contiguous(),
-        down=table[:, 1].contiguous(),
-        num_instances=scene.num_instances,
+        Flow, right=table[:, 0].contiguous(), down=table[:, 1].contiguous(), num_instances=scene.num_instances,
         drift=wp.zeros((mounts, columns), dtype=wp.vec3, device=device),
-        turn=wp.zeros((mounts, columns), dtype=wp.vec3, device=device),
-        part_instance=scene.arrays.part_instance,
-    )
+        turn=wp.zeros((mounts, columns), dtype=wp.vec3, device=device), part_instance=scene.arrays.part_instance,
+    )  # fmt: skip
 
 
 def record_relative_twist(flow: Flow, scene: Scene, sensors: SensorsOnCarrier) -> ReusableLaunch:

@@ -136,18 +136,9 @@ def _apply_effect_errors(motion: ImuMotion, unit: ImuParameters, e: int, first: 
 
 @wp.func
 def _write_sample(
-    motion: ImuMotion,
-    unit: ImuParameters,
-    out: ImuOutputs,
-    e: int,
-    random: wp.uint32,
-    mount: wp.quat,
-    force: wp.vec3,
-    ang_vel: wp.vec3,
-    accel_bias: wp.vec3,
-    gyro_bias: wp.vec3,
-    steps: float,
-):
+    motion: ImuMotion, unit: ImuParameters, out: ImuOutputs, e: int, random: wp.uint32, mount: wp.quat,
+    force: wp.vec3, ang_vel: wp.vec3, accel_bias: wp.vec3, gyro_bias: wp.vec3, steps: float,
+):  # fmt: skip
     """Write biases and the IMU's measurement of specific force [m/s²] and angular velocity [rad/s], both in body axes.
 
     The noise is that of a mean over a number of steps.
@@ -248,18 +239,9 @@ class Imu:
     """One IMU in every environment, with all views made at construction."""
 
     def __init__(
-        self,
-        cfg: ImuCfg,
-        carrier: Carrier,
-        *,
-        measurement_out: Tensor,
-        dt: float,
-        gravity: float,
-        random: Randomness | None = None,
-        number: int = 0,
-        errors: Tensor | None = None,
-        pose: Pose | None = None,
-    ) -> None:
+        self, cfg: ImuCfg, carrier: Carrier, *, measurement_out: Tensor, dt: float, gravity: float,
+        random: Randomness | None = None, number: int = 0, errors: Tensor | None = None, pose: Pose | None = None,
+    ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
 
         Args:

@@ -26,17 +26,10 @@ class ImuSet:
     imus: "dict[str, Imu]"
 
     def __init__(
-        self,
-        mounted: Mapping[str, RobotSensor[ImuCfg]],
-        gtd: GlobalTensorDictionary,
-        body: Carrier,
-        *,
-        dt: float,
-        gravity: float,
-        random: Randomness,
-        errors: Tensor | None = None,
+        self, mounted: Mapping[str, RobotSensor[ImuCfg]], gtd: GlobalTensorDictionary, body: Carrier, *, dt: float,
+        gravity: float, random: Randomness, errors: Tensor | None = None,
         carriers: Mapping[str, Carrier] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Declare the measurements and make an ``Imu`` for each.
 
         Args:
@@ -55,16 +48,9 @@ class ImuSet:
                 meaning=_measurement_meaning(given.cfg),
             ))  # fmt: skip
             self.imus[name] = Imu(
-                given.cfg,
-                (carriers or {}).get(name, body),
-                pose=given.pose,
-                measurement_out=measurement,
-                dt=dt,
-                gravity=gravity,
-                random=random,
-                number=len(self.imus),
-                errors=errors,
-            )
+                given.cfg, (carriers or {}).get(name, body), pose=given.pose, measurement_out=measurement, dt=dt,
+                gravity=gravity, random=random, number=len(self.imus), errors=errors,
+            )  # fmt: skip
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""

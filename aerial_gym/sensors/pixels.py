@@ -100,19 +100,9 @@ def make_write_pixel(outputs: PixelOutputs) -> wp.Function:
     # mount: the image; seat: the pose, a row of the view, which differs from the mount for a scanning lidar
     @wp.func
     def write_pixel(
-        images: images_type,
-        limits: DistanceLimits,
-        noise: DistanceNoise,
-        light: Light,
-        view: SensorView,
-        env: int,
-        mount: int,
-        seat: int,
-        pixel: int,
-        ray: wp.vec3,
-        nearest: float,
-        hit: int,
-    ):
+        images: images_type, limits: DistanceLimits, noise: DistanceNoise, light: Light, view: SensorView, env: int,
+        mount: int, seat: int, pixel: int, ray: wp.vec3, nearest: float, hit: int,
+    ):  # fmt: skip
         along = wp.where(limits.projected, ray[0], 1.0)
         measured = nearest * along
         dropped = wp.bool(False)
@@ -161,18 +151,9 @@ def make_write_pixel(outputs: PixelOutputs) -> wp.Function:
                     place = images.origin[seat]
                     turn = images.attitude[seat]
                     color = pixel_color(
-                        view,
-                        light,
-                        env,
-                        seat,
-                        hit,
-                        surface,
-                        nearest * ray,
-                        place,
-                        turn,
-                        wp.static(shadows),
+                        view, light, env, seat, hit, surface, nearest * ray, place, turn, wp.static(shadows),
                         wp.static(lamps),
-                    )
+                    )  # fmt: skip
                 normal = surface.normal
                 face = surface.face
             if wp.static(normals_in_world):

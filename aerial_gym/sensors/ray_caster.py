@@ -51,16 +51,9 @@ class RayCaster:
     """The sensors of one kind in every environment, with all views made at construction."""
 
     def __init__(
-        self,
-        cfg: RangeSensorCfg,
-        scene: Scene,
-        images: SensorImages,
-        carrier: Carrier,
-        *,
-        random: Randomness | None = None,
-        number: int = 0,
-        pose: Pose | None = None,
-    ) -> None:
+        self, cfg: RangeSensorCfg, scene: Scene, images: SensorImages, carrier: Carrier, *,
+        random: Randomness | None = None, number: int = 0, pose: Pose | None = None,
+    ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
         Args:
@@ -83,14 +76,11 @@ class RayCaster:
         self._frame = torch.full((envs,), self._num_frames - 1, dtype=torch.int32, device=device)
         """Index of the ray pattern of the last image, int32, (E,)."""
         sensors = make_struct(
-            SensorsOnCarrier,
-            position=vector_view("position", carrier.position, (envs, 3), device=device),
+            SensorsOnCarrier, position=vector_view("position", carrier.position, (envs, 3), device=device),
             attitude=vector_view("attitude", carrier.attitude, (envs, 4), device=device),
-            mount_position=self.places.position,
-            mount_attitude=self.places.attitude,
-            link=carrier.number,
+            mount_position=self.places.position, mount_attitude=self.places.attitude, link=carrier.number,
             **_twist_views(cfg, carrier, envs, device),
-        )
+        )  # fmt: skip
         self._scan: ColumnScan | None = None
         if isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None:
             self._scan = ColumnScan(cfg, scene, sensors)

@@ -35,15 +35,9 @@ def make_warp_kernel(outputs: PixelOutputs) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def cast_by_warp(
-        view: SensorView,
-        rays: Rays,
-        limits: DistanceLimits,
-        noise: DistanceNoise,
-        light: Light,
-        sensors: int,
-        due: wp.array[wp.bool],
-        images: images_type,
-    ):
+        view: SensorView, rays: Rays, limits: DistanceLimits, noise: DistanceNoise, light: Light, sensors: int,
+        due: wp.array[wp.bool], images: images_type,
+    ):  # fmt: skip
         """Trace one ray; the threads of a warp search the candidates of their tile together.
 
         Analytic shapes come before meshes, and near meshes before far ones, so that a tree is searched only up to what was
@@ -140,17 +134,9 @@ def make_tile_kernel(outputs: PixelOutputs, num_parts: int) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def cast_by_tile(
-        view: SensorView,
-        rays: Rays,
-        limits: DistanceLimits,
-        noise: DistanceNoise,
-        light: Light,
-        sensors: int,
-        due: wp.array[wp.bool],
-        images: images_type,
-        per_tile: int,
-        first: int,
-    ):
+        view: SensorView, rays: Rays, limits: DistanceLimits, noise: DistanceNoise, light: Light, sensors: int,
+        due: wp.array[wp.bool], images: images_type, per_tile: int, first: int,
+    ):  # fmt: skip
         """Trace all rays of one tile; analytic shapes come before meshes."""
         task = wp.tid() + first
         num_tiles = rays.num_tiles

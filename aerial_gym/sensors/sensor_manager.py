@@ -33,19 +33,10 @@ class SensorManager:
     casters: "dict[str, RayCaster]"
 
     def __init__(
-        self,
-        cfgs: Mapping[str, RangeSensorCfg],
-        gtd: GlobalTensorDictionary,
-        scene: Scene,
-        body: Carrier,
-        *,
-        num_envs: int,
-        device: torch.device,
-        dt: float | None = None,
-        random: Randomness | None = None,
-        poses: Mapping[str, Pose | None] | None = None,
-        carriers: Mapping[str, Carrier] | None = None,
-    ) -> None:
+        self, cfgs: Mapping[str, RangeSensorCfg], gtd: GlobalTensorDictionary, scene: Scene, body: Carrier, *,
+        num_envs: int, device: torch.device, dt: float | None = None, random: Randomness | None = None,
+        poses: Mapping[str, Pose | None] | None = None, carriers: Mapping[str, Carrier] | None = None,
+    ) -> None:  # fmt: skip
         """Declare the images and make a ray caster for each sensor.
 
         Args:

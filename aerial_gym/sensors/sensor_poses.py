@@ -115,13 +115,9 @@ class SensorPoses:
         self.is_drawn = bool(place.is_drawn)
         """Whether they differ between episodes."""
         self._command = ReusableLaunch(
-            _place_sensors,
-            dim=rows,
-            inputs=[self._mask, random_arrays(random), number, place],
-            outputs=[self.position, self.attitude],
-            device=device,
-            block_dim=BLOCK_DIM,
-        )
+            _place_sensors, dim=rows, inputs=[self._mask, random_arrays(random), number, place],
+            outputs=[self.position, self.attitude], device=device, block_dim=BLOCK_DIM,
+        )  # fmt: skip
 
     def reset(self, mask: Tensor) -> None:
         """Reset the sensor poses of the environments in ``mask``, bool (E,), to nominal or drawn ones, without waiting."""

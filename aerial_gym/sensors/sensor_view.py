@@ -37,16 +37,9 @@ class SensorView:
 
 @wp.func
 def write_part_in_sensor_frame(
-    scene: SceneArrays,
-    env: int,
-    a: int,
-    origin: wp.vec3,
-    attitude: wp.quat,
-    reach: float,
-    row: int,
-    rows_out: wp.array2d[wp.vec4],
-    kind_out: wp.array2d[wp.int32],
-):
+    scene: SceneArrays, env: int, a: int, origin: wp.vec3, attitude: wp.quat, reach: float, row: int,
+    rows_out: wp.array2d[wp.vec4], kind_out: wp.array2d[wp.int32],
+):  # fmt: skip
     """Write one part in the frame of a sensor at a pose (sensor to world) into one row."""
     kind = wp.int32(ABSENT)
     if part_is_present(scene, env, a):

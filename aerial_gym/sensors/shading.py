@@ -209,18 +209,9 @@ def surface_color(view: SensorView, looks: AppearanceArrays, env: int, part: int
 
 @wp.func
 def pixel_color(
-    view: SensorView,
-    light: Light,
-    env: int,
-    mount: int,
-    part: int,
-    surface: Surface,
-    point: wp.vec3,
-    place: wp.vec3,
-    turn: wp.quat,
-    shadows: wp.bool,
-    lamps: wp.bool,
-) -> wp.vec3:
+    view: SensorView, light: Light, env: int, mount: int, part: int, surface: Surface, point: wp.vec3, place: wp.vec3,
+    turn: wp.quat, shadows: wp.bool, lamps: wp.bool,
+) -> wp.vec3:  # fmt: skip
     """Return the colour of a pixel, no channel above 1.
 
     The point is in the sensor's frame [m]; ``place`` and ``turn`` are where the sensor is, world.

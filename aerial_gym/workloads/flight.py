@@ -81,18 +81,9 @@ def _count_environments(flags: Tensor) -> int:
 
 
 def make_flight(
-    *,
-    backend: str,
-    robot: str,
-    controller: str,
-    effects: Sequence[str],
-    integrator: str,
-    num_envs: int,
-    substeps: int,
-    dt: float,
-    device: torch.device,
-    seed: int = 0,
-) -> HoverFlight:
+    *, backend: str, robot: str, controller: str, effects: Sequence[str], integrator: str, num_envs: int,
+    substeps: int, dt: float, device: torch.device, seed: int = 0,
+) -> HoverFlight:  # fmt: skip
     """Return a batch near hover, built from names."""
     if not 0.0 < dt < float("inf"):
         raise ConfigError(f"--dt-s = {dt!r}: must be > 0 and finite")

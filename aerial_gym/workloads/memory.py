@@ -48,14 +48,9 @@ class MemoryBench:
         device = resolve_device(self.device)
         free = _free_bytes(device)
         env = SimBuilder().build_env(
-            sim_name="base_sim",
-            env_name=self.env_name,
-            robot_name=self.robot,
-            controller_name="no_control",
-            num_envs=self.num_envs,
-            device=device,
-            backend=self.backend,
-        )
+            sim_name="base_sim", env_name=self.env_name, robot_name=self.robot, controller_name="no_control",
+            num_envs=self.num_envs, device=device, backend=self.backend,
+        )  # fmt: skip
         env.reset()
         env.step(torch.zeros_like(env.gtd["robot_actions"]))
         env.render()
@@ -64,20 +59,12 @@ class MemoryBench:
         total = sum(arrays.values())
         images = sum(array_bytes([caster.images for caster in env.sensor_manager.casters.values()], device).values())
         figures = {
-            "case": "memory",
-            "name": "total",
-            "env_name": self.env_name,
-            "robot": self.robot,
-            "backend": self.backend or "auto",
-            "device": device_name(device),
-            "num_envs": self.num_envs,
-            "arrays_bytes": total,
-            "images_bytes": images,
-            "images_bytes_per_env": images / self.num_envs,
-            "others_bytes_per_env": (total - images) / self.num_envs,
-            "device_bytes": taken,
+            "case": "memory", "name": "total", "env_name": self.env_name, "robot": self.robot,
+            "backend": self.backend or "auto", "device": device_name(device), "num_envs": self.num_envs,
+            "arrays_bytes": total, "images_bytes": images, "images_bytes_per_env": images / self.num_envs,
+            "others_bytes_per_env": (total - images) / self.num_envs, "device_bytes": taken,
             **provenance(*packages_of_backend(self.backend)),
-        }
+        }  # fmt: skip
         rows = sorted(arrays.items(), key=lambda entry: -entry[1])[: self.largest]
         return [figures, *({"name": name, "bytes": size, "bytes_per_env": size / self.num_envs} for name, size in rows)]
 

@@ -57,15 +57,9 @@ class PeerTimes:
 
 
 def run_peer(
-    name: str,
-    python: str,
-    scene: dict[str, np.ndarray],
-    *,
-    device: str,
-    threads: int,
-    repeats: int,
+    name: str, python: str, scene: dict[str, np.ndarray], *, device: str, threads: int, repeats: int,
     repeat_time_s: float,
-) -> PeerTimes:
+) -> PeerTimes:  # fmt: skip
     """Render and time a scene in a separate process, on the CPU pinned to as many cores as threads."""
     numbers = [f"--device={device}", f"--repeats={repeats}", f"--repeat-time-s={repeat_time_s}"]
     with tempfile.TemporaryDirectory() as folder:
@@ -86,14 +80,9 @@ def run_peer(
 
 
 def mismatch_share(
-    name: str,
-    depth: Tensor,
-    other: Tensor,
-    *,
-    identity: Tensor | None = None,
-    other_identity: Tensor | None = None,
+    name: str, depth: Tensor, other: Tensor, *, identity: Tensor | None = None, other_identity: Tensor | None = None,
     most: float = MOST_THAT_DIFFER,
-) -> float:
+) -> float:  # fmt: skip
     """Return the share of pixels in which two renderers differ: in depth by more than 1 mm, or in identity, if both are given.
 
     Depth is in m, below 0 for a miss. A share above ``most`` is more than edges explain: the scenes differ.
@@ -128,12 +117,9 @@ def scene_arrays(
             places.append(at)
             turns.append(turn)
     arrays = {
-        "position": torch.stack(places, dim=1).float(),
-        "attitude": torch.stack(turns, dim=1).float(),
-        "camera_position": scene.position,
-        "camera_attitude": scene.attitude,
-        "direction": direction,
-    }
+        "position": torch.stack(places, dim=1).float(), "attitude": torch.stack(turns, dim=1).float(),
+        "camera_position": scene.position, "camera_attitude": scene.attitude, "direction": direction,
+    }  # fmt: skip
     return {
         "kind": np.array(kinds),
         "size": np.array(sizes, dtype=np.float32),
@@ -181,15 +167,9 @@ class PeerComparison:
     """Measurement of other renderers on a rendered scene."""
 
     def __init__(
-        self,
-        *,
-        scene: RenderScene,
-        camera: RangeSensorCfg,
-        images: SensorImages,
-        direction: Tensor,
-        pythons: tuple[str, ...],
-        **timing: Any,
-    ) -> None:
+        self, *, scene: RenderScene, camera: RangeSensorCfg, images: SensorImages, direction: Tensor,
+        pythons: tuple[str, ...], **timing: Any,
+    ) -> None:  # fmt: skip
         """Take our ``images``, the ray table ``direction`` (H, W, 3), and ``threads``, ``repeats`` and ``repeat_time_s``."""
         self._scene, self._camera, self._images, self._direction = scene, camera, images, direction
         self._device, self._timing = direction.device.type, timing

@@ -54,18 +54,9 @@ class PhysicsBench:
             flight = make_flight(**{name: getattr(self, name) for name in names}, dt=self.dt_s, device=device)
             seconds = time_launches(flight, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
         return {
-            "case": "physics",
-            "backend": self.backend,
-            "device": device_name(device),
-            "num_envs": self.num_envs,
-            "substeps": self.substeps,
-            "integrator": self.integrator,
-            "controller": self.controller,
-            "robot": self.robot,
-            "effects": list(self.effects),
-            "dt_s": self.dt_s,
-            "threads": threads,
+            "case": "physics", "backend": self.backend, "device": device_name(device), "num_envs": self.num_envs,
+            "substeps": self.substeps, "integrator": self.integrator, "controller": self.controller,
+            "robot": self.robot, "effects": list(self.effects), "dt_s": self.dt_s, "threads": threads,
             **rate_figures("steps_per_s", seconds, self.num_envs * self.substeps),
-            "launch_us": 1e6 * statistics.median(seconds),
-            **versions,
-        }
+            "launch_us": 1e6 * statistics.median(seconds), **versions,
+        }  # fmt: skip

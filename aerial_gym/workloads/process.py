@@ -21,13 +21,9 @@ class RunFailedError(Exception):
 
 
 def run_process(
-    python: str,
-    arguments: Sequence[str],
-    *,
-    threads: int | None = None,
-    folder: str | Path | None = None,
+    python: str, arguments: Sequence[str], *, threads: int | None = None, folder: str | Path | None = None,
     variables: Mapping[str, str] | None = None,
-) -> str:
+) -> str:  # fmt: skip
     """Return the last line that a process writes to stdout.
 
     With ``threads`` it is pinned to as many cores, also its libraries. It runs in the temporary folder unless another is
@@ -37,15 +33,10 @@ def run_process(
     limits = {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))
     try:
         done = subprocess.run(
-            [python, *arguments],
-            cwd=folder or tempfile.gettempdir(),
-            env={**os.environ, **(variables or {}), **limits},
-            capture_output=True,
-            encoding="utf-8",
-            errors="replace",
-            timeout=TIMEOUT_S,
-            preexec_fn=lambda: os.sched_setaffinity(0, cores),
-        )
+            [python, *arguments], cwd=folder or tempfile.gettempdir(),
+            env={**os.environ, **(variables or {}), **limits}, capture_output=True, encoding="utf-8",
+            errors="replace", timeout=TIMEOUT_S, preexec_fn=lambda: os.sched_setaffinity(0, cores),
+        )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
         raise RunFailedError(str(error)) from None
     if done.returncode != 0:

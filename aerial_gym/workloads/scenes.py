@@ -54,23 +54,15 @@ def _environment_scene(name: str, num_envs: int, device: torch.device) -> Render
     env = SimBuilder().build_env(**names, env_name=name, num_envs=num_envs, device=device)
     env.reset()
     return RenderScene(
-        shapes=(),
-        state=env.gtd["env_asset_state_tensor"],
-        position=env.gtd["robot_position"],
-        attitude=env.gtd["robot_orientation"],
-        max_range=10.0,
-        built=env.asset_manager.scene,
-    )
+        shapes=(), state=env.gtd["env_asset_state_tensor"], position=env.gtd["robot_position"],
+        attitude=env.gtd["robot_orientation"], max_range=10.0, built=env.asset_manager.scene,
+    )  # fmt: skip
 
 
 def _scene_on_device(
-    shapes: Iterable[ShapeCfg],
-    state: Tensor,
-    position: Tensor,
-    attitude: Tensor,
-    max_range: float,
+    shapes: Iterable[ShapeCfg], state: Tensor, position: Tensor, attitude: Tensor, max_range: float,
     device: torch.device,
-) -> RenderScene:
+) -> RenderScene:  # fmt: skip
     state, position, attitude = (tensor.to(device) for tensor in (state, position, attitude))
     return RenderScene(shapes=tuple(shapes), state=state, position=position, attitude=attitude, max_range=max_range)
 

@@ -74,12 +74,8 @@ EngineRun = tuple[str, int, Callable[[], object]]  # Hardware, steps of a call, 
 
 def _package_case(robot: str, num_envs: int, substeps: int, device: torch.device) -> EngineRun:
     names = {
-        "backend": "warp",
-        "robot": robot,
-        "controller": "rotor_speed_control",
-        "effects": (),
-        "integrator": "euler",
-    }
+        "backend": "warp", "robot": robot, "controller": "rotor_speed_control", "effects": (), "integrator": "euler",
+    }  # fmt: skip
     flight = make_flight(**names, num_envs=num_envs, substeps=substeps, dt=DT, device=device)
     return _device_name(device), substeps * flight.launches_per_batch, flight.run_batch
 

@@ -48,14 +48,9 @@ def fly(
 
 
 def main(
-    *,
-    robots: tuple[str, ...] = SNAKES,
-    dt_ms: tuple[float, ...] = (2.0, 4.0, 10.0),
-    seeds: tuple[int, ...] = (0, 1),
-    num_envs: int = 256,
-    seconds: float = 5.0,
-    backend: Literal["warp", "torch", "mujoco"] = "warp",
-) -> None:
+    *, robots: tuple[str, ...] = SNAKES, dt_ms: tuple[float, ...] = (2.0, 4.0, 10.0), seeds: tuple[int, ...] = (0, 1),
+    num_envs: int = 256, seconds: float = 5.0, backend: Literal["warp", "torch", "mujoco"] = "warp",
+) -> None:  # fmt: skip
     """Fly and print a line for each robot, step and seed."""
     for name, dt, seed in product(robots, dt_ms, seeds):
         turn, rates = fly(name, dt * 1e-3, seconds=seconds, num_envs=num_envs, seed=seed, backend=backend)

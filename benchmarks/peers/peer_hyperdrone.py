@@ -33,13 +33,9 @@ def main() -> None:
             sim.step(action)
 
     batch = StepBlock(
-        steps=STEPS,
-        dt=float(sim.dt),
-        run=run,
-        restart=sim.reset,
-        wait=sim.synchronize,
+        steps=STEPS, dt=float(sim.dt), run=run, restart=sim.reset, wait=sim.synchronize,
         heights=lambda: np.asarray(sim.state["position"])[:, 2].tolist(),
-    )
+    )  # fmt: skip
     report_rates(request, batch, version=version("hyperdrone"), call="1")
 
 

@@ -45,13 +45,10 @@ def main() -> None:
             state.update(sim.step(state, command, DT_S, rows))
 
     batch = StepBlock(
-        steps=STEPS,
-        dt=DT_S,
-        run=run,
-        restart=restart,
+        steps=STEPS, dt=DT_S, run=run, restart=restart,
         wait=torch.cuda.synchronize if device.type == "cuda" else lambda: None,
         heights=lambda: state["x"][:, 2].tolist(),
-    )
+    )  # fmt: skip
     about = f"{version('rotorpy')}, torch {torch.__version__}, float64"
     report_rates(request, batch, version=about, call="1")
 

@@ -70,14 +70,10 @@ def main() -> None:
         result = train(cfg, f"{out}/run", show_progress=False)
     whole = timed.last - timed.first
     row = {
-        "trainer": asked.trainer,
-        "num_envs": cfg.num_envs,
-        "env_steps_per_s": round(result.env_steps_per_s),
-        "iteration_ms": round(1e3 * whole / timed.steps, 3),
-        "step_ms": round(1e3 * timed.step_s / timed.steps, 3),
-        "step_on_host_ms": round(1e3 * timed.host_s / timed.steps, 3),
-        "share_of_step": round(timed.step_s / whole, 4),
-    }
+        "trainer": asked.trainer, "num_envs": cfg.num_envs, "env_steps_per_s": round(result.env_steps_per_s),
+        "iteration_ms": round(1e3 * whole / timed.steps, 3), "step_ms": round(1e3 * timed.step_s / timed.steps, 3),
+        "step_on_host_ms": round(1e3 * timed.host_s / timed.steps, 3), "share_of_step": round(timed.step_s / whole, 4),
+    }  # fmt: skip
     print(json.dumps(row))
 
 

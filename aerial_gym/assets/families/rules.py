@@ -17,13 +17,9 @@ WALL_IDS = {"front": 9, "back": 10, "left": 11, "right": 12, "bottom": 13, "top"
 """Semantic ids of the faces of rooms and corridors. Source: parity 2.2."""
 
 WALL_COLORS: dict[int, Vec3] = {
-    WALL_IDS["front"]: (0.72, 0.74, 0.78),
-    WALL_IDS["back"]: (0.64, 0.66, 0.70),
-    WALL_IDS["left"]: (0.74, 0.70, 0.64),
-    WALL_IDS["right"]: (0.66, 0.70, 0.66),
-    WALL_IDS["bottom"]: (0.46, 0.44, 0.42),
-    WALL_IDS["top"]: (0.86, 0.86, 0.84),
-}
+    WALL_IDS["front"]: (0.72, 0.74, 0.78), WALL_IDS["back"]: (0.64, 0.66, 0.70), WALL_IDS["left"]: (0.74, 0.70, 0.64),
+    WALL_IDS["right"]: (0.66, 0.70, 0.66), WALL_IDS["bottom"]: (0.46, 0.44, 0.42), WALL_IDS["top"]: (0.86, 0.86, 0.84),
+}  # fmt: skip
 """Colours of these faces, as in the registered environments. Plain choices."""
 
 assert max(WALL_IDS.values()) < FIRST_INSTANCE_ID

@@ -254,12 +254,9 @@ def _distances_in_last_tenth(
     """Return distances from hover at ten moments at the end of flights, (10, E, 12), with starts of a size on ``AXES``."""
     vehicle = vehicle_from_config(robot, num_envs=NUM_FLIGHTS)
     model = build_model(
-        vehicle,
-        _effects_without_wind(robot),
-        gravity=gravity,
-        ceiling_height=CEILING,
+        vehicle, _effects_without_wind(robot), gravity=gravity, ceiling_height=CEILING,
         articulation=None if tail is None else build_articulation(robot, like=vehicle.mass),
-    )
+    )  # fmt: skip
     law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
     backend = choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"), integrator="euler"))
     backend.allocate(model, law, integrator="euler")

@@ -62,13 +62,9 @@ class RobotReport:
 
 
 def check_robot(
-    robot: RobotCfg,
-    *,
-    name: str,
-    controllers: Sequence[str] | None = None,
-    gravity: float = STANDARD_GRAVITY,
+    robot: RobotCfg, *, name: str, controllers: Sequence[str] | None = None, gravity: float = STANDARD_GRAVITY,
     progress: Callable[[str, float], None] = lambda _text, _share: None,
-) -> RobotReport:
+) -> RobotReport:  # fmt: skip
     """Return hover, control authority by the robot's own allocation, and the stable time steps of its controllers.
 
     Args:

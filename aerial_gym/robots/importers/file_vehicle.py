@@ -310,16 +310,10 @@ def _joint_cfg(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
             damping=float(f"{2.0 * inertia * rate:.4g}"),
         )
     return JointCfg(
-        name=joint.name,
-        parent=joint.parent,
-        kind=joint.kind,
-        axis=round_vec3(axis),
-        position=round_vec3(joint.position),
-        reference=joint.reference,
-        link=_link_cfg(joint.weights),
-        spring=spring,
+        name=joint.name, parent=joint.parent, kind=joint.kind, axis=round_vec3(axis),
+        position=round_vec3(joint.position), reference=joint.reference, link=_link_cfg(joint.weights), spring=spring,
         ends=ends,
-    )
+    )  # fmt: skip
 
 
 def _link_cfg(weights: Sequence[LinkMass]) -> LinkCfg | None:

@@ -149,19 +149,13 @@ class _MjcfReader:
         place, dof = int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
         turn = self._from_world[:3, :3]
         return FileJoint(
-            name=m.joint(j).name or f"joint_{j}",
-            parent=parent,
-            kind="prismatic" if slides else "revolute",
-            axis=turn @ self._data.xaxis[j],
-            position=turn @ self._data.xanchor[j] + self._from_world[:3, 3],
+            name=m.joint(j).name or f"joint_{j}", parent=parent, kind="prismatic" if slides else "revolute",
+            axis=turn @ self._data.xaxis[j], position=turn @ self._data.xanchor[j] + self._from_world[:3, 3],
             reference=float(m.qpos0[place]),
             limits=(float(m.jnt_range[j][0]), float(m.jnt_range[j][1])) if m.jnt_limited[j] else None,
-            stiffness=float(np.ravel(m.jnt_stiffness[j])[0]),
-            rest=float(m.qpos_spring[place]),
-            damping=float(np.ravel(m.dof_damping[dof])[0]),
-            friction=float(m.dof_frictionloss[dof]),
-            weights=weights,
-        )
+            stiffness=float(np.ravel(m.jnt_stiffness[j])[0]), rest=float(m.qpos_spring[place]),
+            damping=float(np.ravel(m.dof_damping[dof])[0]), friction=float(m.dof_frictionloss[dof]), weights=weights,
+        )  # fmt: skip
 
     def layout(self) -> tuple[JointCfg, ...]:
         """Return the joints as a robot file has them."""

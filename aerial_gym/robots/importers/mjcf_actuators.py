@@ -113,12 +113,9 @@ class Actuator:
         size = float(np.linalg.norm(force))
         along = float(torque @ force) / size**2
         return replace(
-            line,
-            axis=-line.axis if turned else line.axis,
-            spin=-1 if along > 0.0 else 1,
-            rotor=self._rotor_type((size * low, size * high), abs(along), lag),
-            link=link,
-        )
+            line, axis=-line.axis if turned else line.axis, spin=-1 if along > 0.0 else 1,
+            rotor=self._rotor_type((size * low, size * high), abs(along), lag), link=link,
+        )  # fmt: skip
 
     def lines_on_unused(self) -> Iterator[str]:
         """Yield the unused attributes of this actuator."""
@@ -182,15 +179,9 @@ class Actuator:
             source = f"{source}; lag of {lag:g} s: given when it was imported"
         up, down = self._slew_rates(limits)
         return RotorCfg(
-            mode="force",
-            torque_ratio=ratio,
-            time_constant_up=lag,
-            time_constant_down=lag,
-            thrust_range=limits,
-            slew_rate=up,
-            slew_rate_down=down,
-            source=source,
-        )
+            mode="force", torque_ratio=ratio, time_constant_up=lag, time_constant_down=lag, thrust_range=limits,
+            slew_rate=up, slew_rate_down=down, source=source,
+        )  # fmt: skip
 
     def _slew_rates(self, limits: tuple[float, float]) -> tuple[float | None, float | None]:
         """Return the largest rates of thrust [N/s] of an integrator whose control has a limit either way; None elsewhere."""

@@ -20,14 +20,9 @@ from aerial_gym.robots.importers.file_vehicle import Tags, group_lines_by_kind, 
 SPINS = {"ccw": 1, "cw": -1}  # Of `turningDirection`, about z of the link
 
 DEFAULTS = {
-    "motorConstant": 8.54858e-06,
-    "momentConstant": 0.016,
-    "maxRotVelocity": 838.0,
-    "timeConstantUp": 1.0 / 80.0,
-    "timeConstantDown": 1.0 / 40.0,
-    "rotorDragCoefficient": 1e-4,
-    "rollingMomentCoefficient": 1e-6,
-}
+    "motorConstant": 8.54858e-06, "momentConstant": 0.016, "maxRotVelocity": 838.0, "timeConstantUp": 1.0 / 80.0,
+    "timeConstantDown": 1.0 / 40.0, "rotorDragCoefficient": 1e-4, "rollingMomentCoefficient": 1e-6,
+}  # fmt: skip
 """Default values of the plugin."""
 
 _NAMES = ("jointName", "linkName", "motorNumber", "turningDirection", "motorType")
@@ -35,15 +30,9 @@ _NAMES = ("jointName", "linkName", "motorNumber", "turningDirection", "motorType
 MOTOR_TAGS: Tags = {name: {} for name in (*_NAMES, *DEFAULTS)}  # Elements of a motor plugin that are read
 
 AERODYNAMICS = {
-    "liftdrag": "wings or blades",
-    "fwdynamics": "wings",
-    "fixedwing": "wings",
-    "underwaterobject": "water",
-    "thruster": "thruster",
-    "lighterthanair": "envelope of a blimp",
-    "hydrodynamics": "water",
-    "buoyancy": "buoyancy",
-}
+    "liftdrag": "wings or blades", "fwdynamics": "wings", "fixedwing": "wings", "underwaterobject": "water",
+    "thruster": "thruster", "lighterthanair": "envelope of a blimp", "hydrodynamics": "water", "buoyancy": "buoyancy",
+}  # fmt: skip
 """Plugins without a counterpart by a part of their names, with the source of their forces."""
 
 
@@ -113,15 +102,10 @@ def _read_motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
         f"{value['maxRotVelocity']:g} rad/s",
     )
     return Motor(
-        link=link,
-        joint=scope + (plugin.findtext("jointName") or "").strip(),
-        number=int(order),
-        spin=SPINS[turning],
-        rotor=rotor,
-        silent=tuple(silent),
-        sideways_drag=value["rotorDragCoefficient"],
+        link=link, joint=scope + (plugin.findtext("jointName") or "").strip(), number=int(order), spin=SPINS[turning],
+        rotor=rotor, silent=tuple(silent), sideways_drag=value["rotorDragCoefficient"],
         rolling_moment=value["rollingMomentCoefficient"],
-    )
+    )  # fmt: skip
 
 
 def motor_assumptions(motors: Sequence[Motor]) -> Iterator[str]:

@@ -145,12 +145,9 @@ def _file_rotor(tree: SdfTree, motor: Motor, weights: dict[str, LinkMass], from_
             f"{', '.join((*tree.links, *tree.joints))}"
         )
     return FileRotor(
-        name=motor.link,
-        position=(from_root @ weights[motor.link].pose)[:3, 3],
-        axis=(from_root @ tree.pose(motor.link))[:3, 2],
-        spin=motor.spin,
-        rotor=motor.rotor,
-    )
+        name=motor.link, position=(from_root @ weights[motor.link].pose)[:3, 3],
+        axis=(from_root @ tree.pose(motor.link))[:3, 2], spin=motor.spin, rotor=motor.rotor,
+    )  # fmt: skip
 
 
 def _unread_elements(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:

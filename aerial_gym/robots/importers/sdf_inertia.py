@@ -31,13 +31,9 @@ if TYPE_CHECKING:
 WATER = 1000.0  # Density of shapes that give none [kg/m³]
 
 SIZES = {
-    "box": ("size",),
-    "sphere": ("radius",),
-    "ellipsoid": ("radii",),
-    "cylinder": ("radius", "length"),
-    "capsule": ("radius", "length"),
-    "cone": ("radius", "length"),
-}
+    "box": ("size",), "sphere": ("radius",), "ellipsoid": ("radii",), "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"), "cone": ("radius", "length"),
+}  # fmt: skip
 """Shapes with a volume, and the elements that give their sizes."""
 
 HOLLOW = ("plane", "heightmap", "image")  # Shapes without a volume
@@ -204,10 +200,6 @@ def _solid_capsule(radius: float, length: float) -> _Solid:
 
 
 _SOLIDS = {
-    "box": _solid_box,
-    "sphere": _solid_sphere,
-    "ellipsoid": _solid_ellipsoid,
-    "cylinder": _solid_cylinder,
-    "capsule": _solid_capsule,
-    "cone": _solid_cone,
-}
+    "box": _solid_box, "sphere": _solid_sphere, "ellipsoid": _solid_ellipsoid, "cylinder": _solid_cylinder,
+    "capsule": _solid_capsule, "cone": _solid_cone,
+}  # fmt: skip

@@ -98,14 +98,11 @@ def read_properties(root: Element, mass: float, count: int, lag: float | None, w
             "measured or that of a similar motor: 0.02 to 0.1 s"
         )
     rotor = RotorCfg(
-        thrust_map=(0.0, 0.0, value["kf"] * _PER_RPM),
-        torque_ratio=value["km"] / value["kf"],
-        time_constant_up=lag,
-        time_constant_down=lag,
-        thrust_range=(0.0, value["thrust2weight"] * mass * STANDARD_GRAVITY / count),
+        thrust_map=(0.0, 0.0, value["kf"] * _PER_RPM), torque_ratio=value["km"] / value["kf"], time_constant_up=lag,
+        time_constant_down=lag, thrust_range=(0.0, value["thrust2weight"] * mass * STANDARD_GRAVITY / count),
         radius=value.get("prop_radius"),
         source=f"{where}, properties: kf, km, thrust2weight; lag of {lag:g} s: given when it was imported",
-    )
+    )  # fmt: skip
     used, effects, refused = {"kf", "km", "thrust2weight", "prop_radius"}, {}, {}
     for name, needed, rule in _EFFECTS:
         if not all(one in value for one in needed):
@@ -278,13 +275,9 @@ def _rotor_of_motor(
     for link in group:  # grows while it is walked
         group += [j.child for j in robot.joint_map.values() if j.type == "fixed" and j.parent == link]
     return FileRotor(
-        name=motor.link,
-        position=_mass_centre_of_links(robot, group, poses),
-        axis=poses[motor.link][:3, 2],
-        spin=motor.spin,
-        rotor=motor.rotor,
-        link=on[motor.link],
-    )
+        name=motor.link, position=_mass_centre_of_links(robot, group, poses), axis=poses[motor.link][:3, 2],
+        spin=motor.spin, rotor=motor.rotor, link=on[motor.link],
+    )  # fmt: skip
 
 
 def _rotors_on_joint(
@@ -358,16 +351,11 @@ def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Lin
     if joint.type != "continuous" and limit is not None and limit.lower is not None and limit.upper is not None:
         limits = float(limit.lower), float(limit.upper)
     return FileJoint(
-        name=joint.name,
-        parent=parent,
-        kind="prismatic" if joint.type == "prismatic" else "revolute",
-        axis=pose[:3, :3] @ np.asarray(joint.axis, dtype=float),
-        position=pose[:3, 3],
-        limits=limits,
+        name=joint.name, parent=parent, kind="prismatic" if joint.type == "prismatic" else "revolute",
+        axis=pose[:3, :3] @ np.asarray(joint.axis, dtype=float), position=pose[:3, 3], limits=limits,
         damping=0.0 if dynamics is None else float(dynamics.damping or 0.0),
-        friction=0.0 if dynamics is None else float(dynamics.friction or 0.0),
-        weights=weights,
-    )
+        friction=0.0 if dynamics is None else float(dynamics.friction or 0.0), weights=weights,
+    )  # fmt: skip
 
 
 def _collision_shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionShape]:

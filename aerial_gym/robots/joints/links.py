@@ -155,13 +155,10 @@ class LinkTrajectory:
         """To the world, xyzw, (K M + 1, E, L, 4)."""
         place, base = wp.device_from_torch(device), (trajectory.position, trajectory.attitude)
         self._command = ReusableLaunch(
-            _place_links_in_substeps,
-            dim=size[:2],
+            _place_links_in_substeps, dim=size[:2],
             inputs=[_joint_arrays(cfg, place), *base, trajectory.joint_pos, self.pieces],
-            outputs=[self.position, self.attitude],
-            device=place,
-            block_dim=BLOCK_DIM,
-        )
+            outputs=[self.position, self.attitude], device=place, block_dim=BLOCK_DIM,
+        )  # fmt: skip
 
     def refresh(self) -> None:
         """Place all links of the step that has just ended; launched on torch's current stream, not waited for."""
@@ -183,13 +180,9 @@ class LinkPlaces:
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
         self._written = links.state
         self._command = ReusableLaunch(
-            _write_link_states,
-            dim=len(links.state),
-            inputs=[table, *base, state.joint_pos, state.joint_vel],
-            outputs=[*links.state.split((3, 4, 3, 3), dim=-1), links.ang_vel],
-            device=place,
-            block_dim=BLOCK_DIM,
-        )
+            _write_link_states, dim=len(links.state), inputs=[table, *base, state.joint_pos, state.joint_vel],
+            outputs=[*links.state.split((3, 4, 3, 3), dim=-1), links.ang_vel], device=place, block_dim=BLOCK_DIM,
+        )  # fmt: skip
 
     @torch.no_grad()
     def refresh(self) -> None:

@@ -102,17 +102,9 @@ class LinkObstacleSweep:
     max_substeps: int | None = None  # Any number
 
     def __init__(
-        self,
-        scene: Scene,
-        cfg: ContactCfg,
-        robot: RobotCfg,
-        state: BodyState,
-        links: LinkTensors,
-        *,
-        dt: float,
-        crashes_out: Tensor,
-        moving: "Obstacles | None" = None,
-    ) -> None:
+        self, scene: Scene, cfg: ContactCfg, robot: RobotCfg, state: BodyState, links: LinkTensors, *, dt: float,
+        crashes_out: Tensor, moving: "Obstacles | None" = None,
+    ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are.
 
         Args:

@@ -39,13 +39,9 @@ class JointStates:
     """Draws joints where episodes begin and keeps ``dof_state_tensor``; captured with the step that it belongs to."""
 
     def __init__(
-        self,
-        cfg: JointsCfg,
-        gtd: GlobalTensorDictionary,
-        state: ArticulatedState,
-        random: Randomness,
+        self, cfg: JointsCfg, gtd: GlobalTensorDictionary, state: ArticulatedState, random: Randomness,
         efforts: JointEfforts | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the ranges, the state that is written, the random numbers, and the efforts that a reset clears."""
         self._state, self._random, self._efforts = state, random, efforts
         self._together = gtd.declare(TensorSpec(

@@ -138,13 +138,9 @@ class EncoderImageCfg:
 def encoder_image_format(cfg: RangeSensorCfg) -> EncoderImageCfg:
     """Return the image format of a sensor that an encoder depends on."""
     return EncoderImageCfg(
-        model=cfg.model,
-        kind=cfg.kind,
-        rows=cfg.height,
-        columns=cfg.width,
-        max_range=cfg.max_range,
+        model=cfg.model, kind=cfg.kind, rows=cfg.height, columns=cfg.width, max_range=cfg.max_range,
         hfov_deg=getattr(cfg, "hfov_deg", None),
-    )
+    )  # fmt: skip
 
 
 def normalize_image(image: Tensor, cfg: RangeSensorCfg) -> Tensor:
