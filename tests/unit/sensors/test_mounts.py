@@ -77,7 +77,7 @@ sensors:
 
 @pytest.mark.parametrize(("fields", "message"), [
     ({"name": "Front Camera"}, r"'Front Camera': must be snake_case"),
-    ({"euler": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}, r"give this or quaternion, not both"),
+    ({"euler": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}, r"give it or quaternion"),
     ({"euler": (90.0, 0.0, 0.0)}, r"must lie within \+-2 pi"),
     ({"quaternion": (0.0, 0.0, 0.0, 0.0)}, r"must not be zero"),
     ({"position": (float("nan"), 0.0, 0.0)}, r"must be finite"),
