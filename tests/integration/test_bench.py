@@ -1,10 +1,11 @@
-"""``aerial-gym bench``: its keys, its exit status, and that a workload which does nothing gives no figure."""
+"""``aerial-gym bench``: its keys and exit status; work that is not done gives no figure; every byte of memory counts once."""
 
 import json
 from dataclasses import replace
 
 import pytest
 import torch
+import warp as wp
 
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.control import CONTROLLERS
@@ -15,9 +16,10 @@ from aerial_gym.sensors.mounts import Carrier
 from aerial_gym.workloads.episodes import check_crashes, check_finite_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
 from aerial_gym.workloads.measure import WorkloadError, rate_figures, time_launches, torch_threads
+from aerial_gym.workloads.memory import array_bytes
 from aerial_gym.workloads.scene_meshes import SceneMeshes
 from aerial_gym.workloads.scenes import make_scene
-from tests.integration.commands import run
+from tests.integration.commands import run, run_bench
 from tests.physics.vehicles import ON_RIGID
 from tests.refusals import assert_refused
 from tests.repetitions import frequent_values
@@ -235,3 +237,43 @@ def test_an_empty_environment_or_an_unknown_scene_is_refused(capsys: pytest.Capt
     status, _, err = run(capsys, "bench", "render", "--scene", "boxen", *QUICK)
     assert status == 2
     assert "no render scene 'boxen'. Known: boxes, boxes_100, boxes_1000, boxes_aligned, clutter" in err
+
+
+def test_memory_is_counted_once_however_many_views_there_are() -> None:
+    """100 and 40 floats, of which views, slices and Warp arrays take no more; functions and launches are looked into."""
+    wide, own = torch.zeros(10, 10), wp.zeros(40, dtype=float, device="cpu")
+    held = {"a": wide, "part": wide[2:, 1:], "as_warp": wp.from_torch(wide[:, 3:6], dtype=wp.vec3), "again": [own, own]}
+    assert array_bytes(held, CPU) == {"a": 400, "again.0": 160}
+    assert (sum(array_bytes(lambda: held, CPU).values()), array_bytes(held, torch.device("cuda"))) == (560, {})
+
+
+def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys: pytest.CaptureFixture[str]) -> None:
+    """Distance and id of 240x135 pixels are 4 bytes each; 92 states of 13 floats, 91 views of 12 floats are among the rest."""
+    status, out, _ = run_bench(capsys, "memory", "--num-envs", "8", "--device", "cpu", "--json", "--largest", "4")
+    assert status == 0
+    total, *arrays = map(json.loads, out.splitlines())
+    assert total["images_bytes_per_env"] == 240 * 135 * 8
+    assert total["arrays_bytes"] == pytest.approx(8 * (total["images_bytes_per_env"] + total["others_bytes_per_env"]))
+    assert total["device_bytes"] is None
+    sizes = {row["name"]: row["bytes_per_env"] for row in arrays}
+    assert (len(sizes), sizes["gtd.depth_range_pixels"]) == (4, 240 * 135 * 4)
+    argv = ("memory", "--num-envs", "8", "--device", "cpu", "--json", "--largest", "99")
+    _, *arrays = map(json.loads, run_bench(capsys, *argv)[1].splitlines())
+    sizes = {row["name"]: row["bytes_per_env"] for row in arrays}
+    assert sizes["gtd.vec_root_tensor"] == 92 * 13 * 4
+    assert sizes["sensor_manager.casters.base_depth_camera._view.rows"] == 91 * 12 * 4
+
+
+def test_the_backend_that_is_named_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    plain = ("memory", "--env-name", "empty_env", "--robot", "base_quadrotor", "--num-envs", "2", "--device", "cpu")
+    totals = {}
+    for backend in ("torch", "warp"):
+        status, out, _ = run_bench(capsys, *plain, "--json", "--largest", "0", "--backend", backend)
+        assert status == 0
+        total = json.loads(out)
+        assert total["backend"] == backend
+        totals[backend] = total["arrays_bytes"]
+    assert totals["torch"] != totals["warp"]
+    status, _, err = run_bench(capsys, *plain, "--backend", "warpp")
+    assert status == 2
+    assert "no physics backend 'warpp'. Did you mean 'warp'?" in err

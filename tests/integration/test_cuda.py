@@ -21,7 +21,7 @@ from tests.refusals import assert_refused
 from tests.unit.interop.rows.test_function import check_transport
 from tests.unit.robots.test_initial_state import check_derived, compute_states, motions
 from tests.unit.task.hover import camera_task, rich
-from tests.unit.task.navigation import make_cfg
+from tests.unit.task.test_navigation import make_cfg
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 

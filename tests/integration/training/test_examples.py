@@ -1,14 +1,23 @@
-"""Examples run as they stand, shortly."""
+"""Examples run as they stand, shortly; a training becomes C on the command line."""
 
+import json
 import re
 import runpy
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from shutil import which
 
+import numpy as np
 import pytest
 import torch
 
 from aerial_gym import task_registry
+from aerial_gym.cli.main import main
+from aerial_gym.config import dump_yaml
+from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training.run.run_folder import RunFolder
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -169,3 +178,60 @@ def test_a_rule_flies_backwards_by_lidar(run_example: Told) -> None:
     (_, (arrive, crash)), _ = run_example("backwards_by_lidar.py", 32)
     assert arrive > 80.0
     assert crash < 15.0
+
+
+def test_a_task_of_an_own_file_is_trained_and_evaluated_from_any_folder(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(EXAMPLES)
+    out = str(tmp_path / "run")
+    asked = ["--trainer", "ppo", "--num-envs", "256", "--max-env-steps", "9000", "--max-time-s", "120", "--out", out]
+    assert main(["train", "--task", "custom_task.py:FIGURE_EIGHT", *asked, "--device", "cpu"]) == 0
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert main(["evaluate", "--policy", out, "--num-envs", "4", "--device", "cpu", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["num_starts"] == 4
+
+
+@pytest.mark.parametrize("more", [(), ("--population",)], ids=["random", "population"])
+def test_a_search_leaves_a_policy(more: tuple[str, ...], tmp_path: Path) -> None:
+    """With Ray Tune, on a CPU; in a process of its own, as Ray starts servers."""
+    reason = "Ray Tune is not installed: pip install 'aerial-gym[tune]'"
+    pytest.importorskip("ray.tune", reason=reason, exc_type=ImportError)
+    size = ("--device", "cpu", "--num-envs", "64", "--samples", "2", "--slices", "2", "--slice-steps", "4096")
+    script = str(EXAMPLES / "search_with_ray_tune.py")
+    command = [sys.executable, script, *size, "--out", str(tmp_path / "search"), *more]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    [said] = [line for line in done.stdout.splitlines() if line.startswith("evaluate it:")]
+    kept = RunFolder(said.split("--policy ")[1]).newest_readable_checkpoint()
+    assert kept[1]["env_steps"] >= 2 * 4096
+
+
+@pytest.mark.parametrize("robot", ["base_quadrotor", "x500", "crazyflie_21", "tinyprop"])
+def test_a_policy_of_another_simulator_hovers_but_loses_a_vehicle_of_little_thrust(robot: str) -> None:
+    """Axes, signs, order of the rotors and steps are those that it knows; x500 counts its rotors in another order. It keeps
+    41 % of 64 of ``tinyprop`` (thrust to weight 1.31); fewer than 1 % of draws of 16 are out of bounds."""
+    errors = runpy.run_path(str(EXAMPLES / "outside_policy.py"))["hover_errors"](robot, num_envs=16, seconds=6.0)
+    assert errors.shape == (16,)
+    if robot == "tinyprop":
+        assert 0.31 < float(np.isinf(errors).mean()) < 0.88
+    else:
+        assert float(np.max(errors)) < 0.05
+
+
+@pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
+def test_a_training_is_exported_and_flies_as_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, settings = tmp_path / "run", tmp_path / "small.yaml"
+    cfg = load_settings(settings_for("ppo", "position_setpoint_task"))
+    settings.write_text(dump_yaml(cfg))
+    train = ["train", "--config", str(settings), "--num-envs", "32", "--max-env-steps", "2048", "--device", "cpu"]
+    assert main([*train, "--out", str(run)]) == 0
+    assert main(["export", "--policy", str(run), "--to", "c99", "torchscript", "--name", "hover", "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    assert [row["to"] for row in rows[-2:]] == ["c99", "torchscript"]
+    assert all(row["agrees"] for row in rows[-2:])
+    returns = []
+    for policy in (run, run / "export" / "hover.c", run / "export" / "hover.pt"):
+        assert main(["evaluate", "--policy", str(policy), "--num-envs", "8", "--json"]) == 0
+        returns.append(json.loads(capsys.readouterr().out.splitlines()[-1])["return_mean"])
+    assert returns[1:] == pytest.approx(returns[:1] * 2, rel=1e-4)
+    assert main(["evaluate", "--policy", str(tmp_path / "no.onnx"), "--num-envs", "8"]) == 2

@@ -11,7 +11,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.task.curriculum import next_level
 from tests.refusals import assert_refused
 from tests.unit.task.hover import begin
-from tests.unit.task.navigation import make
+from tests.unit.task.test_navigation import make
 
 LEVELS = {"min_level": 15, "max_level": 20, "raise_by": 2, "lower_by": 1}
 CFG = CurriculumCfg(**LEVELS, check_after=10, raise_above=0.7, lower_below=0.6)

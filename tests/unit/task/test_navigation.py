@@ -10,6 +10,7 @@ from torch import Tensor
 
 from aerial_gym import SENSORS, Task, task_registry
 from aerial_gym.assets import ENVIRONMENTS, CollisionTest
+from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
@@ -17,8 +18,23 @@ from aerial_gym.task.terms.actions import forward_flight
 from aerial_gym.task.terms.observations import direction_vehicle
 from tests.refusals import assert_refused
 from tests.repetitions import rare_values
-from tests.unit.task.hover import term_reward
-from tests.unit.task.navigation import make
+from tests.unit.task.hover import build_task, term_reward
+
+
+def make_cfg(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None = None, **changes: object) -> TaskCfg:
+    if not camera:
+        blind = tuple(entry for entry in cfg.observations["policy"] if entry.term != "nearest_in_cells")
+        cfg = replace(cfg, robot="base_quadrotor", observations={"policy": blind})
+    goal = cfg.terminations["goal"]
+    goal = replace(goal, params={"radius": success_radius or goal.params["radius"]})
+    cfg = replace(cfg, terminations={**cfg.terminations, "goal": goal})
+    return replace(cfg, **changes)
+
+
+def make(num_envs: int = 6, *, seed: int = 0, camera: bool = False, **changes: object) -> Task:
+    """Return the task; without its camera, which takes most of its time, unless asked for."""
+    return build_task(make_cfg(task_registry.get("navigation_task"), camera=camera, **changes), num_envs, seed=seed)
+
 
 CFG = task_registry.get("navigation_task")
 RATIOS = (CFG.command.params["low"], CFG.command.params["high"])

@@ -14,7 +14,7 @@ from aerial_gym.task.step.row_kernels import RowKernel
 from aerial_gym.task.terms.term import Term
 from tests.repetitions import rare_values
 from tests.unit.task.hover import begin
-from tests.unit.task.navigation import make
+from tests.unit.task.test_navigation import make
 
 RARE = ("lidar_navigation_task", "radar_navigation_task", "platform_landing_task", "racing_split_s_task")
 FREQUENT = ("position_setpoint_task", "navigation_task", "payload_task")
