@@ -130,9 +130,7 @@ class TrainCmd:
         for name in ("config", "teacher", "initial", *CONSTANTS):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
-                raise ConfigError(
-                    f"--{flag}: a resumed run keeps its own. Leave it out, or start anew in another --out"
-                )
+                raise ConfigError(f"--{flag}: a resumed run keeps its own. Leave it out, or begin in another --out")
 
 
 def task_name_with_absolute_path(task: str) -> str:

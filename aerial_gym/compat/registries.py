@@ -37,9 +37,7 @@ class ScriptRegistry:
         """Add an entry; repeating the same class has no effect, another one under the same name is an error."""
         known = self._own.get(name, (self.built_in.get(name), None))[0]
         if name in self.native if known is None else not _is_same_class(known, identity):
-            raise DuplicateNameError(
-                f"{self.kind} {name!r} is registered already, as something else. Choose another name"
-            )
+            raise DuplicateNameError(f"{self.kind} {name!r} is registered already as something else. Choose another")
         self._own[name] = (identity, entry)
 
     def names(self) -> list[str]:

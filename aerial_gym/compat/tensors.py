@@ -125,7 +125,7 @@ KEYS: dict[str, TensorKey] = {
     "dt": TensorKey(native="sim_cfg.dt", remark="of a physics step, as there", read=lambda env: env.sim_cfg.dt),
     **_same_keys("robot_mass", remark="of each environment, also where it is randomised; read-only"),
     **_same_keys(
-        "robot_inertia", remark="of each environment; the composite one, where there it was doubled; read-only"
+        "robot_inertia", remark="of each environment; the composite one, there it was doubled; read-only"
     ),
     **_same_keys("robot_actions"),
     **_same_keys(

@@ -65,9 +65,8 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
         speeds = tuple(name.startswith("speed") and rotor.mode == "speed" for name, rotor in rotors)
         params = {"low": low, "high": high, "mix": quadrotor_to_rotors_matrix(robot), "speeds": speeds}
         return replace(cfg, action=replace(cfg.action, transform="four_places", params=params))
-    return replace(
-        cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high, "order": order})
-    )
+    params = {"low": low, "high": high, "order": order}
+    return replace(cfg, action=replace(cfg.action, transform="affine", params=params))
 
 
 def quadrotor_to_rotors_matrix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:

@@ -25,7 +25,7 @@ TABLE = ConfigTable(
             "here the amount, downwards",
         ),
         unchangeable_field(
-            "sim.substeps", 1, "must be 1; take a smaller dt and more physics steps per environment step"
+            "sim.substeps", 1, "must be 1; take a smaller dt and more physics steps of an env step"
         ),
         idle_field("sim.up_axis", 1, "z is up"),
         idle_field("sim.use_gpu_pipeline", True, "the device says where everything runs"),

@@ -153,9 +153,8 @@ class NetworkBody(nn.Module):
         return remembered, remembered
 
     def _encode(self, prepared: Mapping[str, Tensor]) -> Tensor:
-        parts = [
-            self.encoders[key](prepared[key]) if key in self.encoders else prepared[key] for key in self.cfg.shapes
-        ]
+        encoders = self.encoders
+        parts = [encoders[key](prepared[key]) if key in encoders else prepared[key] for key in self.cfg.shapes]
         return self.layers(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0])
 
 

@@ -112,9 +112,8 @@ class Progress:
         if report.episode_return is not None and report.episode_length:
             per_step = f"{report.episode_return / report.episode_length:.5g}"
         values = ("" if v is None else f"{v:.6g}" for v in (report.episode_return, report.episode_length))
-        self._curve.writerow(
-            [f"{self._past_s + now:.2f}", report.env_steps, per_step, *values, f"{self.steps_per_s:.0f}"]
-        )
+        time_s, rate = f"{self._past_s + now:.2f}", f"{self.steps_per_s:.0f}"
+        self._curve.writerow([time_s, report.env_steps, per_step, *values, rate])
 
     def __enter__(self) -> "Progress":
         self._bar.start()

@@ -122,9 +122,7 @@ class Gates(GateCommand):
         self._target()
         values.declare("target_direction", (2,), frame="world", meaning="way through the next gate: x and y, unit")
         values.declare("target_orientation", (4,), frame="world", meaning="orientation of the next gate to world, xyzw")
-        values.declare(
-            "following_position", (3,), unit="m", frame="world", meaning="centre of the gate after the next one"
-        )
+        values.declare("following_position", (3,), unit="m", frame="world", meaning="centre of the gate after the next")
         values.declare("following_direction", (2,), frame="world", meaning="way through that: x and y, unit")
         declare_gate_flags(values)
         rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)

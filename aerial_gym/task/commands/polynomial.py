@@ -117,9 +117,7 @@ class Polynomial(Command):
             for form, limit in ((velocity, max_speed), (derivative_weights(velocity), max_acceleration))
         ]
         self._target(moving=True)
-        values.declare(
-            "target_acceleration", (3,), unit="m/s²", frame="world", meaning="acceleration of the target point"
-        )
+        values.declare("target_acceleration", (3,), unit="m/s²", frame="world", meaning="acceleration of the target")
         self._points = values.declare(
             "track_points", (3 * points,), unit="m", frame="world", meaning="points of the track: all x, all y, all z"
         )
