@@ -119,7 +119,7 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
 def _rows_in_flight(inputs: Array, rate: float) -> Flags:
     """Return the rows in which all rotors turn, without the edges of such spans, (T,)."""
     turning = (inputs > SLOWEST**2 * np.quantile(inputs, 0.99)).all(axis=1)
-    return binary_erosion(turning, np.ones(2 * round(EDGE_S * rate) + 1))
+    return np.asarray(binary_erosion(turning, np.ones(2 * round(EDGE_S * rate) + 1)), dtype=np.bool_)
 
 
 def fit_effectiveness(flights: Sequence[FlightRows], logged_signs: Array | None) -> Effectiveness:
