@@ -98,7 +98,7 @@ LOGS = ("--train", "a.csv", "--test", "b.csv", "--out", "never")
 
 
 @pytest.mark.parametrize(("argv", "message"), [
-    (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, log"),
+    (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, robot from-log"),
     (("list", "robts"), "no kind 'robts'. Known: sims"),
     (("list", "--jsn"), "--json"),
     (("train", "--task", "position_setpoint_tsk"), "'position_setpoint_tsk'. Did you mean 'position_setpoint_task'"),
