@@ -228,6 +228,7 @@ def test_forces_are_those_of_an_integration_over_radius_and_azimuth(
 
 def test_a_share_of_the_model_is_that_share_of_its_loads() -> None:
     whole, none, part = (loads([0.1, 0.05, 0.03], share=share) for share in (1.0, 0.0, 0.3))
+    np.testing.assert_allclose(none, [0.0, 0.0, THRUST, 0.0, 0.0, -TORQUE], atol=1e-12)
     np.testing.assert_allclose(part, none + 0.3 * (whole - none), rtol=1e-12, atol=1e-15)
 
 
