@@ -135,11 +135,10 @@ class JointLimits:
     def evaluate_effort(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort beyond the ends."""
         past = (position - self.high).clamp_min(0.0) - (self.low - position).clamp_min(0.0)
-        side = torch.sign(past)
-        back = (self.stiffness * past + self.damping * rate) * side
-        pushes = back > 0.0
+        push = self.stiffness * past + self.damping * rate
+        pushes = push * past > 0.0
         return Effort(
-            value=torch.where(pushes, -side * back, 0.0),
+            value=torch.where(pushes, -push, 0.0),
             stiffness=torch.where(pushes, self.stiffness, 0.0),
             damping=torch.where(pushes, self.damping, 0.0),
         )

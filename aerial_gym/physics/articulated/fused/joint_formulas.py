@@ -13,11 +13,12 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.interop.rows.warp_function import function_lines
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.complementarity import EffortLimits, has_driving_friction
 from aerial_gym.physics.articulated.joint_laws import joint_effort
-from aerial_gym.physics.fused.torch_trace import trace_to_warp
+from aerial_gym.physics.fused.torch_trace import compile_traced, trace_arguments, trace_to_warp
 
 
 def dashpots_type(articulation: Articulation) -> Any:
@@ -25,53 +26,57 @@ def dashpots_type(articulation: Articulation) -> Any:
     return vector_type(max(articulation.num_creep * articulation.num_joints, 1))
 
 
-@dataclass(frozen=True)
-class PassiveLaws:
-    """Functions of springs, dampers, soft ends and creep of all joints."""
+def make_passive_efforts(articulation: Articulation) -> list[wp.Function]:
+    """Return ``Effort.at_end`` of springs, dampers, soft ends and creep, one function per joint.
 
-    efforts: wp.Function  # (positions, rates, dashpots, dt) -> results of `Effort.at_end`
-    initialise: wp.Function  # `Articulation.initialise_creep`: (dashpots, positions) -> dashpots
-    advance: wp.Function  # `Articulation.advance_creep`: (dashpots, positions, dt) -> dashpots
-
-
-def make_passive(articulation: Articulation) -> PassiveLaws:
-    """Return the functions of a vehicle's laws of joints without drives and dry friction."""
-    joints, dashpots, num_creep = (
-        vector_type(articulation.num_joints),
-        dashpots_type(articulation),
-        articulation.num_creep,
-    )
-
-    def unflatten(crept: Tensor) -> Tensor:
-        return crept.unflatten(1, (num_creep, articulation.num_joints))
+    Arguments: positions, rates, dashpots, dt. The recursion calls them where it needs a joint: results of all joints, computed
+    in advance, would take registers over the whole step.
+    """
+    joints = vector_type(articulation.num_joints)
 
     def efforts(pos: Tensor, vel: Tensor, crept: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
-        laws = articulation.laws(unflatten(crept) if num_creep else None)
+        laws = articulation.laws(_unflatten(articulation, crept) if articulation.num_creep else None)
         return joint_effort(laws, pos, vel).at_end(vel, dt)
 
+    arguments = {"pos": joints, "vel": joints, "crept": dashpots_type(articulation), "dt": float}
+    traced = trace_arguments("passive_efforts", arguments, efforts, constants={}, shared=["dt"])
+
+    def one_joint(k: int) -> wp.Function:
+        own = replace(traced.trace, outputs=[([numbers[k]], (), kind) for numbers, _, kind in traced.trace.outputs])
+        lines = function_lines(own, traced.read, ["", ""])
+        return compile_traced("passive_effort", arguments, [float, float], lines, own, differentiable=False)
+
+    return [one_joint(k) for k in range(articulation.num_joints)]
+
+
+def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
+    """Return ``Articulation.initialise_creep`` and ``advance_creep``: (dashpots, positions[, dt]) -> dashpots."""
+    dashpots, num_creep = dashpots_type(articulation), articulation.num_creep
+
     def initialise(crept: Tensor, pos: Tensor) -> Tensor:
-        return articulation.initialise_creep(unflatten(crept), pos).flatten(1) if num_creep else crept
+        return articulation.initialise_creep(_unflatten(articulation, crept), pos).flatten(1) if num_creep else crept
 
     def advance(crept: Tensor, pos: Tensor, dt: Any) -> Tensor:
-        return articulation.advance_creep(unflatten(crept), pos, dt).flatten(1) if num_creep else crept
+        return articulation.advance_creep(_unflatten(articulation, crept), pos, dt).flatten(1) if num_creep else crept
 
-    state, time = {"pos": joints, "vel": joints}, {"dt": float}
-    creep = {"crept": dashpots, "pos": joints}
-    return PassiveLaws(
-        trace_to_warp(
-            "passive_efforts", {**state, "crept": dashpots, **time}, efforts, [joints] * 2, constants={}, shared=["dt"]
-        ),
-        trace_to_warp("initialise_creep", creep, initialise, [dashpots], constants={}),
-        trace_to_warp("advance_creep", {**creep, **time}, advance, [dashpots], constants={}, shared=["dt"]),
+    arguments = {"crept": dashpots, "pos": vector_type(articulation.num_joints)}
+    return (
+        trace_to_warp("initialise_creep", arguments, initialise, [dashpots], constants={}),
+        trace_to_warp("advance_creep", {**arguments, "dt": float}, advance, [dashpots], constants={}, shared=["dt"]),
     )
+
+
+def _unflatten(articulation: Articulation, crept: Tensor) -> Tensor:
+    return crept.unflatten(1, (articulation.num_creep, articulation.num_joints))
 
 
 @dataclass(frozen=True)
 class LimitFunctions:
     """Functions of the bounded laws of all joints, of ``EffortLimits``."""
 
+    sides_type: Any  # Vector of sides, K D
     ask: wp.Function  # (positions, commands) -> efforts that the drives are asked for
-    sides: wp.Function  # (asked, final rates, dt) -> sides, a vector of K D
+    sides: wp.Function  # (asked, final rates, dt) -> sides
     tangent: wp.Function  # (asked, sides, dt) -> total effort at the final rate 0, and its decrease with the rate
     contradicts: wp.Function  # (asked, sides, final rates, dt) -> whether any law has another side
     line_slope: wp.Function  # (asked, rates, efforts, change of rates, dt) -> slope of the convex function
@@ -136,6 +141,7 @@ def make_limited(articulation: Articulation) -> LimitFunctions:
     rates = {"asked": joints, "rates": joints}
     side = {"asked": joints, "side": sides_type}
     return LimitFunctions(
+        sides_type,
         trace("ask_drives", {"pos": joints, "command": command}, ask, [joints], in_time=False),
         trace("find_sides", rates, sides, [sides_type]),
         trace("find_tangent", side, tangent, [joints] * 2),

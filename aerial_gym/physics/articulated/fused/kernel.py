@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_type
 from aerial_gym.physics.articulated.fused.hubs import hub_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, plus, rigid_inertia
-from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_passive
+from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_creep
 from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver, make_plain_solver
 from aerial_gym.physics.articulated.fused.link_effects import effect_links, make_on_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
@@ -95,7 +95,7 @@ def make_jointed_kernel(
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
     in_air = bool(effect_links(model) or hub_links(model))
     general, types = not model.vehicle.plain, model_types(model)
-    joints = joint_types(articulation.num_joints, values_type(model) if in_air else None, types.vector)
+    joints = joint_types(articulation, values_type(model) if in_air else None, types.vector)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
     action_type = vector_type(law.num_actions + articulation.num_driven)
     drive_type = vector_type(max(articulation.num_driven, 1))
@@ -116,8 +116,8 @@ def make_jointed_kernel(
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs, centered=ahead or in_fluid)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
     base, floating = make_base(model), articulation.tree.floating
-    passive, num_creep, num_joints = make_passive(articulation), articulation.num_creep, articulation.num_joints
-    passive_efforts, initialise_creep, advance_creep = passive.efforts, passive.initialise, passive.advance
+    (initialise_creep, advance_creep), num_creep = make_creep(articulation), articulation.num_creep
+    num_joints = articulation.num_joints
     dashpot_type, held_type = dashpots_type(articulation), joints.held
     writes_efforts = efforts and ahead
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
@@ -192,9 +192,7 @@ def make_jointed_kernel(
             given.attitude = q
             given.rotor_speed = n
             given.rotor_acc = (n - before) / dt
-        effort, stiff = passive_efforts(pos, vel, crept, dt)
-        given.effort = effort
-        given.stiff = stiff
+        given.crept = crept
         rates, turn, rise, drive, friction = solve_step(
             vehicle, more, held, pos, vel, drives, given, thrusts, drags, w, move, dt
         )

@@ -77,7 +77,7 @@ def make_limit_solver(
     laws, rubs = make_limited(articulation), articulation.rubs
     ask, sides, tangent, contradicts = laws.ask, laws.sides, laws.tangent, laws.contradicts
     limited_efforts, tangent_efforts, pushes = laws.efforts, laws.tangent_efforts, laws.pushes
-    line_search = make_line_search(articulation.num_joints, laws)
+    line_search, sides_type = make_line_search(articulation.num_joints, laws), laws.sides_type
     vehicle_type, vector, joint_vector, held_type = types.vehicle, types.vector, joints.vector, joints.held
     command_type = vector_type(max(articulation.num_driven, 1))
 
@@ -96,41 +96,41 @@ def make_limit_solver(
         half_vel = vel
         at = vel  # rates of the tried limited laws
         efforts = joint_vector()  # efforts at these rates
-        drive = joint_vector()
-        friction = joint_vector()
-        stage = wp.int32(
-            0
-        )  # velocity terms 0: of the start, 1: of the middle; 2: constant efforts; 3: without friction
+        side = sides_type()
+        # velocity terms 0: of the start, 1: of the middle; 2: constant efforts, 3: without friction; 4, 5: their ends;
+        # 6: solved
+        stage = wp.int32(0)
         rounds = wp.int32(0)
         while stage < 4:
             side = sides(asked, at, dt)
             value, slope = tangent(asked, side, dt)
             if stage > 1:
-                value = drive + friction
+                value = efforts
                 slope = joint_vector()
-            acts.effort = given.effort + value - wp.cw_mul(slope, vel)
-            acts.stiff = given.stiff + dt * slope
+            acts.effort = value
+            acts.slope = slope
             rates, turn, rise = find(
                 vehicle, more, fall, pos, vel, half_vel, acts, thrusts, drags, w, move, half_w, half_move, dt
             )
             if stage > 1:
                 stage += 2
-                if wp.static(rubs) and stage == 4 and pushes(friction, rates):
-                    friction = joint_vector()
-                    stage = 3
+                if wp.static(rubs):
+                    drive, friction = limited_efforts(asked, at, dt)
+                    if stage == 4 and pushes(friction, rates):
+                        efforts = drive
+                        stage = 3
             elif not contradicts(asked, side, rates, dt) or (stage == 0 and rounds == wp.static(ROUNDS)):
                 if stage == 0:
                     half_w = w + 0.5 * dt * turn
                     half_vel = 0.5 * (vel + rates)
                     if wp.static(in_fluid):
                         half_move = move + 0.5 * dt * (rise - fall)
-                else:
-                    drive, friction = tangent_efforts(asked, side, rates, dt)
-                stage = wp.where(stage == 0, 1, 4)
+                    at = rates
+                stage = wp.where(stage == 0, 1, 6)
                 rounds = 0
-                at = rates
             elif rounds == wp.static(ROUNDS):
                 drive, friction = limited_efforts(asked, at, dt)
+                efforts = drive + friction
                 stage = 2
             else:
                 end = value - wp.cw_mul(slope, rates)
@@ -140,6 +140,11 @@ def make_limit_solver(
                 efforts += share * (end - efforts)
                 at += share * (rates - at)
                 rounds += 1
+        drive, friction = limited_efforts(asked, at, dt)
+        if stage == 5:
+            friction = joint_vector()
+        if stage == 6:
+            drive, friction = tangent_efforts(asked, side, rates, dt)
         return rates, turn, rise, drive, friction
 
     return solve_limits

@@ -22,6 +22,7 @@ import warp as wp
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.fused.inertia import Inertia, add_acceleration, carry, plus, rigid_inertia
+from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_passive_efforts
 from aerial_gym.physics.fused.types import RotorTypes
 
 
@@ -34,8 +35,9 @@ class JointTypes:
     held: Any  # `wp.struct` of the constants of a step
 
 
-def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:
-    """Return the types for a number of joints, with that of ``make_held_type``."""
+def joint_types(articulation: Articulation, params_type: Any, rotor_vector: Any) -> JointTypes:
+    """Return the types for a vehicle's joints; ``params_type`` as for ``make_held_type``."""
+    num_joints = articulation.num_joints
     vector, rows = vector_type(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint for a parent without acceleration
@@ -45,21 +47,22 @@ def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTy
         "lever": rows,  # origin of the link from that of its parent [m]
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    return JointTypes(vector, struct, make_held_type(num_joints, params_type, rotor_vector))
+    held = make_held_type(vector, dashpots_type(articulation), params_type, rotor_vector)
+    return JointTypes(vector, struct, held)
 
 
 @cache
-def make_held_type(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
+def make_held_type(vector: Any, dashpots: Any, params_type: Any, rotor_vector: Any) -> Any:
     """Return the ``wp.struct`` of quantities that are constant over a step.
 
-    It has both results of ``Effort.at_end`` for all laws of joints. With effects on links it also has their parameters, wind
-    [m/s] and gravity [m/s²], axes of the base, the pose of the base, and states and accelerations of the rotors.
+    It has the effort of drives and dry friction at the final rate 0, its decrease with this rate, and the positions of
+    dashpots. With effects on links it also has their parameters, wind [m/s] and gravity [m/s²], axes of the base, the pose of
+    the base, and states and accelerations of the rotors.
 
     Args:
         params_type: Type of the parameters; None without effects on links.
     """
-    vector = vector_type(num_joints)
-    fields = {"effort": vector, "stiff": vector}
+    fields = {"effort": vector, "slope": vector, "crept": dashpots}
     if params_type is not None:
         fields |= {"params": params_type, "wind": wp.vec3, "weight": wp.vec3, "position": wp.vec3, "attitude": wp.quat}
         fields |= {"rotor_speed": rotor_vector, "rotor_acc": rotor_vector}
@@ -86,7 +89,10 @@ def make_recursion(
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
-    links = [_make_link(articulation, k, types, joints, air, hubs, centered) for k in range(articulation.num_joints)]
+    links = [
+        _make_link(articulation, k, types, joints, air, hubs, passive_effort, centered)
+        for k, passive_effort in enumerate(make_passive_efforts(articulation))
+    ]
     inward, back = _make_leaf(types, joints)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
@@ -208,6 +214,7 @@ def _make_link(
     joints: JointTypes,
     air: Mapping[int, wp.Function],
     hubs: Mapping[int, wp.Function],
+    passive_effort: wp.Function,
     centered: bool,
 ) -> Any:
     """Return a function that makes the inward pass of joint k from that of its link's children."""
@@ -225,6 +232,7 @@ def _make_link(
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
     carries = bool(articulation.tree.children(k + 1))
     rotors = make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
+    bounded = k in articulation.driven or float(articulation.friction[0, k]) > 0.0
 
     def wrap_children(carried: wp.Function) -> wp.Function:
         @wp.func
@@ -281,16 +289,20 @@ def _make_link(
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
                 whole = in_air(whole, turned, turned * com, turn_0, move_0, turn, move, bent, swung, held, dt)
+            effort, stiff = passive_effort(pos, vel, held.crept, dt)
+            if wp.static(bounded):
+                effort += held.effort[k] - held.slope[k] * vel[k]
+                stiff += dt * held.slope[k]
             if wp.static(revolute):
                 by_turn = whole.turn * axis
                 by_push = wp.transpose(whole.mixed) * axis
-                inverse = 1.0 / (wp.dot(axis, by_turn) + held.stiff[k])
-                left = held.effort[k] - wp.dot(axis, whole.torque)
+                inverse = 1.0 / (wp.dot(axis, by_turn) + stiff)
+                left = effort - wp.dot(axis, whole.torque)
             else:
                 by_turn = whole.mixed * axis
                 by_push = whole.push * axis
-                inverse = 1.0 / (wp.dot(axis, by_push) + held.stiff[k])
-                left = held.effort[k] - wp.dot(axis, whole.force)
+                inverse = 1.0 / (wp.dot(axis, by_push) + stiff)
+                left = effort - wp.dot(axis, whole.force)
             free = inverse * left
             beyond = Inertia()
             beyond.turn = whole.turn - inverse * wp.outer(by_turn, by_turn)
