@@ -29,8 +29,8 @@ px4 attitude: control.px4.attitude: unit/control/px4/test_setpoints.py cross/tes
 px4 rates: control.px4.rates: cross/test_px4.py unit/control/px4/test_controller.py
 px4 mixer: control.px4.mixer: cross/test_px4.py unit/control/px4/test_mixer.py
 allocation: control.allocation: unit/control/test_allocation.py unit/control/test_effectiveness.py
-crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazyflie
-mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie
+crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
+mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
 crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py
 betaflight: control.betaflight.loop: unit/control/betaflight/test_controller.py
 link drag: physics.effects.link_drag: cross/mujoco/test_link_drag.py physics/articulated/test_link_drag.py
@@ -79,12 +79,10 @@ def mutants(module: ModuleType) -> Iterator[tuple[str, Callable[[], None]]]:
     """Yield description and action of each change of a function of a module."""
     path = Path(str(module.__file__))
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    owners = [("", tree.body)] + [(f"{n.name}.", n.body) for n in tree.body if isinstance(n, ast.ClassDef)]
-    for prefix, function in [(prefix, n) for prefix, body in owners for n in body if isinstance(n, ast.FunctionDef)]:
-        owner: object = module
-        for part in (prefix + function.name).split("."):
-            owner = vars(owner)[part]
-        target = unwrap(getattr(owner, "fget", None) or getattr(owner, "__func__", owner))
+    owners = [(module, tree)] + [(vars(module)[n.name], n) for n in tree.body if isinstance(n, ast.ClassDef)]
+    for owner, function in [(owner, n) for owner, body in owners for n in body.body if isinstance(n, ast.FunctionDef)]:
+        own = vars(owner)[function.name]
+        target = unwrap(getattr(own, "fget", None) or getattr(own, "__func__", own))
         for node in [n for statement in function.body for n in ast.walk(statement)]:
             for change, new in changes(node):
                 before, text = (type(node), dict(vars(node))), ast.unparse(node)
@@ -107,37 +105,36 @@ def rule_mutants() -> Iterator[tuple[str, Callable[[], None]]]:
                 yield f"{name}: {code} -> {changed}", lambda name=name, changed=changed: CODE.update({name: changed})
 
 
-def find_code(code: CodeType, name: str) -> CodeType:
+def find_code(code: CodeType, name: str) -> CodeType | None:
     """Return the code of a function within that of its module."""
-    inner = [c for c in code.co_consts if isinstance(c, CodeType)]
-    return next((c for c in inner if c.co_qualname == name), None) or next(
-        find_code(c, name) for c in inner if name.startswith(f"{c.co_qualname}.")
-    )
+    inner = (find_code(c, name) for c in code.co_consts if isinstance(c, CodeType))
+    return code if code.co_qualname == name else next(filter(None, inner), None)
 
 
-def run_tests(tests: list[str], prepare: Callable[[], None]) -> bool:
+def run_tests(tests: str, prepare: Callable[[], None]) -> bool:
     """Return whether tests pass in a process of their own, after a preparation."""
     child = os.fork()
     if child == 0:
         signal.alarm(300)
         prepare()
-        os._exit(int(run_pytest(tests, "-x")))
+        os._exit(run_pytest(tests, "-x"))
     return os.waitpid(child, 0)[1] == 0
 
 
-def run_pytest(tests: list[str], option: str) -> int:
+def run_pytest(tests: str, option: str) -> int:
     """Run tests without output, and return the exit status."""
     with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
-        return pytest.main([option, "-q", "-n", "0", "-p", "no:cacheprovider", *(f"tests/{test}" for test in tests)])
+        return int(pytest.main([option, "-q", "-n", "0", "-p", "no:cacheprovider", *tests.split()]))
 
 
 def main(names: list[str]) -> None:
     """Print the result of each formula."""
     torch.set_num_threads(1)
-    cases = [line.split(": ") for line in CASES.strip().splitlines()]
-    for case, place, files in [case for case in cases if not names or case[0] in names]:
-        tests, survivors, total = files.split(), [], 0
-        module = import_module(f"aerial_gym.{place}")
+    os.chdir(Path(__file__).parent)
+    for case, place, tests in (line.split(": ") for line in CASES.strip().splitlines()):
+        if names and case not in names:
+            continue
+        module, survivors, total = import_module(f"aerial_gym.{place}"), [], 0
         run_pytest(tests, "--collect-only")  # imports what all processes need
         assert run_tests(tests, lambda: None), f"{case}: tests fail without a change"
         for text, prepare in chain(mutants(module), rule_mutants() if case == "operations" else ()):

@@ -13,7 +13,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.crazyflie import brescianini
 from aerial_gym.control.crazyflie.controller import BrescianiniController, CrazyflieLeeController, MellingerController
-from aerial_gym.control.crazyflie.mellinger import FlatTarget, MellingerGains, mellinger_control
+from aerial_gym.control.crazyflie.mellinger import FlatTarget
 from aerial_gym.control.gains import derive_inclination
 from aerial_gym.control.reduced_attitude import up_axis
 from aerial_gym.errors import ConfigError
@@ -274,33 +274,3 @@ def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
     gains, weight = laws[0].gains, X500.body.mass * 9.81
     most = (gains.attitude_integral * gains.attitude_limit)[0]
     torch.testing.assert_close(most, 0.5 * laws[0].allocation.torque_authority(weight))
-
-
-def run_mellinger(**target: list[float]) -> tuple[list[float], list[float]]:
-    """Return thrust and moment in counts at rest and level with an inclination limit; masses and gains are simple numbers."""
-    widths = {"mass": 1, "mass_thrust": 1, "rate_difference": 1}
-    values = {"mass": 0.5, "mass_thrust": 100.0, "position": 1.0, "rate": 20.0, "attitude": 7.0}
-    gains = MellingerGains(
-        **{
-            name: torch.full((1, widths.get(name, 3)), values.get(name, 0.0), dtype=F64)
-            for name in MellingerGains.__annotations__
-        }
-    )
-    rows = {name: torch.tensor([target.get(name, [0.0, 0.0, 0.0])], dtype=F64) for name in FlatTarget.__annotations__}
-    flat = FlatTarget(**(rows | {"yaw": torch.zeros(1, dtype=F64)}))
-    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
-    thrust, moment, _ = mellinger_control(
-        state, flat, torch.zeros(1, 8, dtype=F64), gains, gravity=10.0, dt=0.01, max_inclination=0.5
-    )
-    return thrust[0].tolist(), moment[0].tolist()
-
-
-def test_mellinger_feeds_forward_acceleration_and_rates() -> None:
-    """Thrust is ``100 m (g + a)``, moment ``20 w`` for wanted rates w of a level vehicle at its target."""
-    thrust, moment = run_mellinger(acceleration=[0.0, 0.0, 3.0], rates=[0.1, -0.2, 0.3])
-    assert thrust == pytest.approx([650.0])
-    assert moment == pytest.approx([2.0, -4.0, 6.0])
-
-
-def test_mellinger_keeps_a_tenth_of_the_weight_for_a_far_lower_target() -> None:
-    assert run_mellinger(position=[0.0, 0.0, -50.0])[0] == pytest.approx([50.0])
