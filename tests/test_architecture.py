@@ -32,8 +32,8 @@ ROOMS = (
     ("judge",),
     ("wording",),
     ("report",),
-    ("replay", "teststand"),
-    ("close_loop",),
+    ("flight_replay", "teststand"),
+    ("loop",),
 )
 """The only statement of the import order within ``sim2real``. Each folder may import the folders above it."""
 ROOM_RANK = {name: rank for rank, group in enumerate(ROOMS) for name in group}

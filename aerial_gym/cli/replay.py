@@ -33,7 +33,7 @@ class ReplayCmd:
     def run(self) -> int:
         """Replay the flights and print the figures; return the exit status."""
         from aerial_gym.sim2real import replay
-        from aerial_gym.sim2real.replay import replay_rollout_rows
+        from aerial_gym.sim2real.flight_replay import replay_rollout_rows
         from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
         from aerial_gym.sim2real.wording import text
 

@@ -1,11 +1,16 @@
 """Comparison of flight logs with the simulator: residuals, their causes, and a corrected robot."""
 
-from aerial_gym.sim2real.close_loop import close_loop, judge_flights
-from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.replay import replay
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.sim2real.flight_replay import replay
+    from aerial_gym.sim2real.judge.verdict import Verdict
+    from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+    from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
+    from aerial_gym.sim2real.logs.recording import FlightLog
+    from aerial_gym.sim2real.loop import close_loop, judge_flights
 
 __all__ = [
     "FlightLog",
@@ -17,3 +22,5 @@ __all__ = [
     "read_flight_log",
     "replay",
 ]
+
+__getattr__, __dir__ = exports(__name__, __file__)

@@ -78,8 +78,8 @@ def score_case(job: Job) -> dict[str, object]:
     """Return the closed loop's result for one case; an exception goes to ``error``."""
     from aerial_gym.interop import one_thread
     from aerial_gym.robots.catalog import robot_by_name
-    from aerial_gym.sim2real.close_loop import judge_flights
     from aerial_gym.sim2real.logs.flights import load_train_and_test
+    from aerial_gym.sim2real.loop import judge_flights
     from aerial_gym.sim2real.report.verdict_json import verdict_json
 
     row: dict[str, object] = {**asdict(job), "hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden)}

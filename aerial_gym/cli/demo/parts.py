@@ -23,7 +23,7 @@ from aerial_gym.rl_training.policies.load import load_policy
 from aerial_gym.rl_training.settings import load_settings, settings_for
 from aerial_gym.rl_training.training import train
 from aerial_gym.sensors import SENSORS
-from aerial_gym.sim2real.close_loop import close_loop
+from aerial_gym.sim2real.loop import close_loop
 from aerial_gym.sim2real.report.plots import residual_bars, rollout_bars
 from aerial_gym.sim2real.report.tables import channel_rows
 from aerial_gym.sim2real.report.verdict_json import verdict_json

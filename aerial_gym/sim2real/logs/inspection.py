@@ -13,7 +13,6 @@ from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.binary_log import LogFlights, flight_of_log, open_raw_log
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays
@@ -200,6 +199,8 @@ def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:
 
 
 def _inspect_csv(path: Path, mapping: LogMapping | None) -> LogInspection:
+    from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log  # its checks need torch
+
     raw = csv_raw_log(path, mapping)
     try:
         log = read_flight_log(path, mapping=mapping)

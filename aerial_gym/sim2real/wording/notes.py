@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.predict.scene import NEEDED
 from aerial_gym.sim2real.wording.answer import failure_sentence
 from aerial_gym.sim2real.wording.words import (
     Template,
@@ -102,6 +101,12 @@ def _sentence_on_body_motion_errors(finding: Finding) -> str:
     return f"Errors felt by the body on parts left out [m/s², rad/s²]: {'; '.join(parts)}."
 
 
+def _missing_quantity_sentence(finding: Finding) -> str:
+    from aerial_gym.sim2real.predict.scene import NEEDED  # here, as it needs torch
+
+    return f"{finding.values['flights']} without {NEEDED[finding.values['need']]}."
+
+
 NOTES: dict[str, Template] = {
     "effect_immaterial": lambda f: (
         f"{f.subject} is immaterial: without it no error of the test flights rises by {percent_text(f.values['least'])}. "
@@ -178,7 +183,7 @@ REASONS: dict[str, Template] = {
     "no_soft_arms": "Its file gives the vehicle no soft arms, and these flights show none.",
     "acts_on_links": "It acts on moving links, and the vehicle is taken as rigid here.",
     "no_such_effect": "It looks like {alike}, but no effect of this name is registered.",
-    "logs_lack": lambda f: f"{f.values['flights']} without {NEEDED[f.values['need']]}.",
+    "logs_lack": _missing_quantity_sentence,
     "voltage_too_steady": "The battery voltage varies by only {share:percent}. {subject:excitation}",
     "commands_too_coarse": (
         "Commands are logged every {row_ms:number} ms, but the rotors follow within {lag_ms:number} ms. Log commands faster."

@@ -8,8 +8,6 @@ from typing import Any
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding, unit_suffix
-from aerial_gym.sim2real.predict.channels import UNITS
-from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 Values = Mapping[str, Any]
 
@@ -55,6 +53,9 @@ def error_list(quantities: Iterable[str]) -> str:
 
 def quantity_unit(quantity: str) -> str:
     """Return the unit of a channel or of a rollout's quantity."""
+    from aerial_gym.sim2real.predict.channels import UNITS  # here, as both need torch
+    from aerial_gym.sim2real.predict.rollout import QUANTITIES
+
     kind, _, rest = quantity.partition(".")
     return UNITS[kind] if kind in UNITS else QUANTITIES[rest.partition(".")[0]]
 

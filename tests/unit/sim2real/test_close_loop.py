@@ -71,7 +71,7 @@ def run(folder: Path, call: list[str]) -> tuple[Path, str]:
         return judge_flights(*args, **options)
 
     with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(import_module("aerial_gym.sim2real.close_loop"), "judge_flights", without_files)
+        patch.setattr(import_module("aerial_gym.sim2real.loop"), "judge_flights", without_files)
         assert main([*arguments, "--out", str(out), "--ranges", "--tolerances", str(known)]) == 0
     assert not gone.exists()
     return out, printed.getvalue()

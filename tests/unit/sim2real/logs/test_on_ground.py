@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import find_mapping, read_flight_log
+from aerial_gym.sim2real.flight_replay import replay_flights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.rollout import HORIZONS_S, find_windows, windows_of_longest_horizon
-from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, make_predictor, write
 
 RATE = 100.0

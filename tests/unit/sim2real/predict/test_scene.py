@@ -11,10 +11,10 @@ from aerial_gym.errors import CapabilityError, DataError
 from aerial_gym.physics import BACKENDS, EFFECTS, build_model, vehicle_from_config
 from aerial_gym.sim2real import LogMapping, find_mapping, judge_flights, read_flight_log
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.flight_replay import replay_flights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.scene import finding_on_absent_data
-from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
 

@@ -12,6 +12,7 @@ from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.flight_replay import replay_flights
 from aerial_gym.sim2real.identify.battery import robot_with_estimated_battery
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
@@ -24,7 +25,6 @@ from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
