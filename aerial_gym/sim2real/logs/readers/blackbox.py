@@ -29,7 +29,7 @@ from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS
 
 MARK = b"H Product:Blackbox flight data recorder"  # First line of each flight
 HEADER_LINE = re.compile(rb"H ([^:\n\0]{1,100}):([^\n\0]{0,16384})\n")
-MOST_FLIGHTS, MOST_FIELDS = 1000, 1000  # Betaflight logs up to some 100 flights of some 50 fields, INDIFLIGHT of 200
+MOST_FLIGHTS, MOST_FIELDS = 500, 1000  # Betaflight logs up to some 100 flights of some 50 fields, INDIFLIGHT of 200
 MOST_GROWTH, FREE_BYTES = 24, 2**27  # A file may grow to so many times its size when decoded, and to 128 MB at least
 BREAK_S = 10.0  # Time between two flights if the clock started anew between them
 
@@ -97,7 +97,8 @@ class BlackboxReader(LogReader):
     def read(self, path: Path) -> RawLog:
         """Return the frames, header entries and events of all flights."""
         data = np.fromfile(path, dtype=np.uint8)
-        flights = [_decode_flight(data, header, str(path)) for header in _read_headers(data, str(path))]
+        headers = [header for header in _read_headers(data, str(path)) if header.stop > header.start]
+        flights = [_decode_flight(data, header, str(path)) for header in headers]
         flights = [flight for flight in flights if flight.main["time"].size > 1]
         if not flights:
             raise DataError(f"{path}: holds no flight: no frame of the blackbox could be decoded")

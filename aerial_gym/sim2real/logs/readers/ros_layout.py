@@ -19,7 +19,7 @@ NUMBERS = {
 """NumPy type of each number."""
 
 LONGEST_SEQUENCE = 64  # A longer sequence, such as an image, becomes no columns
-MOST_COLUMNS, MOST_LAYOUTS, DEEPEST = 1000, 64, 12
+MOST_COLUMNS, MOST_NODES, MOST_LAYOUTS, DEEPEST = 1000, 4000, 64, 12
 Fields = Mapping[str, Any]  # Fields by type, as rosbags states them: (constants, [(name, (node, detail)), ...])
 
 
@@ -35,7 +35,7 @@ class MessageLayout:
         self.numbers: dict[str, tuple[int, np.dtype[Any]]] = {}
         self.lengths: list[int] = []
         self._data, self._fields, self._place, self._open = data, fields, 0, True
-        self._origin = 4 if is_cdr else 0
+        self._origin, self._nodes = 4 if is_cdr else 0, 0
         self._aligned = is_cdr
         if is_cdr:
             if len(data) < 4 or data[1] != 1:  # little endian, version 1
@@ -68,6 +68,9 @@ class MessageLayout:
 
     def _walk_node(self, node: Any, name: str, depth: int) -> None:
         kind, detail = int(node[0]), node[1]
+        self._nodes += 1
+        if self._nodes > MOST_NODES:
+            raise LayoutError("has too many fields")
         if kind == 1:
             self._walk_base(detail[0], name)
         elif kind == 2:
