@@ -66,7 +66,7 @@ def _motion(streams: Mapping[str, Stream]) -> list[Stream]:
 def leave_out_partial_streams(streams: dict[str, Stream], notes: list[Finding]) -> dict[str, Stream]:
     """Return the streams that cover at least ``LEAST_COVERED`` of the time of the longest one; others become findings."""
     spans = {name: float(np.ptp(stream.time)) for name, stream in streams.items()}
-    longest = max(spans.values(), default=0.0)
+    longest = max((spans[name] for name in streams if name not in (*STATES, "battery")), default=0.0)
     short = [name for name in streams if name not in STATES and spans[name] < LEAST_COVERED * longest]
     for name in short:
         values = {"topic": streams[name].channel.source, "covered_s": spans[name], "log_s": longest}

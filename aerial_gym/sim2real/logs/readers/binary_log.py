@@ -60,10 +60,12 @@ def open_raw_log(raw: RawLog, mapping: LogMapping | None = None) -> LogFlights:
     notes = list(raw.notes)
     channels = LOG_READERS.get(raw.format).channels(raw)
     streams = usable_streams([*_channels_of_mapping(raw, channels, mapping), *channels], notes)
+    streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
     if not {"attitude", "ang_vel"} & streams.keys():
         lost = "".join(f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out")
-        raise DataError(f"{raw.path}: holds neither attitude nor angular velocity; log one of them.{lost}")
-    streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
+        raise DataError(
+            f"{raw.path}: holds neither attitude nor angular velocity of the whole log; log one of them.{lost}"
+        )
     spans = flight_spans(streams, notes)
     if not spans:
         raise DataError(f"{raw.path}: holds no flight of {SHORTEST_S:g} s without a gap in its topics")

@@ -63,6 +63,11 @@ class MessageType:
     fields: tuple[str, ...]
 
     @property
+    def columns(self) -> list[tuple[str, str]]:
+        """Name and format character of each field."""
+        return list(zip(self.fields, self.format, strict=False))
+
+    @property
     def record(self) -> NDArray[Any]:
         """Return the NumPy type of the fields, named by their place; raise ``KeyError`` for an unknown character."""
         return np.dtype([(str(i), TYPES[code][0]) for i, code in enumerate(self.format)])  # type: ignore[return-value]
@@ -88,7 +93,6 @@ class DataflashReader(LogReader):
         named = {types[number].name: (types[number], table) for number, table in tables.items()}
         units = _field_units(types, named)
         texts = [(_seconds(*named["MSG"])[i], text) for i, text in enumerate(_text(named, "MSG", "Message"))]
-        names, values = _text(named, "PARM", "Name"), _numbers(*named["PARM"], "Value") if "PARM" in named else ()
         lost = data.size - used
         return RawLog(
             path=str(path),
@@ -96,7 +100,7 @@ class DataflashReader(LogReader):
             topics=tuple(
                 topic for one, table in named.values() for topic in _topics(one, table, units.get(one.name, {}))
             ),
-            parameters=dict(zip(names, map(float, values), strict=False)),
+            parameters=_parameters(named),
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
             metadata={"firmware": texts[0][1]} if texts else {},
             notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),)
@@ -182,7 +186,10 @@ def _chain(steps: Indices) -> NDArray[np.bool_]:
 
 
 def _numbers(one: MessageType, table: NDArray[Any], field: str) -> Array:
-    place = one.fields.index(field)
+    """Return the numbers of a field; raise ``ValueError`` if the message has no such field of numbers."""
+    place = next((i for i, (name, code) in enumerate(one.columns) if name == field and TYPES[code][1] != 0.0), None)
+    if place is None or one.format[place] == "a":
+        raise ValueError(f"no numbers {field}")
     values = table[str(place)].astype(np.float64)
     unit = TYPES[one.format[place]][1]
     return values if unit == 1.0 else values * unit
@@ -206,6 +213,15 @@ def _seconds(one: MessageType, table: NDArray[Any]) -> Array:
     return values.astype(np.float64) * TIMES[field] if values.dtype.kind in "uif" else np.zeros(table.size)
 
 
+def _parameters(named: dict[str, tuple[MessageType, NDArray[Any]]]) -> dict[str, float | str]:
+    """Return the last value of each parameter."""
+    try:
+        values = _numbers(*named["PARM"], "Value").tolist()
+    except (KeyError, ValueError):
+        return {}
+    return dict(zip(_text(named, "PARM", "Name"), values, strict=False))
+
+
 def _field_units(
     types: dict[int, MessageType], named: dict[str, tuple[MessageType, NDArray[Any]]]
 ) -> dict[str, dict[str, str]]:
@@ -215,11 +231,8 @@ def _field_units(
         factors = dict(
             zip(_numbers(*named["MULT"], "Id").tolist(), _numbers(*named["MULT"], "Mult").tolist(), strict=True)
         )
-        rows = zip(
-            _numbers(*named["FMTU"], "FmtType").tolist(),
-            *(_text(named, "FMTU", field) for field in ("UnitIds", "MultIds")),
-            strict=True,
-        )
+        texts = (_text(named, "FMTU", field) for field in ("UnitIds", "MultIds"))
+        rows = zip(_numbers(*named["FMTU"], "FmtType").tolist(), *texts, strict=False)
     except (KeyError, ValueError):
         return {}
     results: dict[str, dict[str, str]] = {}
@@ -239,9 +252,10 @@ def _topics(one: MessageType, table: NDArray[Any], units: dict[str, str]) -> Ite
     """Yield the numeric fields of a message with a time, one topic for each instance."""
     if not set(TIMES) & set(one.fields) or not table.size:
         return
-    pairs = list(zip(one.fields, one.format, strict=False))
-    marked = [field for field, _ in pairs if units.get(field) == "#"] or [
-        field for field, code in pairs if field in INSTANCES and code in "bB" and one.name != "CMD"
+    pairs = one.columns
+    counted = [field for field, code in pairs if code in "bB"]
+    marked = [field for field in counted if units.get(field) == "#"] or [
+        field for field in counted if field in INSTANCES and one.name != "CMD"
     ]
     keys = _numbers(one, table, marked[0]).astype(int) if marked else np.zeros(table.size, dtype=int)
     digits = one.name.lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")

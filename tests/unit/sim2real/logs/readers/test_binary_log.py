@@ -175,3 +175,13 @@ def test_commands_too_small_to_carry_a_vehicle_are_no_flight(table: pd.DataFrame
     }
     with pytest.raises(DataError, match="of full on average"):
         load(results, tmp_path / "a.ulg")
+
+
+def test_a_log_whose_motion_covers_a_part_of_it_is_refused(table: pd.DataFrame) -> None:
+    """Stamps of the rotor speeds in nanoseconds make all other topics cover too little of the log; the battery may err."""
+    results = topics(table)
+    results["battery_status"]["timestamp"] = results["battery_status"]["timestamp"] * 1000
+    assert read_topics(results).time.size > 2000
+    results["esc_status"]["timestamp"] = results["esc_status"]["timestamp"] * 1000
+    with pytest.raises(DataError, match="of the whole log"):
+        read_topics(results)

@@ -82,6 +82,15 @@ def test_a_head_within_a_message_begins_no_message(tmp_path) -> None:
     assert log.notes == ()
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [(b"MultIds", b"MultIdz"), (b"Name,Value", b"Name,Valve"), (b"Id,Label", b"Ib,Label")]
+)
+def test_a_damaged_definition_leaves_the_sensors(tmp_path, old, new) -> None:
+    data, _ = files.log()
+    log = read(tmp_path, data.replace(old, new))
+    assert channel(log, "ang_vel").time.size == 400
+
+
 @pytest.mark.parametrize("data", [b"\xa3\x95", b"\xa3\x95\x80" + bytes(200), files.definitions()])
 def test_a_log_without_sensors_is_refused(tmp_path, data) -> None:
     with pytest.raises(DataError):
