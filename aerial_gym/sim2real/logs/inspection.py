@@ -12,6 +12,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.binary_log import LogFlights, flight_of_log, open_raw_log
+from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
@@ -201,13 +202,27 @@ def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:
 def _inspect_csv(path: Path, mapping: LogMapping | None) -> LogInspection:
     from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log  # its checks need torch
 
-    raw = csv_raw_log(path, mapping)
     try:
         log = read_flight_log(path, mapping=mapping)
     except DataError as error:
+        try:
+            raw = csv_raw_log(path, mapping)
+        except DataError:
+            raw = _raw_log_of_header(path, error)
         return _inspection(raw, [], [str(error)], raw.notes)
+    raw = RawLog(path=str(path), format="csv", topics=(Topic(name="table", time=log.time, columns={}),))
     rate = topic_summary(raw.topics[0]).rate or 0.0
     streams = {
         name: StreamTiming(source="table[0]", rate=rate) for name in row_arrays(log) if name not in ("time", "lines")
     }
     return _inspection(raw, [_flight_summary(replace(log, streams=streams), "log_end", rate, log.notes)], [], ())
+
+
+def _raw_log_of_header(path: Path, error: DataError) -> RawLog:
+    """Return the number of lines and the column names of a CSV file whose layout is unknown; raise ``error`` without names."""
+    lines = read_lines(path)
+    header = find_header(iter(lines), "")
+    if header is None or len(header.names) < 2:
+        raise error
+    topic = Topic(name="table", time=np.full(len(lines) - 1, np.nan), columns={})
+    return RawLog(path=str(path), format="csv", topics=(topic,), metadata={"columns": ", ".join(header.names)})

@@ -101,7 +101,7 @@ def _sentence_on_body_motion_errors(finding: Finding) -> str:
     return f"Errors felt by the body on parts left out [m/s², rad/s²]: {'; '.join(parts)}."
 
 
-def _missing_quantity_sentence(finding: Finding) -> str:
+def _sentence_on_lack(finding: Finding) -> str:
     from aerial_gym.sim2real.predict.scene import NEEDED  # here, as it needs torch
 
     return f"{finding.values['flights']} without {NEEDED[finding.values['need']]}."
@@ -183,7 +183,7 @@ REASONS: dict[str, Template] = {
     "no_soft_arms": "Its file gives the vehicle no soft arms, and these flights show none.",
     "acts_on_links": "It acts on moving links, and the vehicle is taken as rigid here.",
     "no_such_effect": "It looks like {alike}, but no effect of this name is registered.",
-    "logs_lack": _missing_quantity_sentence,
+    "logs_lack": _sentence_on_lack,
     "voltage_too_steady": "The battery voltage varies by only {share:percent}. {subject:excitation}",
     "commands_too_coarse": (
         "Commands are logged every {row_ms:number} ms, but the rotors follow within {lag_ms:number} ms. Log commands faster."

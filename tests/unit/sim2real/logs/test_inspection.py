@@ -58,3 +58,6 @@ def test_a_csv_file_has_one_topic(table: pd.DataFrame, tmp_path: Path) -> None:
     assert log.flights[0].streams["ang_vel"].rate == pytest.approx(200.0, rel=1e-3)
     bad = inspect_log(write(table.drop(columns=["q_x"]), tmp_path / "b.csv"))
     assert (bad.flights, len(bad.refusals)) == ((), 1)
+    other = inspect_log(write(table.rename(columns={"t": "stamp"}), tmp_path / "c.csv"))
+    assert (other.flights, len(other.refusals)) == ((), 1)
+    assert other.metadata["columns"].startswith("stamp, p_x")
