@@ -15,7 +15,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -64,6 +64,11 @@ class Fuzz:
             for target in targets(folder)
             if not self.only or {target.name, target.name.split("_")[0]} & {*self.only}
         ]
+        for target in chosen:  # compiles kernels and loads libraries before time and memory count
+            file = folder / f"input{target.suffix}"
+            file.write_bytes(target.inputs[0])
+            with suppress(AerialGymError):
+                target.use(file)
         for index in range(self.count):
             target = chosen[index % len(chosen)]
             outcome, finding = self._try_input(target, folder, index)
