@@ -59,7 +59,9 @@ class UlogReader(LogReader):
         return RawLog(
             path=str(path),
             format=self.name,
-            topics=tuple(_topic(part.name, part.multi_id, part.data) for part in log.data_list if part.data),
+            topics=tuple(
+                _topic(part.name, part.multi_id, part.data) for part in log.data_list if "timestamp" in part.data
+            ),
             parameters=dict(log.initial_parameters),
             messages=tuple(
                 LogMessage(
