@@ -127,16 +127,16 @@ class BlackboxReader(LogReader):
         main = log.topics[0]
         known = main.columns.keys()
 
-        def vector(quantity: str, names: Sequence[str], unit: float) -> list[LogChannel]:
+        def vector(quantity: str, names: Sequence[str], unit: float | None = None) -> list[LogChannel]:
             name = next((n for n in names if f"{n}[2]" in known), None)
             if name is None:
                 return []
-            values = _stack(main, [f"{name}[{i}]" for i in range(3)], unit)
+            values = _stack(main, [f"{name}[{i}]" for i in range(3)], unit or _gyro_unit(log, name))
             return [LogChannel(quantity=quantity, time=main.time, values=values, source=main.source)]
 
         unit = UNIT_G / float(log.parameters.get("acc_1G") or 2048.0)
         return [
-            *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC"), _gyro_unit(log)),
+            *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC")),
             *vector("specific_force", ("accADCafterRpm", "accSmooth", "accADC"), unit),
             *_estimates(main),
             *_rotors(log, main),
@@ -320,11 +320,12 @@ def _number_or_text(text: str) -> float | str:
         return text
 
 
-def _gyro_unit(log: RawLog) -> float:
-    """Return the unit of the gyro [rad/s] from the scale in the header, deg/s, and the resolution."""
-    revision, text = (str(log.parameters.get(name, "")) for name in ("Firmware revision", "gyro_scale"))
-    usual = 10.0 if log.parameters.get("blackbox_high_resolution") == 1.0 else 1.0
-    counts = next((scale for build, scale in INDIFLIGHT_GYRO.items() if build in revision), usual)
+def _gyro_unit(log: RawLog, name: str) -> float:
+    """Return the unit of a gyro's columns [rad/s] from the scale in the header, deg/s, and the resolution."""
+    revision, text = (str(log.parameters.get(key, "")) for key in ("Firmware revision", "gyro_scale"))
+    usual = 10.0 if log.parameters.get("blackbox_high_resolution") == 1.0 or "Indiflight" in revision else 1.0
+    builds = INDIFLIGHT_GYRO.items() if name == "gyroADC" else ()
+    counts = next((scale for build, scale in builds if build in revision), usual)
     hexadecimal = re.fullmatch(r"0x([0-9a-fA-F]{8})", text)
     scale = struct.unpack(">f", bytes.fromhex(hexadecimal[1]))[0] if hexadecimal else 1.0
     return radians(scale if 1e-3 < scale < 1e3 else 1.0) / counts

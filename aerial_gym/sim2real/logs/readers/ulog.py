@@ -8,7 +8,7 @@ src/lib/mixer_module/output_functions.yaml; thrust curve: THR_MDL_FAC in the PX4
 from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,22 @@ QUAD_X = np.array([(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 
 """Roll, pitch and yaw factors of the rotors front right, rear left, front left, rear right. Source: PX4 1.12, quad_x mixer."""
 
 
+class UlogStream(BytesIO):
+    """The bytes of a file that can be read a few times over: pyulog goes back in damaged files, in some of them for ever."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self._left = 3 * len(data) + 2**24  # Bytes that may still be read, each read counting as 8 more
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return the next bytes; raise ``EOFError`` if the file has been read too often."""
+        data = super().read(size)
+        self._left -= len(data) + 8
+        if self._left < 0:
+            raise EOFError("it is damaged, so that no end of its messages is found")
+        return data
+
+
 class UlogReader(LogReader):
     """Reader of PX4 ULog files."""
 
@@ -53,7 +69,7 @@ class UlogReader(LogReader):
             raise MissingDependencyError("reading a PX4 ULog needs pyulog: pip install 'aerial-gym[logs]'") from None
         try:
             with redirect_stdout(StringIO()):  # pyulog prints what it skips
-                log = ULog(str(path))
+                log = ULog(UlogStream(path.read_bytes()))
         except Exception as error:  # pyulog raises many types
             raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
         return RawLog(

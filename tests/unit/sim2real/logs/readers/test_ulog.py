@@ -129,3 +129,12 @@ def test_real_logs_open_as_the_flights_that_they_hold() -> None:
     assert log.streams["rotor_command"].rate == pytest.approx(10.0, abs=0.1)
     assert not log.torques
     assert len(open_log(REAL / "hitl_trajectory.ulg").spans) == 2  # its accelerometer has a gap of 0.8 s
+
+
+def test_a_damaged_file_is_not_read_for_ever() -> None:
+    """pyulog steps back by the length of an unknown message, beyond what it has read of a file that ends there."""
+    stream = UlogStream(bytes(100))
+    with pytest.raises(EOFError):
+        for _ in range(10**6):
+            stream.seek(0)
+            stream.read(100)
