@@ -45,6 +45,12 @@ class RotorLayout:
             return None
         return np.sign(np.stack((self.places[:, 1], -self.places[:, 0], -np.array(self.spins, dtype=np.float64))))
 
+    def may_equal(self, other: "RotorLayout") -> bool:
+        """Return whether both can be of one vehicle; a log that states no places agrees with any of as many rotors."""
+        if self.count != other.count or self.places is None or other.places is None:
+            return self.count == other.count
+        return self.spins == other.spins and np.allclose(self.places, other.places, atol=0.01)
+
 
 def layout_in_log(path: str, count: int) -> RotorLayout:
     """Return the rotors that a log states."""

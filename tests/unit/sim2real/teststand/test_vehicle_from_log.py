@@ -8,11 +8,13 @@ import pandas as pd
 import pytest
 
 from aerial_gym.cli.main import main
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import robot_by_name
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand import vehicle_from_log
 from aerial_gym.sim2real.teststand.log_geometry import BETAFLIGHT_X, RotorLayout, _px4_layout
-from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
+from aerial_gym.sim2real.teststand.vehicle_from_log import ValueWithOrigin, _yaw_numbers, draft_vehicle, robot_text
 
 RATE, SECONDS, MASS = 400.0, 16.0, 0.5
 SIGNS = np.array(((-1, -1, 1, 1), (1, -1, 1, -1), (1, -1, -1, 1)))  # Roll, pitch, yaw, of Betaflight's order
@@ -20,16 +22,16 @@ SIZES = np.array((2.3e-5, 1.6e-5, 3.0e-6))  # Angular acceleration per squared s
 LIFT, LAG, IDLE, GAIN, POWER = 6.2e-7, 0.02, 450.0, 3600.0, 0.7
 
 
-def write_flight(path: Path, seed: int, *, speeds: bool = True) -> Path:
+def write_flight(path: Path, seed: int, *, speeds: bool = True, seconds: float = SECONDS, lag: float = LAG) -> Path:
     """Write a flight with slow random commands about hover; the vehicle's motion follows by sums over rotors."""
     rng = np.random.default_rng(seed)
-    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+    time = np.arange(0.0, seconds, 1.0 / RATE)
     tones, phases = rng.uniform(0.3, 8.0, (6, 1, 4)), rng.uniform(0.0, 2 * np.pi, (6, 1, 4))
     command = 0.35 + 0.03 * np.sin(2 * np.pi * tones * time[:, None] + phases).sum(axis=0)
     steady = IDLE + GAIN * command**POWER
     speed = steady.copy()
     for k in range(1, time.size):
-        speed[k] = steady[k - 1] + (speed[k - 1] - steady[k - 1]) * np.exp(-1.0 / (RATE * LAG))
+        speed[k] = steady[k - 1] + (speed[k - 1] - steady[k - 1]) * np.exp(-1.0 / (RATE * lag))
     speed *= 1.0 + 1e-3 * rng.normal(size=speed.shape)
     acceleration = (speed**2) @ (SIGNS * SIZES[:, None]).T
     acceleration -= acceleration.mean(axis=0)
@@ -126,3 +128,85 @@ def test_a_log_without_flight_is_refused(flights: list[Path], tmp_path: Path) ->
     table.to_csv(tmp_path / "short.csv", index=False)
     with pytest.raises(DataError):
         draft_vehicle([tmp_path / "short.csv"])
+
+
+def test_a_flight_of_8_s_gives_its_lag(tmp_path: Path) -> None:
+    draft = draft_vehicle([write_flight(tmp_path / "short.csv", 3, seconds=8.0, lag=0.04)], mass=MASS, arm=0.1)
+    assert draft.curve is not None
+    assert draft.curve.lag.value == pytest.approx(0.04, rel=0.1)
+    assert draft.curve.lag.low < draft.curve.lag.value
+
+
+@pytest.mark.parametrize("arm", [0.07, 0.083, 0.1, 0.113, 0.17])
+def test_the_inertia_of_each_file_is_that_of_a_body(flights: list[Path], arm: float, tmp_path: Path) -> None:
+    """The file holds x + y as the largest moment about z: rounded numbers may not exceed it."""
+    (tmp_path / "vehicle.yaml").write_text(robot_text(draft_vehicle(flights[:1], mass=MASS, arm=arm), name="a: 'b' #2"))
+    assert robot_by_name(tmp_path / "vehicle.yaml").summary == "vehicle of a: 'b' #2"
+
+
+def test_numbers_on_an_assumed_mass_or_arm_are_assumed(flights: list[Path]) -> None:
+    known, no_arm, none = (
+        draft_vehicle(flights[:1], mass=m, arm=a) for m, a in ((MASS, 0.1), (MASS, None), (None, None))
+    )
+    assert {name for name, value in known.values.items() if value.is_assumed} == {"torque_ratio", "inertia_z"}
+    assert {name for name in ("thrust", "inertia_x", "inertia_y") if no_arm.values[name].is_assumed} == {
+        "inertia_x", "inertia_y",
+    }  # fmt: skip
+    assert none.values["thrust"].is_assumed
+    assert none.values["largest_thrust"].is_assumed
+
+
+def test_the_mapping_turns_commands_into_the_measured_speeds(flights: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(draft_vehicle(flights[:1], mass=MASS, arm=0.1).mapping)
+    log = read_flight_log(flights[0], mapping=find_mapping(tmp_path / "m.yaml"))
+    assert log.rotor_command is not None
+    assert log.rotor_speed is not None
+    np.testing.assert_allclose(log.rotor_command.mean(axis=0), log.rotor_speed.mean(axis=0), rtol=0.01)
+    np.testing.assert_allclose(log.rotor_command.std(axis=0), log.rotor_speed.std(axis=0), rtol=0.2)
+
+
+def test_a_thrust_curve_becomes_a_power_law_at_the_mean_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layout = RotorLayout(
+        count=4, places=np.array([(*p, 0.0) for p in BETAFLIGHT_X[0]]), spins=BETAFLIGHT_X[1], thrust_curve=0.65
+    )
+    monkeypatch.setattr(vehicle_from_log, "layout_in_log", lambda path, count: layout)
+    draft = draft_vehicle([write_flight(tmp_path / "commands.csv", 5, speeds=False)], mass=MASS, arm=0.1)
+    (tmp_path / "m.yaml").write_text(draft.mapping)
+    law = find_mapping(tmp_path / "m.yaml").rotor_command
+    assert law is not None
+    for u in (0.33, 0.35, 0.37):
+        thrust = draft.values["thrust"].value * (0.65 * u**2 + 0.35 * u)
+        assert law.gain * u**law.power == pytest.approx(thrust, rel=2e-3)
+
+
+def test_wrong_masses_logs_and_layouts_are_refused(
+    flights: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for mass, arm in ((-1.0, 0.1), (0.5, -0.1), (float("nan"), 0.1), (0.5, 0.0)):
+        with pytest.raises(ConfigError):
+            draft_vehicle(flights[:1], mass=mass, arm=arm)
+    table = pd.read_csv(flights[0])
+    table.assign(acc_z=0.4 * table.acc_z).to_csv(tmp_path / "light.csv", index=False)
+    with pytest.raises(DataError, match="accelerometer"):
+        draft_vehicle([tmp_path / "light.csv"], mass=MASS, arm=0.1)
+    places = np.array([(*p, 0.0) for p in BETAFLIGHT_X[0]])
+    layouts = {
+        str(path): RotorLayout(count=4, places=k * places, spins=BETAFLIGHT_X[1]) for k, path in enumerate(flights, 1)
+    }
+    monkeypatch.setattr(vehicle_from_log, "layout_in_log", lambda path, count: layouts[path])
+    with pytest.raises(DataError, match="one vehicle"):
+        draft_vehicle(flights, mass=MASS, arm=0.1)
+
+
+def test_a_logged_torque_ratio_that_no_body_can_have_is_not_used() -> None:
+    values = {name: ValueWithOrigin(value=1e-3, origin="given") for name in ("mass", "inertia_x", "inertia_y")}
+    sizes = tuple(vehicle_from_log.Estimate.from_half_width(3e-6, 1e-7) for _ in range(4))
+    effect, notes = vehicle_from_log.Effectiveness(signs=SIGNS, sizes=sizes), list[str]()
+    for ratio, used in ((0.01, True), (0.05, False)):
+        layout = RotorLayout(count=4, torque_ratio=ratio)
+        torque_ratio, inertia = _yaw_numbers(layout, effect, 3e-7, values, notes)
+        assert (torque_ratio.value == ratio) is used
+        assert inertia.value < 2e-3 * (1.0 + 1e-9)
+    assert len(notes) == 1
