@@ -191,9 +191,10 @@ def test_wrong_masses_logs_and_layouts_are_refused(
     table.assign(acc_z=0.4 * table.acc_z).to_csv(tmp_path / "light.csv", index=False)
     with pytest.raises(DataError, match="accelerometer"):
         draft_vehicle([tmp_path / "light.csv"], mass=MASS, arm=0.1)
-    places = np.array([(*p, 0.0) for p in BETAFLIGHT_X[0]])
+    places = np.array([(*p, 0.0) for p in BETAFLIGHT_X[0]], dtype=np.float64)
     layouts = {
-        str(path): RotorLayout(count=4, places=k * places, spins=BETAFLIGHT_X[1]) for k, path in enumerate(flights, 1)
+        str(path): RotorLayout(count=4, places=float(k) * places, spins=BETAFLIGHT_X[1])
+        for k, path in enumerate(flights, 1)
     }
     monkeypatch.setattr(vehicle_from_log, "layout_in_log", lambda path, count: layouts[path])
     with pytest.raises(DataError, match="one vehicle"):

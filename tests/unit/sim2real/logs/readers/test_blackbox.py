@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
+from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.blackbox import BlackboxReader
 from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from tests.unit.sim2real.logs.readers import blackbox_files as files
@@ -92,6 +92,19 @@ def test_a_low_resolution_gyro_counts_whole_degrees_per_second(tmp_path) -> None
     np.testing.assert_allclose(
         channel(log, "ang_vel").values[:, 0], np.radians(rows[:, files.NAMES.index("gyroADC[0]")])
     )
+
+
+@pytest.mark.parametrize(("names", "counts"), [(("gyroADC",), 16.384), (("gyroADC", "gyroADCafterRpm"), 10.0)])
+def test_only_the_raw_gyro_of_a_build_of_indiflight_has_its_own_scale(names: tuple[str, ...], counts: float) -> None:
+    """Free flights conserve their momentum with 0.1 deg/s for the filtered gyro of this build."""
+    parameters = {
+        "Firmware revision": "Indiflight 5.0.0 (1a30175ae+dirty) STM32H743", "gyro_scale": "0x3f800000",
+        "blackbox_high_resolution": 1.0,
+    }  # fmt: skip
+    columns = {f"{name}[{i}]": np.full(3, 100.0) for name in names for i in range(3)}
+    topic = Topic(name="main", time=np.arange(3.0), columns=columns)
+    log = RawLog(path="log", format="blackbox", topics=(topic,), parameters=parameters)
+    np.testing.assert_allclose(channel(log, "ang_vel").values[:, 0], np.radians(100.0 / counts))
 
 
 @pytest.mark.parametrize(
