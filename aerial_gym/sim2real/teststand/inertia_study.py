@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from aerial_gym.sim2real.teststand.throws import (
 )
 
 NORMAL_95 = 1.96  # Half width of a 95 % interval in standard deviations
+LARGEST_REST = 0.15  # Largest unexplained share of the change of momentum; throws of one rigid body show 0.03
 NEAR_EQUAL = 0.1  # Principal moments that differ by less leave the directions of their axes open
 
 
@@ -98,10 +100,34 @@ def study_inertia(
         )
     if device is not None and body.mass is None:
         raise ConfigError("identify inertia --device needs the mass of the body without the device: give --mass-kg")
+    _check_positive(body, device, proof, wheel_inertia)
     series = [each for each in (body, device, proof) if each is not None]
     wheel, fits = fit_momentum([[read_throw(path) for path in each.paths] for each in series])
+    for each, fit in zip(series, fits, strict=True):
+        _check_momentum(each, fit)
     result = body_inertia(series, fits, wheel_inertia)
     return _report_inertia(body, result, fits[0], wheel.lateness)
+
+
+def _check_positive(
+    body: ThrowSeries, device: ThrowSeries | None, proof: ThrowSeries | None, wheel_inertia: float | None
+) -> None:
+    given = [("mass", body.mass), ("wheel inertia", wheel_inertia)]
+    for role, series in (("device", device), ("proof", proof)):
+        if series is not None:
+            given += [(f"{role} mass", series.mass), *((f"{role} inertia", value) for value in series.inertia or ())]
+    for name, value in given:
+        if value is not None and not 0.0 < value < inf:
+            raise ConfigError(f"{name} = {value!r}: must be > 0 and finite")
+
+
+def _check_momentum(series: ThrowSeries, fit: MomentumFit) -> None:
+    """Raise ``DataError`` if the throws of a series do not conserve the momentum of one rigid body."""
+    if fit.residual > LARGEST_REST:
+        raise DataError(
+            f"{', '.join(map(str, series.paths))}: {fit.residual:.0%} of the change of momentum stay unexplained, and throws "
+            f"of one rigid body leave at most {LARGEST_REST:.0%}; give throws of the same body, touched by nobody in the air"
+        )
 
 
 def body_inertia(
@@ -149,6 +175,12 @@ def wheel_scale(series: Sequence[ThrowSeries], fits: Sequence[MomentumFit]) -> E
 
 def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, lateness: float) -> Study:
     values = np.array([moment.value for moment in result.moments])
+    open_moments = [k + 1 for k, moment in enumerate(result.moments) if moment.value > 0.0 >= moment.low]
+    if open_moments:
+        raise DataError(
+            f"the throws do not show principal moment {', '.join(map(str, open_moments))}: its interval reaches 0; throw with "
+            "more spin about all axes"
+        )
     if values[0] <= 0.0 or result.moments[0].high + result.moments[1].high < result.moments[2].low:
         raise DataError(
             f"the moments {', '.join(f'{value:.3g}' for value in values)} kg m² belong to no body: the largest may not "
@@ -176,7 +208,7 @@ def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, la
     quaternion = Rotation.from_matrix(result.axes).as_quat().tolist()
     return Study(
         title="Inertia of a thrown body",
-        intro=f"{len(body.paths)} throws. Intervals are 95 % intervals of the scatter within the flights.",
+        intro=f"Number of throws: {len(body.paths)}. Intervals are 95 % intervals of the scatter within the flights.",
         mapping={
             "inertia_kg_m2": matrix,
             "moments_kg_m2": [moment.as_mapping() for moment in result.moments],

@@ -30,6 +30,7 @@ BLOCK_S = 0.04  # Length of the blocks whose mean momentum is compared [s]
 SMOOTHING_HZ = 40.0  # Band of the accelerations from which the position of the IMU is found
 SLOWEST_WHEEL = 0.08  # Wheel speeds below this share of the largest one are not measured well
 EDGE_S = 0.03  # Samples at both ends of a free flight that are left out [s]
+HEAVIEST = 3.0  # Largest typical reading that the spin does not explain [m/s²]: throws show below 0.4, a held body 9.8
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # Order of the elements of an inertia matrix
 
 
@@ -105,6 +106,11 @@ def find_free_flight(flight: FreeFlight) -> FreeFlight:
     core = slice(turning[0], turning[-1])
     position = np.linalg.lstsq(matrices[core].reshape(-1, 3), force[core].reshape(-1), rcond=None)[0]
     residual = np.linalg.norm(force - matrices @ position, axis=1)
+    if (typical := float(np.median(residual[core]))) > HEAVIEST:
+        raise DataError(
+            f"{flight.name}: is no throw: while the wheel turns, the accelerometer reads {typical:.1f} m/s² that the spin does "
+            "not explain, and 0 in free flight; let the wheel spin up in the air, with nothing but the wheel turning"
+        )
     free = residual < 5.0 * np.median(residual[core]) + 0.3
     held_before = np.flatnonzero(~free[: turning[0]])
     held_after = np.flatnonzero(~free[turning[-1] :])

@@ -1,5 +1,8 @@
 """Inertia of thrown bodies against motions that Euler's equations give, which the fit itself does not use."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -8,6 +11,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.teststand import inertia_study
 from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
+from aerial_gym.sim2real.teststand.report import Study
 from aerial_gym.sim2real.teststand.throws import FreeFlight, find_free_flight, fit_momentum, steiner_term
 
 WHEEL = 1.7e-6  # Inertia of the flywheel [kg m²]
@@ -146,3 +150,34 @@ def test_refusals() -> None:
     ):
         with pytest.raises(ConfigError):
             study_inertia(body, device, proof, wheel)
+
+
+def test_a_flight_is_no_throw() -> None:
+    """Rotors that carry a vehicle give it a specific force of 9.8 m/s², which no spin explains."""
+    flight = throw(BODY, IMU, 0.1 * np.array(STARTS[0]))
+    carried = flight.specific_force + np.array((0.0, 0.0, 9.8))
+    with pytest.raises(DataError, match="no throw"):
+        find_free_flight(replace(flight, specific_force=carried))
+
+
+def make_study(monkeypatch: pytest.MonkeyPatch, flights: list[FreeFlight], mass: float, wheel: float) -> Study:
+    parts = {str(n): find_free_flight(flight) for n, flight in enumerate(flights)}
+    monkeypatch.setattr(inertia_study, "read_throw", lambda path: parts[str(path)])
+    return study_inertia(ThrowSeries(paths=list(map(Path, parts)), mass=mass), None, None, wheel)
+
+
+def test_throws_of_two_bodies_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = [throw(inertia, IMU, np.array(start)) for inertia, start in zip((BODY, DEVICE), STARTS, strict=False)]
+    with pytest.raises(DataError, match="same body"):
+        make_study(monkeypatch, both, BODY_MASS, WHEEL)
+
+
+def test_a_throw_without_spin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DataError):
+        make_study(monkeypatch, [throw(BODY, IMU, np.array((0.0, 0.0, 1e-3)))], BODY_MASS, WHEEL)
+
+
+@pytest.mark.parametrize(("mass", "wheel"), [(-0.3, WHEEL), (0.3, -WHEEL), (float("nan"), WHEEL), (0.3, 0.0)])
+def test_wrong_masses_and_wheels_are_refused(monkeypatch: pytest.MonkeyPatch, mass: float, wheel: float) -> None:
+    with pytest.raises(ConfigError):
+        make_study(monkeypatch, [], mass, wheel)
