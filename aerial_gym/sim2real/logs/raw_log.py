@@ -8,6 +8,7 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 
+LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is measured
 FASTER = 1.5  # Ratio of rates from which the faster of two topics with one quantity is taken
 
 
@@ -45,6 +46,18 @@ class Topic:
         """Name with the instance, such as ``vehicle_attitude[0]``."""
         return f"{self.name}[{self.instance}]"
 
+    def numbers(self, *fields: str, unit: float = 1.0) -> Array:
+        """Return fields side by side, times a unit, (T, fields)."""
+        values = np.empty((self.time.size, len(fields)))
+        for place, name in enumerate(fields):
+            values[:, place] = self.columns[name]
+        values *= unit
+        return values
+
+    def channel(self, quantity: str, values: Array, notes: tuple[Finding, ...] = ()) -> "LogChannel":
+        """Return a quantity with the stamps of this topic."""
+        return LogChannel(quantity=quantity, time=self.time, values=values, source=self.source, notes=notes)
+
 
 @dataclass(frozen=True, kw_only=True)
 class LogMessage:
@@ -66,6 +79,16 @@ class RawLog:
     messages: tuple[LogMessage, ...] = ()
     metadata: Mapping[str, str] = field(default_factory=dict)  # Firmware, hardware, vehicle and others, for display
     notes: tuple[Finding, ...] = ()  # Defects that decoding has met
+
+    def find_topics(self, name: str, *fields: str) -> list[Topic]:
+        """Return the topics of a name that hold the fields, by instance."""
+        topics = (topic for topic in self.topics if topic.name == name and set(fields) <= topic.columns.keys())
+        return sorted(topics, key=lambda topic: topic.instance)
+
+    def number(self, name: str, default: float) -> float:
+        """Return a parameter; the default if it is missing or text."""
+        value = self.parameters.get(name, default)
+        return default if isinstance(value, str) else float(value)
 
 
 QUANTITIES = {
@@ -100,6 +123,11 @@ class LogChannel:
         None  # Delay from sampling to recording [s], if the format states both; ``time`` is the former
     )
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude
+
+
+def note_on_rotor_order(firmware: str) -> tuple[Finding, ...]:
+    """Return the finding that rotors are in the order of a firmware."""
+    return (Finding("rotor_order_of_firmware", "", {"firmware": firmware}),)
 
 
 def faster_first(channels: Sequence[LogChannel]) -> list[LogChannel]:

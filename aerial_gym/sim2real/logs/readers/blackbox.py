@@ -22,7 +22,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, LogMessage, RawLog, Topic
-from aerial_gym.sim2real.logs.readers.frames import attitude_from_ned_frd, enu_from_ned
+from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.kernels import blackbox_frames as frames
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS
@@ -131,10 +131,9 @@ class BlackboxReader(LogReader):
             name = next((n for n in names if f"{n}[2]" in known), None)
             if name is None:
                 return []
-            values = _stack(main, [f"{name}[{i}]" for i in range(3)], unit or _gyro_unit(log, name))
-            return [LogChannel(quantity=quantity, time=main.time, values=values, source=main.source)]
+            return [main.channel(quantity, main.numbers(*(f"{name}[{i}]" for i in range(3)), unit=unit))]
 
-        unit = UNIT_G / float(log.parameters.get("acc_1G") or 2048.0)
+        unit = UNIT_G / (log.number("acc_1G", 0.0) or 2048.0)
         return [
             *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC")),
             *vector("specific_force", ("accADCafterRpm", "accSmooth", "accADC"), unit),
@@ -331,14 +330,6 @@ def _gyro_unit(log: RawLog, name: str) -> float:
     return radians(scale if 1e-3 < scale < 1e3 else 1.0) / counts
 
 
-def _stack(topic: Topic, names: Sequence[str], unit: float = 1.0) -> Array:
-    """Return columns side by side, (T, columns)."""
-    values = np.empty((topic.time.size, len(names)))
-    for i, name in enumerate(names):
-        values[:, i] = unit * topic.columns[name]
-    return values
-
-
 def _column_names(topic: Topic, name: str) -> list[str]:
     """Return the columns ``name[0]``, ``name[1]``, ... of a topic."""
     return [f"{name}[{i}]" for i in range(32) if f"{name}[{i}]" in topic.columns]
@@ -347,15 +338,13 @@ def _column_names(topic: Topic, name: str) -> list[str]:
 def _estimates(main: Topic) -> list[LogChannel]:
     """Return INDIFLIGHT's attitude, position and velocity."""
     rows = (
-        ("attitude", "quat", attitude_from_ned_frd, 1.0 / INDIFLIGHT_UNIT),
-        ("position", "pos", enu_from_ned, UNITS["mm"]),
-        ("lin_vel", "vel", enu_from_ned, UNITS["cm/s"]),
+        ("attitude", "quat", 1.0 / INDIFLIGHT_UNIT),
+        ("position", "pos", UNITS["mm"]),
+        ("lin_vel", "vel", UNITS["cm/s"]),
     )
     return [
-        LogChannel(
-            quantity=quantity, time=main.time, values=convert(_stack(main, COMPONENTS[name], unit)), source=main.source
-        )
-        for quantity, name, convert, unit in rows
+        main.channel(quantity, quantity_from_ned_frd(quantity, main.numbers(*COMPONENTS[name], unit=unit)))
+        for quantity, name, unit in rows
         if set(COMPONENTS[name]) <= main.columns.keys()
     ]
 
@@ -367,25 +356,23 @@ def _rotors(log: RawLog, main: Topic) -> list[LogChannel]:
     def append(quantity: str, values: Array) -> None:
         used = np.nanmax(values, axis=0, initial=0.0) > 0.0
         if used.any():
-            results.append(LogChannel(quantity=quantity, time=main.time, values=values[:, used], source=main.source))
+            results.append(main.channel(quantity, values[:, used]))
 
-    erpm = 100.0 * UNITS["rpm"] / (float(log.parameters.get("motor_poles") or 14.0) / 2.0)
+    erpm = 100.0 * UNITS["rpm"] / ((log.number("motor_poles", 0.0) or 14.0) / 2.0)
     for name, unit in (("omegaUnfiltered", 1.0), ("eRPM", erpm), ("erpm", erpm)):
         if columns := _column_names(main, name):
-            append("rotor_speed", _stack(main, columns, unit))
+            append("rotor_speed", main.numbers(*columns, unit=unit))
     if columns := _column_names(main, "motor"):
         low, high = _motor_range(log)
-        append("rotor_command", np.clip((_stack(main, columns) - low) / (high - low), 0.0, 1.0))
+        append("rotor_command", np.clip((main.numbers(*columns) - low) / (high - low), 0.0, 1.0))
     if "vbatLatest" in main.columns:
-        append("battery", _stack(main, ["vbatLatest"], _volt_unit(log)))
+        append("battery", main.numbers("vbatLatest", unit=_volt_unit(log)))
     return results
 
 
 def _motor_range(log: RawLog) -> tuple[float, float]:
     """Return the motor values of idle and of full throttle."""
-    low, high = (
-        float(log.parameters.get(name, value)) for name, value in (("minthrottle", 1000.0), ("maxthrottle", 2000.0))
-    )
+    low, high = log.number("minthrottle", 1000.0), log.number("maxthrottle", 2000.0)
     parts = str(log.parameters.get("motorOutput", "")).split(",")
     if len(parts) == 2 and all(part.isdigit() for part in parts):
         low, high = map(float, parts)

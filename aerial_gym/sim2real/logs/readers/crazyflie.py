@@ -138,10 +138,10 @@ def _channels(log: RawLog) -> Iterator[LogChannel]:
         for topic in log.topics:
             if not set(variables) <= topic.columns.keys():
                 continue
-            values = np.stack([topic.columns[variable] for variable in variables], axis=1) * unit
+            values = topic.numbers(*variables, unit=unit)
             if quantity == "attitude":
                 values = {1: _decompress_quaternions, 3: _quaternions_of_angles}.get(len(names), np.array)(values)
-            yield LogChannel(quantity=quantity, time=topic.time, values=values, source=topic.source)
+            yield topic.channel(quantity, values)
 
 
 def _quaternions_of_angles(angles: Array) -> Array:

@@ -5,7 +5,7 @@ Log Messages* of its documentation for fields; ``AP_Logger.h``, ``LogEvent``, fo
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,17 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, LogMessage, RawLog, Topic, faster_first
-from aerial_gym.sim2real.logs.readers.frames import attitude_from_ned_frd, enu_from_ned, flu_from_frd
+from aerial_gym.sim2real.logs.raw_log import (
+    LOWEST_BATTERY_V,
+    LazyColumns,
+    LogChannel,
+    LogMessage,
+    RawLog,
+    Topic,
+    faster_first,
+    note_on_rotor_order,
+)
+from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 
@@ -38,7 +47,6 @@ INSTANCES = ("I", "Instance", "Inst", "C")  # Fields that number several sources
 SMALLEST_DAMAGE = 256  # A log cut by power loss ends within a message, whose length is at most 255 bytes
 ARMED, DISARMED, LANDED_MAYBE, LANDED, FLYING = 10, 11, 17, 18, 28  # Codes of EV messages
 MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))  # SERVOn_FUNCTION of motors 1 to 12
-LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is measured
 METRES_PER_DEG = 111_319.5  # Length of a degree of the equator. Source: WGS 84, 6378137 m pi / 180
 
 VECTORS = (
@@ -114,8 +122,7 @@ class DataflashReader(LogReader):
             _vector_channel(topic, quantity, fields, unit)
             for quantity, names, fields, unit in VECTORS
             for name in names
-            for topic in _find_topics(log, name)
-            if set(fields) <= topic.columns.keys()
+            for topic in log.find_topics(name, *fields)
         ]
         return [
             *faster_first(vectors),
@@ -277,36 +284,24 @@ def _array_column(rows: NDArray[Any], place: int, index: int) -> Array:
     return rows[str(place)][:, index].astype(np.float64)
 
 
-def _find_topics(log: RawLog, name: str) -> list[Topic]:
-    return sorted((topic for topic in log.topics if topic.name == name), key=lambda topic: topic.instance)
-
-
-def _stack(topic: Topic, fields: Sequence[str], unit: float = 1.0) -> Array:
-    return unit * np.stack([topic.columns[field] for field in fields], axis=1)
-
-
 def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str], unit: float) -> LogChannel:
     """Return a channel in this package's frames, on the sampling times if they are logged."""
-    values = _stack(topic, fields, unit)
+    values = topic.numbers(*fields, unit=unit)
     if len(fields) == 3 and quantity == "attitude":  # roll, pitch, yaw
         turned = Rotation.from_euler("ZYX", np.nan_to_num(values[:, ::-1])).as_quat()
         values = np.where(np.isfinite(values).all(axis=1)[:, None], turned, np.nan)[:, [3, 0, 1, 2]]
-    convert = {"attitude": attitude_from_ned_frd, "position": enu_from_ned, "lin_vel": enu_from_ned}.get(
-        quantity, flu_from_frd
-    )
-    time = 1e-6 * topic.columns["SampleUS"] if "SampleUS" in topic.columns else topic.time
-    return LogChannel(quantity=quantity, time=time, values=convert(values), source=topic.source)
+    channel = topic.channel(quantity, quantity_from_ned_frd(quantity, values))
+    return replace(channel, time=1e-6 * topic.columns["SampleUS"]) if "SampleUS" in topic.columns else channel
 
 
 def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield position, from the first fix, and velocity of the GPS."""
-    for topic in _find_topics(log, "GPS"):
-        if not {"Status", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ"} <= topic.columns.keys():
-            continue
+    fields = ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ")
+    for topic in log.find_topics("GPS", "Status", *fields):
         fix = topic.columns["Status"] >= 3.0  # three-dimensional
         if not fix.any():
             continue
-        lat, lng, alt, speed, course, down = _stack(topic, ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ"))[fix].T
+        lat, lng, alt, speed, course, down = topic.numbers(*fields)[fix].T
         east = METRES_PER_DEG * np.cos(np.radians(lat[0])) * (lng - lng[0])
         position = np.stack((east, METRES_PER_DEG * (lat - lat[0]), alt - alt[0]), axis=1)
         heading = np.radians(course)
@@ -322,15 +317,14 @@ def _motor_outputs(log: RawLog) -> list[int]:
         for n in range(1, 33)
         if isinstance(value := log.parameters.get(f"SERVO{n}_FUNCTION"), float) and value in MOTOR_FUNCTIONS
     }
-    count = {2.0: 6, 3.0: 8, 4.0: 8, 5.0: 6}.get(float(log.parameters.get("FRAME_CLASS", 1.0)), 4)
+    count = {2.0: 6, 3.0: 8, 4.0: 8, 5.0: 6}.get(log.number("FRAME_CLASS", 1.0), 4)
     return [outputs[motor] for motor in sorted(outputs)] or list(range(1, count + 1))
 
 
 def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield rotor speeds by ESC telemetry, and motor signals from 0 to 1, in the order of motors."""
-    note = (Finding("rotor_order_of_firmware", "", {"firmware": "ArduPilot"}),)
-    outputs = _motor_outputs(log)
-    escs = {topic.instance: topic for topic in log.topics if topic.name == "ESC" and "RPM" in topic.columns}
+    note, outputs = note_on_rotor_order("ArduPilot"), _motor_outputs(log)
+    escs = {topic.instance: topic for topic in log.find_topics("ESC", "RPM")}
     used = [escs[n - 1] for n in outputs if n - 1 in escs]
     if used and len(used) == len(outputs):
         time = max(used, key=lambda topic: topic.time.size).time
@@ -338,14 +332,13 @@ def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
         values = UNITS["rpm"] * np.stack(speeds, axis=1)
         yield LogChannel(quantity="rotor_speed", time=time, values=values, source=used[0].source, notes=note)
     low, high = (
-        float(log.parameters.get(f"MOT_PWM_{end}") or log.parameters.get(f"RC3_{end}") or default)
+        log.number(f"MOT_PWM_{end}", 0.0) or log.number(f"RC3_{end}", 0.0) or default
         for end, default in (("MIN", 1000.0), ("MAX", 2000.0))
     )
-    for topic in _find_topics(log, "RCOU"):
-        fields = [f"C{n}" for n in outputs]
-        if set(fields) <= topic.columns.keys() and high > low:
-            values = np.clip((_stack(topic, fields) - low) / (high - low), 0.0, 1.0)
-            yield LogChannel(quantity="rotor_command", time=topic.time, values=values, source=topic.source, notes=note)
+    fields = [f"C{n}" for n in outputs]
+    for topic in log.find_topics("RCOU", *fields) if high > low else ():
+        values = np.clip((topic.numbers(*fields) - low) / (high - low), 0.0, 1.0)
+        yield topic.channel("rotor_command", values, note)
 
 
 def _time_order(time: Array, values: Array) -> tuple[Array, Array]:
@@ -357,23 +350,20 @@ def _time_order(time: Array, values: Array) -> tuple[Array, Array]:
 def _batteries(log: RawLog) -> Iterator[LogChannel]:
     """Yield the voltages that are measured."""
     for name, field in (("BAT", "Volt"), ("CURR", "Volt"), ("MOTB", "BatVolt")):
-        for topic in _find_topics(log, name):
-            if field in topic.columns and np.median(topic.columns[field]) > LOWEST_BATTERY_V:
-                yield LogChannel(
-                    quantity="battery", time=topic.time, values=_stack(topic, [field]), source=topic.source
-                )
+        for topic in log.find_topics(name, field):
+            if np.median(topic.columns[field]) > LOWEST_BATTERY_V:
+                yield topic.channel("battery", topic.numbers(field))
 
 
 def _flight_states(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground; before the first event the state is the opposite one."""
     start = min(float(topic.time[0]) for topic in log.topics)
-    for topic in log.topics:
-        if topic.name == "EV" and "Id" in topic.columns:
-            codes = topic.columns["Id"]
-            for quantity, on, off in (("armed", (ARMED,), (DISARMED,)), ("landed", (LANDED_MAYBE, LANDED), (FLYING,))):
-                rows = np.isin(codes, (*on, *off))
-                if rows.any():
-                    states = np.isin(codes[rows], on).astype(float)
-                    time = np.append(min(start, topic.time[rows][0]), topic.time[rows])
-                    values = np.append(1.0 - states[0], states)[:, None]
-                    yield LogChannel(quantity=quantity, time=time, values=values, source=topic.source)
+    for topic in log.find_topics("EV", "Id"):
+        codes = topic.columns["Id"]
+        for quantity, on, off in (("armed", (ARMED,), (DISARMED,)), ("landed", (LANDED_MAYBE, LANDED), (FLYING,))):
+            rows = np.isin(codes, (*on, *off))
+            if rows.any():
+                states = np.isin(codes[rows], on).astype(float)
+                time = np.append(min(start, topic.time[rows][0]), topic.time[rows])
+                values = np.append(1.0 - states[0], states)[:, None]
+                yield replace(topic.channel(quantity, values), time=time)

@@ -35,6 +35,12 @@ def attitude_from_ned_frd(wxyz: Array) -> Array:
     return attitude_with_body_flu(attitude_with_world_enu(wxyz[:, [1, 2, 3, 0]]))
 
 
+def quantity_from_ned_frd(quantity: str, values: Array) -> Array:
+    """Return a quantity of a log channel in this package's axes, from NED and FRD, attitudes with w first."""
+    convert = {"attitude": attitude_from_ned_frd, "position": enu_from_ned, "lin_vel": enu_from_ned}
+    return convert.get(quantity, flu_from_frd)(values)
+
+
 def to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str, Array]:
     """Return the quantities in world ENU and body FLU, with quaternions from body to world."""
     result = dict(values)

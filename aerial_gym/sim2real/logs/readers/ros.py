@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first
+from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first, note_on_rotor_order
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.readers.ros_files import BAG, DATABASE, MCAP, MessageSource, read_sources
@@ -31,7 +31,6 @@ SETPOINTS = re.compile(
 )  # Topics that measure nothing
 ON_GROUND, IN_AIR = 1.0, 2.0  # ``landed_state`` of mavros_msgs/ExtendedState
 
-POSE, TWIST = "pose.pose.", "twist.twist."
 VECTORS = (
     ("attitude", "nav_msgs/msg/Odometry", "pose.pose.orientation", "xyzw"),
     ("attitude", "geometry_msgs/msg/PoseStamped", "pose.orientation", "xyzw"),
@@ -131,7 +130,7 @@ def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequen
     names = [f"{field}.{component}" if field else component for component in components]
     if not set(names) <= topic.columns.keys():
         return
-    values = np.stack([topic.columns[name] for name in names], axis=1)
+    values = topic.numbers(*names)
     if field == "vector":  # only the name tells what a bare vector is
         if re.search("ang|gyro|rate", topic.name, re.IGNORECASE):
             quantity = "ang_vel"
@@ -143,13 +142,13 @@ def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequen
         return
     if field == "twist.twist.linear":
         values = _world_velocity(topic, values)
-    yield LogChannel(quantity=quantity, time=topic.time, values=values, source=topic.source)
+    yield topic.channel(quantity, values)
 
 
 def _world_velocity(topic: Topic, velocity: Array) -> Array:
     """Return the velocity of an odometry in world axes: by its definition it is in body axes, which some sources ignore."""
     position, attitude = (
-        np.stack([topic.columns[f"pose.pose.{part}.{axis}"] for axis in axes], axis=1)
+        topic.numbers(*(f"pose.pose.{part}.{axis}" for axis in axes))
         for part, axes in (("position", "xyz"), ("orientation", "xyzw"))
     )
     if topic.time.size < 3 or not np.all(np.linalg.norm(attitude, axis=1) > 0.5):
@@ -164,12 +163,6 @@ def _world_velocity(topic: Topic, velocity: Array) -> Array:
 
 def _mavros_channels(topic: Topic, kind: str) -> Iterator[LogChannel]:
     """Yield rotor speeds, motor signals and contact with the ground."""
-
-    def stack(pattern: str) -> Array:
-        names = [pattern.format(i) for i in range(16) if pattern.format(i) in topic.columns]
-        return np.stack([topic.columns[name] for name in names], axis=1) if names else np.zeros((topic.time.size, 0))
-
-    note = (Finding("rotor_order_of_firmware", "", {"firmware": "mavros"}),)
     rows = {
         "mavros_msgs/msg/ESCStatus": ("rotor_speed", "esc_status[{}].rpm", UNITS["rpm"], 0.0),
         "mavros_msgs/msg/ESCTelemetry": ("rotor_speed", "esc_telemetry[{}].rpm", UNITS["rpm"], 0.0),
@@ -179,17 +172,18 @@ def _mavros_channels(topic: Topic, kind: str) -> Iterator[LogChannel]:
     }
     if kind in rows:
         quantity, pattern, unit, offset = rows[kind]
-        values = unit * stack(pattern) + offset
+        names = [pattern.format(i) for i in range(16) if pattern.format(i) in topic.columns]
+        values = topic.numbers(*names, unit=unit) + offset
         used = np.nanmax(values, axis=0, initial=0.0) - np.nanmin(values, axis=0, initial=np.inf) > 0.0
         if used.any():
             values = np.abs(values[:, used]) if quantity == "rotor_speed" else np.clip(values[:, used], 0.0, 1.0)
-            yield LogChannel(quantity=quantity, time=topic.time, values=values, source=topic.source, notes=note)
+            yield topic.channel(quantity, values, note_on_rotor_order("mavros"))
     if kind == "mavros_msgs/msg/ExtendedState" and "landed_state" in topic.columns:
         state = topic.columns["landed_state"]
         known = np.isin(state, (ON_GROUND, IN_AIR))
         if known.any():
             values = (state[known] == ON_GROUND).astype(float)[:, None]
-            yield LogChannel(quantity="landed", time=topic.time[known], values=values, source=topic.source)
+            yield replace(topic.channel("landed", values), time=topic.time[known])
 
 
 def _px4_channels(log: RawLog) -> Sequence[LogChannel]:

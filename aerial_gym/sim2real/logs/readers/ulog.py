@@ -16,8 +16,16 @@ import numpy as np
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first
-from aerial_gym.sim2real.logs.readers.frames import attitude_from_ned_frd, enu_from_ned, flu_from_frd
+from aerial_gym.sim2real.logs.raw_log import (
+    LOWEST_BATTERY_V,
+    LogChannel,
+    LogMessage,
+    RawLog,
+    Topic,
+    faster_first,
+    note_on_rotor_order,
+)
+from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
@@ -26,9 +34,9 @@ ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, He
 LONGEST_LATENCY_US = 1_000_000  # Largest delay from sampling to publication [us] on one clock
 MOTOR_1 = 101  # Output function of motor 1; further motors follow
 MOST_MOTORS = 12
-LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is connected
 ROTORS_BY_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # Number of rotors by MAV_TYPE. Source: MAVLink common.xml, MAV_TYPE
 ARMED = 2  # ``arming_state`` of an armed vehicle
+ORDER = note_on_rotor_order("PX4")
 LEVELS = {"DEBUG": "debug", "INFO": "info", "NOTICE": "info", "WARNING": "warning"}  # Any other level is an error
 
 QUAD_X = np.array([(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)]) * (0.7071, 0.7071, 1.0)
@@ -105,8 +113,7 @@ class UlogReader(LogReader):
             _vector_channel(topic, quantity, fields)
             for quantity, names, fields in vectors
             for name in names
-            for topic in _topics(log, name)
-            if set(fields) <= topic.columns.keys()
+            for topic in log.find_topics(name, *fields)
         ]
         return [
             *faster_first([one for one in usable if np.isfinite(one.values).any()]),
@@ -122,14 +129,6 @@ def _topic(name: str, instance: int, data: dict[str, Array]) -> Topic:
     return Topic(name=name, instance=instance, time=stamp_seconds(data["timestamp"], 1e-6), columns=data)
 
 
-def _topics(log: RawLog, name: str) -> list[Topic]:
-    return sorted((topic for topic in log.topics if topic.name == name), key=lambda topic: topic.instance)
-
-
-def _column(topic: Topic, name: str) -> Array:
-    return np.asarray(topic.columns[name], dtype=np.float64)
-
-
 def _channel(topic: Topic, quantity: str, values: Array, notes: tuple[Finding, ...] = ()) -> LogChannel:
     """Return a channel of a topic on its sampling times, or on those of publication if the former are unusable."""
     time, latency = topic.time, None
@@ -142,68 +141,58 @@ def _channel(topic: Topic, quantity: str, values: Array, notes: tuple[Finding, .
                 time, latency = sampled, float(np.median(delays))
         except DataError:
             pass
-    return LogChannel(quantity=quantity, time=time, values=values, source=topic.source, latency=latency, notes=notes)
+    return replace(topic.channel(quantity, values, notes), time=time, latency=latency)
 
 
 def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogChannel:
     """Return a channel in this package's frames, with the resets by the topic's counters."""
-    values = np.stack([_column(topic, name) for name in fields], axis=1)
-    convert = {"attitude": attitude_from_ned_frd, "position": enu_from_ned, "lin_vel": enu_from_ned}
+    values = topic.numbers(*fields)
     for flag in {"position": ("xy_valid", "z_valid"), "lin_vel": ("v_xy_valid", "v_z_valid")}.get(quantity, ()):
         if flag in topic.columns:
-            values[_column(topic, flag) == 0.0] = np.nan
-    channel = _channel(topic, quantity, convert.get(quantity, flu_from_frd)(values))
+            values[topic.columns[flag] == 0.0] = np.nan
+    channel = _channel(topic, quantity, quantity_from_ned_frd(quantity, values))
     counters = {
         "attitude": ("quat_reset_counter",),
         "position": ("xy_reset_counter", "z_reset_counter"),
         "lin_vel": ("vxy_reset_counter", "vz_reset_counter"),
     }
-    known = [_column(topic, name) for name in counters.get(quantity, ()) if name in topic.columns]
+    known = [name for name in counters.get(quantity, ()) if name in topic.columns]
     if not known:
         return channel
-    changes = np.any(np.diff(np.stack(known, axis=1), axis=0) != 0.0, axis=1)
+    changes = np.any(np.diff(topic.numbers(*known), axis=0) != 0.0, axis=1)
     return replace(channel, resets=channel.time[1:][changes])
-
-
-def _order_note() -> tuple[Finding, ...]:
-    return (Finding("rotor_order_of_firmware", "", {"firmware": "PX4"}),)
 
 
 def _rotor_speeds(log: RawLog) -> Iterator[LogChannel]:
     """Yield measured rotor speeds in the order of motors, by ``actuator_function`` if that is logged."""
-    for topic in _topics(log, "esc_status"):
+    for topic in log.find_topics("esc_status"):
         usable: dict[int, Array] = {}
         for index in range(MOST_MOTORS):
             if f"esc[{index}].esc_rpm" not in topic.columns:
                 break
-            rpm, key = _column(topic, f"esc[{index}].esc_rpm"), f"esc[{index}].actuator_function"
-            function = float(np.median(_column(topic, key))) if key in topic.columns else 0.0
+            rpm, key = topic.numbers(f"esc[{index}].esc_rpm"), f"esc[{index}].actuator_function"
+            function = float(np.median(topic.columns[key])) if key in topic.columns else 0.0
             if np.any(rpm != 0.0):
                 usable[int(function) if function >= MOTOR_1 else MOTOR_1 + index] = np.abs(rpm)
         if usable:
-            speeds = UNITS["rpm"] * np.stack([usable[number] for number in sorted(usable)], axis=1)
-            yield _channel(topic, "rotor_speed", speeds, _order_note())
+            speeds = UNITS["rpm"] * np.concatenate([usable[number] for number in sorted(usable)], axis=1)
+            yield _channel(topic, "rotor_speed", speeds, ORDER)
 
 
 def _motor_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield commands of ``actuator_motors``: thrusts from 0 to 1, which become speeds by ``_invert_thrust_curve``."""
-    for topic in _topics(log, "actuator_motors"):
-        columns = [
-            _column(topic, name) for name in (f"control[{i}]" for i in range(MOST_MOTORS)) if name in topic.columns
-        ]
-        used = [column for column in columns if np.isfinite(column).any()]
+    for topic in log.find_topics("actuator_motors"):
+        columns = [name for name in (f"control[{i}]" for i in range(MOST_MOTORS)) if name in topic.columns]
+        used = [name for name in columns if np.isfinite(topic.columns[name]).any()]
         if used:
-            thrust = np.stack(used, axis=1)
-            command = np.sign(thrust) * _invert_thrust_curve(np.abs(thrust), _thrust_factor(log))
-            yield _channel(topic, "rotor_command", command, _order_note())
+            thrust = topic.numbers(*used)
+            command = np.sign(thrust) * _invert_thrust_curve(np.abs(thrust), log)
+            yield _channel(topic, "rotor_command", command, ORDER)
 
 
-def _thrust_factor(log: RawLog) -> float:
-    return float(log.parameters.get("THR_MDL_FAC", 0.0))
-
-
-def _invert_thrust_curve(thrust: Array, factor: float) -> Array:
+def _invert_thrust_curve(thrust: Array, log: RawLog) -> Array:
     """Return the motor signal u of a relative thrust ``f u^2 + (1 - f) u``, PX4's thrust curve."""
+    factor = log.number("THR_MDL_FAC", 0.0)
     if factor <= 0.0:
         return thrust
     linear = 1.0 - factor
@@ -213,11 +202,11 @@ def _invert_thrust_curve(thrust: Array, factor: float) -> Array:
 def _output_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of ``actuator_outputs``; each instance has the driver whose range fits its outputs."""
     drivers = _motor_outputs(log)
-    for topic in _topics(log, "actuator_outputs"):
+    for topic in log.find_topics("actuator_outputs"):
         options = [_relative_outputs(topic, ranges) for ranges in drivers]
         fitting = [values for values in options if values is not None]
         if fitting:
-            yield _channel(topic, "rotor_command", fitting[0], _order_note())
+            yield _channel(topic, "rotor_command", fitting[0], ORDER)
 
 
 def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
@@ -243,7 +232,7 @@ def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
 
 
 def _num_rotors(log: RawLog) -> int:
-    return ROTORS_BY_TYPE.get(int(float(log.parameters.get("MAV_TYPE", 2))), 4)
+    return ROTORS_BY_TYPE.get(int(log.number("MAV_TYPE", 2)), 4)
 
 
 def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) -> Array | None:
@@ -251,7 +240,7 @@ def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) 
     names = [f"output[{index}]" for index, _, _ in ranges]
     if not set(names) <= topic.columns.keys():
         return None
-    outputs = np.stack([_column(topic, name) for name in names], axis=1)
+    outputs = topic.numbers(*names)
     low, high = (np.array([row[place] for row in ranges]) for place in (1, 2))
     if np.any(np.ptp(outputs, axis=0) == 0.0):
         return None
@@ -266,30 +255,27 @@ def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) 
 def _control_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of a quadrotor from ``actuator_controls_0`` (before PX4 1.13) by the mixer of an X frame."""
     names = [f"control[{index}]" for index in range(4)]
-    for topic in _topics(log, "actuator_controls_0"):
-        if set(names) <= topic.columns.keys() and _num_rotors(log) == 4:
-            torque_and_thrust = np.stack([_column(topic, name) for name in names], axis=1)
-            thrust = torque_and_thrust[:, :3] @ QUAD_X.T + torque_and_thrust[:, 3:]
-            signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), _thrust_factor(log))
-            yield _channel(topic, "rotor_command", signal, (*_order_note(), Finding("commands_mixed")))
+    for topic in log.find_topics("actuator_controls_0", *names) if _num_rotors(log) == 4 else ():
+        torque_and_thrust = topic.numbers(*names)
+        thrust = torque_and_thrust[:, :3] @ QUAD_X.T + torque_and_thrust[:, 3:]
+        signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), log)
+        yield _channel(topic, "rotor_command", signal, (*ORDER, Finding("commands_mixed")))
 
 
 def _batteries(log: RawLog) -> Iterator[LogChannel]:
     """Yield the voltages of connected batteries."""
-    for topic in _topics(log, "battery_status"):
-        if "voltage_v" in topic.columns:
-            voltage = _column(topic, "voltage_v")
-            if np.median(voltage) > LOWEST_BATTERY_V:
-                yield _channel(topic, "battery", voltage[:, None])
+    for topic in log.find_topics("battery_status", "voltage_v"):
+        voltage = topic.numbers("voltage_v")
+        if np.median(voltage) > LOWEST_BATTERY_V:
+            yield _channel(topic, "battery", voltage)
 
 
 def _flight_states(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground."""
-    for topic in _topics(log, "actuator_armed"):
-        yield _channel(topic, "armed", _column(topic, "armed")[:, None])
-    for topic in _topics(log, "vehicle_status"):
-        if "arming_state" in topic.columns:
-            yield _channel(topic, "armed", (_column(topic, "arming_state") == ARMED).astype(float)[:, None])
-    for topic in _topics(log, "vehicle_land_detected"):
-        flags = [_column(topic, n) != 0.0 for n in ("landed", "maybe_landed", "ground_contact") if n in topic.columns]
-        yield _channel(topic, "landed", np.any(flags, axis=0).astype(float)[:, None])
+    for topic in log.find_topics("actuator_armed", "armed"):
+        yield _channel(topic, "armed", topic.numbers("armed"))
+    for topic in log.find_topics("vehicle_status", "arming_state"):
+        yield _channel(topic, "armed", (topic.numbers("arming_state") == ARMED).astype(float))
+    for topic in log.find_topics("vehicle_land_detected"):
+        flags = [name for name in ("landed", "maybe_landed", "ground_contact") if name in topic.columns]
+        yield _channel(topic, "landed", np.any(topic.numbers(*flags) != 0.0, axis=1, keepdims=True).astype(float))
