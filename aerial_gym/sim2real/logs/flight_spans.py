@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 from aerial_gym.sim2real.logs.streams import Stream
@@ -83,15 +83,8 @@ def _airborne_spans(states: Sequence[Stream], first: float, last: float) -> list
         row = np.clip(np.searchsorted(state.time, events, side="right") - 1, 0, None)
         flies &= (state.values[row, 0] > 0.0) == (state.quantity == "armed")
     flies[-1] = False
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flies)).astype(int)))
-    return [
-        FlightSpan(
-            start=float(events[start]),
-            end=float(events[stop]),
-            ended_by="log_end" if events[stop] == last else "landing",
-        )
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    spans = [(float(events[start]), float(events[stop])) for start, stop in true_spans(flies)]
+    return [FlightSpan(start=a, end=b, ended_by="log_end" if b == last else "landing") for a, b in spans]
 
 
 def _split_span(span: FlightSpan, streams: Sequence[Stream]) -> list[FlightSpan]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from aerial_gym.errors import DataError
 from aerial_gym.registry.log_formats import LOG_READERS
+from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
@@ -183,10 +184,7 @@ def _spans_of_arming(raw: RawLog) -> tuple[tuple[float, float], ...]:
     if not channels:
         return ()
     time, armed = channels[0].time, channels[0].values[:, 0] > 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], armed.astype(int), [0]))))
-    return tuple(
-        (float(time[a]), float(time[min(b, time.size - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)
-    )
+    return tuple((float(time[a]), float(time[min(b, time.size - 1)])) for a, b in true_spans(armed))
 
 
 def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 
 LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is measured
+MOST_GROWTH, FREE_BYTES = 24, 2**27  # A file may grow to so many times its size when decoded, and to 128 MB at least
 FASTER = 1.5  # Ratio of rates from which the faster of two topics with one quantity is taken
 
 
@@ -123,6 +126,14 @@ class LogChannel:
         None  # Delay from sampling to recording [s], if the format states both; ``time`` is the former
     )
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude
+
+
+def read_records(data: NDArray[np.uint8], places: Indices, record: np.dtype[Any]) -> NDArray[Any]:
+    """Return the records that begin at places of a file, (T,)."""
+    rows = np.empty((places.size, record.itemsize), dtype=np.uint8)
+    for column in range(record.itemsize):
+        rows[:, column] = data[places + column]
+    return rows.view(record)[:, 0]
 
 
 def note_on_rotor_order(firmware: str) -> tuple[Finding, ...]:

@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.optimize import nnls
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.arrays import Array, Flags, true_spans
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, welch
 from aerial_gym.sim2real.predict.channels import Channel
@@ -170,12 +170,8 @@ def longest_airborne_rows(flight: Flight, time: Array, bandwidth: float) -> slic
     if flight.on_ground is None:
         return slice(None)
     near = 2 * round(flight.rate / bandwidth) + 1
-    stood = ndimage.maximum_filter1d(flight.on_ground, near)[rows_at_times(flight, time)]
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], stood, [True]))))
-    if edges.size == 0:
-        return slice(0, 0)
-    longest = int(np.argmax(edges[1::2] - edges[::2]))
-    return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
+    stood = np.asarray(ndimage.maximum_filter1d(flight.on_ground, near), dtype=bool)[rows_at_times(flight, time)]
+    return slice(*max(true_spans(~stood), key=lambda span: span[1] - span[0], default=(0, 0)))
 
 
 def _num_unfiltered_lines(frequency: Array, density: Array) -> int:

@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, LogMessage, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import (
+    FREE_BYTES,
+    MOST_GROWTH,
+    LazyColumns,
+    LogChannel,
+    LogMessage,
+    RawLog,
+    Topic,
+)
 from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.kernels import blackbox_frames as frames
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
@@ -30,7 +38,6 @@ from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS
 MARK = b"H Product:Blackbox flight data recorder"  # First line of each flight
 HEADER_LINE = re.compile(rb"H ([^:\n\0]{1,100}):([^\n\0]{0,16384})\n")
 MOST_FLIGHTS, MOST_FIELDS = 500, 1000  # Betaflight logs up to some 100 flights of some 50 fields, INDIFLIGHT of 200
-MOST_GROWTH, FREE_BYTES = 24, 2**27  # A file may grow to so many times its size when decoded, and to 128 MB at least
 BREAK_S = 10.0  # Time between two flights if the clock started anew between them
 
 INDIFLIGHT_UNIT = 8127.0  # Logged value of 1 in INDIFLIGHT's quaternions. Source: UNIT_FLOAT_TO_SIGNED16VB

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, RawLog, Topic, read_records
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS
 
@@ -90,7 +89,7 @@ class CrazyflieReader(LogReader):
         return list(_channels(log))
 
 
-def _event_types(data: bytes, version: int) -> tuple[dict[int, tuple[str, NDArray[Any]]], int]:
+def _event_types(data: bytes, version: int) -> tuple[dict[int, tuple[str, np.dtype[Any]]], int]:
     """Return name and NumPy record of each kind of event by number, and the place of the first event."""
     results, place = {}, 5
     for _ in range(int.from_bytes(data[3:5], "little")):
@@ -121,14 +120,10 @@ def _event_places(data: bytes, start: int, sizes: dict[int, int]) -> tuple[dict[
     return places, place
 
 
-def _topic(data: bytes, name: str, record: Any, places: Sequence[int], unit: float) -> Topic:
+def _topic(data: bytes, name: str, record: np.dtype[Any], places: Sequence[int], unit: float) -> Topic:
     """Return the events of one kind as a topic."""
-    content, starts = np.frombuffer(data, dtype=np.uint8), np.array(places)
-    rows = np.empty((starts.size, record.itemsize), dtype=np.uint8)
-    for column in range(record.itemsize):
-        rows[:, column] = content[starts + column]
-    table = rows.view(record)[:, 0]
-    columns = {variable: partial(np.asarray, table[variable], np.float64) for variable in record.names[2:]}
+    table = read_records(np.frombuffer(data, dtype=np.uint8), np.array(places), record)
+    columns = {variable: partial(np.asarray, table[variable], np.float64) for variable in (record.names or ())[2:]}
     return Topic(name=name, time=unit * table["time"].astype(np.float64), columns=LazyColumns(columns))
 
 

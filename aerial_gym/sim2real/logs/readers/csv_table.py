@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
@@ -199,13 +199,12 @@ def _fill_short_gaps(
     empty = np.isnan(numbers)
     if not empty.any():
         return numbers
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], empty.astype(int), [0]))))
     full_time = np.concatenate(([time[0]], time, [time[-1]]))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in true_spans(empty):
         gap = float(full_time[stop + 1] - full_time[start])
         if gap > quantity.fill_gap_s or quantity.fill_gap_s == 0.0:
             raise DataError(
-                f"{where(int(start))} is empty (NaN) for {stop - start} rows while other rows have it; cut the flight there, "
+                f"{where(start)} is empty (NaN) for {stop - start} rows while other rows have it; cut the flight there, "
                 "fill the gap, or let a mapping file allow it (fill_gap_s)"
             )
     known = np.flatnonzero(~empty)

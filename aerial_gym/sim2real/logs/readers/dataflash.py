@@ -26,6 +26,7 @@ from aerial_gym.sim2real.logs.raw_log import (
     Topic,
     faster_first,
     note_on_rotor_order,
+    read_records,
 )
 from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
@@ -76,9 +77,9 @@ class MessageType:
         return list(zip(self.fields, self.format, strict=False))
 
     @property
-    def record(self) -> NDArray[Any]:
+    def record(self) -> np.dtype[Any]:
         """Return the NumPy type of the fields, named by their place; raise ``KeyError`` for an unknown character."""
-        return np.dtype([(str(i), TYPES[code][0]) for i, code in enumerate(self.format)])  # type: ignore[return-value]
+        return np.dtype([(str(i), TYPES[code][0]) for i, code in enumerate(self.format)])
 
 
 class DataflashReader(LogReader):
@@ -169,13 +170,10 @@ def _split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> t
     whole = (ends == data.size) | (np.append(places, -1)[following] == ends)
     steps = np.where(whole, following, np.arange(1, places.size + 1))
     kept = _chain(steps) & whole
-    tables = {}
-    for number in np.unique(numbers[kept]).tolist():
-        rows = places[kept & (numbers == number)]
-        table = np.empty((rows.size, types[number].length - 3), dtype=np.uint8)
-        for column in range(table.shape[1]):
-            table[:, column] = data[rows + 3 + column]
-        tables[number] = table.view(types[number].record)[:, 0]
+    tables = {
+        number: read_records(data, places[kept & (numbers == number)] + 3, types[number].record)
+        for number in np.unique(numbers[kept]).tolist()
+    }
     return tables, int((ends - places)[kept].sum())
 
 

@@ -4,7 +4,6 @@ World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body
 Letters: T rows, R rotors.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,7 +77,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         notes.append(Finding("attitude_level"))
     if integrated:
         _integrate_attitude(values, time, layout, str(path), notes)
-    _require_quantities(values, layout, list(table.columns), str(path), notes, hover=hover)
+    _require_quantities(values, layout, list(table.columns), str(path), hover=hover)
     battery = _battery_voltage(values.pop("battery", None), time, notes)
     heights = {name: _surface_height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
     wind = _wind_of_mapping(Path(path), layout, notes)
@@ -180,7 +179,7 @@ def _wind_of_mapping(path: Path, layout: LogMapping, notes: list[Finding]) -> tu
 
 
 def _require_quantities(
-    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, notes: Sequence[Finding], *, hover: bool
+    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool
 ) -> None:
     """Raise ``DataError`` if the log lacks a required quantity."""
     if "attitude" not in values and layout.attitude is not None:
@@ -191,13 +190,12 @@ def _require_quantities(
                 "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
             )
         raise DataError(message_on_missing_column(column, known, path))
-    lost = "".join(f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out")
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one in values or other in values or (hover and one == "ang_vel"):
             continue
         options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
         wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"
-        raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{mapping_hint(known)}{lost}")
+        raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{mapping_hint(known)}")
     if "rotor_speed" in values and "rotor_command" in values:
         speeds, commands = values["rotor_speed"].shape[1], values["rotor_command"].shape[1]
         if speeds != commands:

@@ -15,12 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.sim2real.logs.raw_log import FREE_BYTES, MOST_GROWTH
 
 BAG, DATABASE, MCAP = b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"\x89MCAP0\r\n"  # First bytes
-MOST_GROWTH, FREE_BYTES = (
-    24,
-    2**27,
-)  # A file may grow to so many times its size when decompressed, and to 128 MB at least
 CHUNK, CONNECTION, MESSAGE = 5, 7, 2  # Records of a ROS 1 bag
 SCHEMA, CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = 3, 4, 5, 6  # Records of an MCAP file
 STORED_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE '%VIRTUAL%'"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.arrays import Array, Flags, Indices, true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 
@@ -77,9 +77,8 @@ def _runs_of_increasing_stamps(stamps: Array, finite: Indices, step: float) -> l
     """Return the runs of at least two rows in log order; earlier rows belong to no run."""
     time = stamps[finite]
     joined = (np.diff(time) > 0.0) & (np.diff(time) <= SPLIT_STEPS * step * np.diff(finite))
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], joined.astype(int), [0]))))
     spans: list[tuple[int, int]] = []
-    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, last in true_spans(joined):
         previous = spans[-1] if spans else None
         gap = finite[first] - finite[previous[1]] if previous else 0
         if previous and 0.0 < time[first] - time[previous[1]] <= SPLIT_STEPS * step * gap:
