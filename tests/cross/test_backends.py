@@ -322,32 +322,6 @@ def test_gains_of_each_environment_are_read() -> None:
     torch.testing.assert_close(ends[1].ang_vel, ends[0].ang_vel, rtol=2e-5, atol=2e-5)
 
 
-@pytest.mark.usefixtures("optimise_kernels")
-def test_an_environment_does_not_depend_on_its_batch() -> None:
-    robot, controller = asymmetric_robot(), CONTROLLERS.get("rotor_speed_control")
-    threads = torch.get_num_threads()
-    ends = {}
-    try:
-        for used in (1, 3):
-            torch.set_num_threads(used)
-            ends[used] = fly(WarpBackend(), robot, controller, "rk4", torch.float32, num_envs=4096)[-1]
-    finally:
-        torch.set_num_threads(threads)
-    model, law = build(robot, controller, 1, torch.float32)
-    batch_model, _ = build(robot, controller, 4096, torch.float32)
-    row = 700
-    backend = WarpBackend()
-    backend.allocate(model, law, integrator="rk4")
-    first = vars(start_state(batch_model, 4096)).items()
-    alone = BodyState(**{k: v[row : row + 1].float().contiguous() for k, v in first})
-    actions = random_actions(law, batch_model, 4096)[row : row + 1].float().contiguous()
-    for _ in range(STEPS):
-        backend.step(alone, actions, DT, SUBSTEPS)
-    for name, tensor in vars(alone).items():
-        assert torch.equal(tensor[0], getattr(ends[1], name)[row]), name
-        assert torch.equal(getattr(ends[1], name), getattr(ends[3], name)), name
-
-
 @pytest.mark.parametrize("change", ["shared mass", "mass per environment", "centre of mass", "effect in place"])
 def test_changed_parameters_are_taken(change: str) -> None:
     robot, controller = ROBOTS.get("tinyprop"), CONTROLLERS.get("rotor_speed_control")

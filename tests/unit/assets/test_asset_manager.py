@@ -160,20 +160,6 @@ def test_states_can_live_in_the_memory_of_another_tensor(device: torch.device) -
     assert gtd["obstacle_position"].data_ptr() == root[:, 1:].data_ptr()
 
 
-def test_environments_of_different_sizes_live_side_by_side(device: torch.device) -> None:
-    empty, empty_gtd, _ = make_manager(ENVIRONMENTS.get("empty_env"), 4, device)
-    small, small_gtd, _ = make_manager(OBSTACLES, 2, device)
-    large, large_gtd, _ = make_manager(OBSTACLES, 7, device)
-    for manager, size in ((empty, 4), (small, 2), (large, 7)):
-        begin(manager, every(size, device))
-    before = small_gtd["env_asset_state_tensor"].clone()
-    large.reset(every(7, device))
-    empty.set_num_obstacles(0)
-    assert torch.equal(small_gtd["env_asset_state_tensor"], before)
-    assert empty_gtd["env_asset_state_tensor"].shape == (4, 0, 13)
-    assert large_gtd["env_asset_state_tensor"].shape == (7, 44, 13)
-
-
 def test_wrong_tensors_are_refused(device: torch.device) -> None:
     manager, _, _ = make_manager(OBSTACLES, 2, device)
     with pytest.raises(ShapeError, match=r"mask is \(2,\) torch.int64.*expected \(2,\) torch.bool"):

@@ -148,19 +148,6 @@ MAKERS = pytest.mark.parametrize("maker", [rich, camera_task])
 
 
 @MAKERS
-def test_a_saved_state_goes_on_the_same_in_another_task(maker: Callable[..., Task]) -> None:
-    task, other = maker(5, seed=1), maker(5, seed=2)
-    task.reset()
-    fly(task)
-    state = task.save_state()
-    expected = fly(task)
-    other.reset()
-    fly(other, steps=2)
-    other.load_state(state)
-    assert_same(fly(other), expected, slice(None))
-
-
-@MAKERS
 def test_a_reset_forgets_what_came_earlier(maker: Callable[..., Task]) -> None:
     task = maker(3, seed=1)
     task.reset(seed=1)

@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flights import read_flight_inputs, values_in_all_mappings
-from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
+from aerial_gym.sim2real.logs.flights import read_flight_inputs
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 
@@ -57,16 +56,3 @@ def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:
 def test_a_file_that_is_not_there_ends_the_run_at_its_start(logs: list[Path]) -> None:
     with pytest.raises(DataError, match=r"f9\.csv: no such file"):
         read_flight_inputs(ROBOT, [*logs[:2], logs[0].parent / "f9.csv"], logs[3:], mapping=None, bandwidth=10.0)
-
-
-def test_what_one_flight_lacks_is_had_by_none() -> None:
-    assert values_in_all_mappings([{"speed": 1, "height": 2}, {"speed": 3, "voltage": 4}]) == {"speed": [1, 3]}
-
-
-def test_a_part_of_a_log_has_the_same_rows_of_everything() -> None:
-    time = np.arange(4.0)
-    log = FlightLog(path="a.csv", time=time, attitude=np.eye(4), battery=10.0 * time)
-    for rows in (slice(1, 3), np.array([False, True, True, False])):
-        part = take_rows(log, rows)
-        assert (part.time.tolist(), part.attitude.tolist()) == ([1.0, 2.0], np.eye(4)[1:3].tolist())
-        assert part.battery.tolist() == [10.0, 20.0]

@@ -16,13 +16,10 @@ from aerial_gym.sim2real.logs.signals import (
     apply_lag,
     continuous_quaternion,
     integrate_rates,
-    interpolate_columns,
     log_at_equal_steps,
     lowpass,
     lowpass_gain,
     num_edge_rows,
-    quaternion_signs,
-    remove_line,
     welch,
 )
 from tests.unit.sim2real.flat_flights import flight, write
@@ -97,12 +94,6 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
         log_at_equal_steps(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
 
 
-def test_without_line_is_what_a_fit_of_a_line_leaves() -> None:
-    """Of each row by itself; scipy solves least squares for it."""
-    values = np.cumsum(np.random.default_rng(0).normal(size=(3, 2, 50)), axis=-1)
-    np.testing.assert_allclose(remove_line(values), signal.detrend(values, axis=-1), atol=1e-12)
-
-
 @pytest.mark.parametrize(("rows", "segment"), [(2000, 400), (999, 111), (50, 50)])
 def test_the_spectrum_is_that_of_welch(rows: int, segment: int) -> None:
     """As scipy has it, and the variance of white noise adds up."""
@@ -123,16 +114,6 @@ def test_a_lag_is_summed_as_row_by_row(kept: float) -> None:
     for row in values[:-1]:
         expected.append(kept * expected[-1] + (1.0 - kept) * row)
     np.testing.assert_allclose(apply_lag(values, kept, start), expected, atol=1e-13)
-
-
-def test_signs_take_every_jump_out_of_a_quaternion() -> None:
-    turned = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.1, -1.0], [0.0, 0.0, 0.2, -1.0], [0.0, 0.0, -0.3, 1.0]])
-    assert quaternion_signs(turned).tolist() == [1.0, -1.0, -1.0, 1.0]
-
-
-def test_columns_run_in_straight_lines_between_rows() -> None:
-    values = np.array([[0.0, 4.0], [2.0, 2.0], [2.0, 0.0]])
-    assert interpolate_columns(np.array([0.5, 1.5]), np.arange(3.0), values).tolist() == [[1.0, 3.0], [2.0, 1.0]]
 
 
 GYRO = ["omega_x", "omega_y", "omega_z"]

@@ -31,7 +31,6 @@ from aerial_gym.sim2real.teststand.joints.record import (
 )
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import (
-    errors_on_left_out_folds,
     estimates,
     fold_labels,
     hac_covariance,
@@ -94,13 +93,6 @@ def test_variance_of_a_mean_of_correlated_values_is_its_closed_form() -> None:
         values[row] = rho * values[row - 1] + noise[row]
     result = hac_covariance(np.ones((rows, 1)), values - values.mean())[0, 0] * rows
     assert result == pytest.approx(values.var() * (1.0 + rho) / (1.0 - rho), rel=0.1)
-
-
-def test_a_fit_never_sees_the_test_part() -> None:
-    """Each value less the mean of those in other parts; 6 and 9 are one part."""
-    part, values = np.array([0, 1, 2, 2]), np.array([1.0, 2.0, 6.0, 9.0])
-    missed = errors_on_left_out_folds(part, lambda out: values[out] - values[~out].mean())
-    np.testing.assert_allclose(missed, values - [17.0 / 3.0, 16.0 / 3.0, 1.5, 1.5])
 
 
 def test_flights_are_left_out_whole_and_a_single_one_in_fifths() -> None:
@@ -245,13 +237,6 @@ def test_steps_name_the_law_that_made_them(tmp_path: Path, params: dict[str, flo
         assert abs(result.value - value) < result.high - result.low  # two half widths: eleven numbers are checked
         assert result.high - result.low < 0.2 * value
     assert fit.laws[law].held_out_rms == pytest.approx(4.0, rel=0.1)
-
-
-def test_the_delay_has_the_sign_of_a_late_answer() -> None:
-    """12 ms after a step up, a lag of 30 ms that starts at once is at 33 %; one with a delay of 12 ms has not moved."""
-    table = step_table({"tau": 0.03, "delay": 0.012}, noise=0.0, rate=500.0)
-    assert table["speed_meas"][6] == 0.0
-    assert step_table({"tau": 0.03}, noise=0.0, rate=500.0)["speed_meas"][6] == pytest.approx(300 * (1 - np.exp(-0.4)))
 
 
 def test_a_slew_limit_that_no_step_reaches_is_only_bounded_from_one_side(tmp_path: Path) -> None:

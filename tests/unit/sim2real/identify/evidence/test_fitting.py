@@ -9,13 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
-from aerial_gym.sim2real.identify.evidence.fitting import Fitter
 from aerial_gym.sim2real.identify.evidence.guard import (
     Guard,
     Support,
     make_candidates,
     make_normal_equations,
-    num_parts_per_flight,
     supports_of_candidates,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations, posterior
@@ -45,23 +43,6 @@ def test_the_same_effects_beside_other_structures_are_one_set() -> None:
     result = set_probabilities(sets, overdispersion=1.0)
     assert result == {("payload_mass", "rotor_drag"): pytest.approx(2 / 3), ("rotor_drag",): pytest.approx(1 / 3)}
     assert inclusion_probabilities(result) == {"rotor_drag": pytest.approx(1.0), "payload_mass": pytest.approx(2 / 3)}
-
-
-def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Fitter, "refit_without_effects", lambda _self, _fitted, names, _compared: names)
-    nowhere = replace(make_fit("slung_payload", "rotor_drag", log=float("-inf")), support={})
-    assert not nowhere.is_supported
-    assert Fitter.refit_without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
-
-
-def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[list[np.ndarray]] = []
-    monkeypatch.setattr(Fitter, "fit", lambda *args, **_: given.append(args[4]))
-    one, fitter = make_fit(log=-5.0), object.__new__(Fitter)
-    fitter.declared, fitter._derivatives = one.params, {}
-    fitter._derivatives[one.label] = one, [np.zeros((5, 2, 0), dtype=np.float32)]
-    fitter.refit_without_effects(one, ())
-    assert [part.shape for part in given[0]] == [(5, 2, 0)]
 
 
 def test_not_the_weakest_effect_goes_but_the_one_without_which_the_rest_holds() -> None:
@@ -106,22 +87,6 @@ def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
     result, ends = FitStub(kept).set_for_robot_file(kept)
     assert result is kept
     assert ends == {}
-
-
-def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None:
-    set_of_one, there = make_fit("rotor_drag"), [np.zeros((4, 1, 3))]
-    asked: list[tuple[object, ...]] = []
-
-    class FitRecorder(FitStub):
-        def fit(self, effects, structures, start, derivatives=None, **options):
-            asked.append((derivatives, options.get("fresh", False)))
-            return super().fit(effects, structures, start)
-
-    before, after = FitStub(set_of_one), FitRecorder(set_of_one)
-    for other in (set_of_one, replace(set_of_one)):
-        before._derivatives[set_of_one.label] = other, there
-        assert after.refit_from_other_fitter(set_of_one, before) is set_of_one
-    assert asked == [(there, True), (None, False)]
 
 
 @pytest.mark.parametrize(
@@ -219,8 +184,3 @@ def test_what_flights_contradict_goes_and_the_rest_stays() -> None:
     assert sets.most_probable_set == (0, 1)
     assert guard.drop_unsupported((0, 1)) == (0,)
     assert guard.support((0, 1))[1].log_odds > 50.0
-
-
-@pytest.mark.parametrize(("flights", "parts"), [(1, 4), (2, 2), (3, 2), (4, 1), (7, 1)])
-def test_few_flights_are_taken_in_parts(flights: int, parts: int) -> None:
-    assert num_parts_per_flight(flights) == parts

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.least_squares import gauss_newton
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
-from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
     StopRule,
@@ -213,25 +211,6 @@ def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -
     fit, _, _, few = fit_exponential(StopRule(enough=5.0))
     assert few < whole
     assert worth(fit) == pytest.approx(reached, abs=0.5)
-
-
-def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monkeypatch: pytest.MonkeyPatch) -> None:
-    start, worths, missed, anew = ModelParams(effects={WIND: np.array([0.49, -0.29, 0.19])}), [], [], []
-    predictor, _ = exponential(4, 0.3)
-    near = effect_jacobian(predictor, start, (WIND,), predictor.predict(start))
-    for enough in (10.0, 0.0):
-        taken = []
-        monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
-        rule = StopRule(enough=enough)
-        fit, _, more = fit_effects(
-            predictor, (WIND,), start, nuisance_sums(predictor, 1e3), derivatives=near, rule=rule
-        )
-        anew.append(len(taken))
-        worths.append(worth(fit))
-        missed.append(more)
-    assert anew[0] == 0 < anew[1]
-    assert worths[0] == pytest.approx(worths[1], abs=1.0)
-    assert worths[0] + missed[0] >= worths[1]
 
 
 @pytest.mark.parametrize("derivatives", [None, [np.full((40, 1, 3), np.nan)]])

@@ -64,28 +64,6 @@ def test_the_minimum_is_that_of_another_method(rounds: int, monkeypatch: pytest.
         np.testing.assert_allclose(minimise_in_bounds(a, b, low, high), expected, rtol=0.0, atol=2e-6)
 
 
-def test_nothing_pulls_further_inward(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the minimum no free parameter is pulled, and one at a bound only beyond it; scipy is hardly ever asked."""
-    asked: list[object] = []
-    monkeypatch.setattr(
-        box_minimum, "lsq_linear", lambda *args, **options: asked.append(args) or lsq_linear(*args, **options)
-    )
-    met = 0
-    for seed in range(200):
-        a, b, low, high = problem(seed)
-        result = minimise_in_bounds(a, b, low, high)
-        pull = (b - a @ result) / np.sqrt(np.diag(a))
-        assert np.all(result >= low - 1e-9)
-        assert np.all(result <= high + 1e-9)
-        at_low, at_high = result <= low + 1e-9, result >= high - 1e-9
-        assert np.all(np.abs(pull[~at_low & ~at_high]) < 1e-8)
-        assert np.all(pull[at_low & ~at_high] < 1e-8)
-        assert np.all(pull[at_high & ~at_low] > -1e-8)
-        met += int((at_low | at_high).sum())
-    assert met > 1000
-    assert len(asked) < 5
-
-
 def test_no_minimum_of_numbers_that_are_none() -> None:
     a, b, low, high = problem(0)
     assert np.isnan(minimise_in_bounds(a, np.where(np.arange(b.size) == 3, np.nan, b), low, high)).all()
@@ -94,22 +72,6 @@ def test_no_minimum_of_numbers_that_are_none() -> None:
 def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:
     rows = (7, 12, 30)
     return [rng.standard_normal((n, 2)) for n in rows], [rng.standard_normal((n, 2, 3)) for n in rows]
-
-
-def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() -> None:
-    """``J^T (1 / w + s² 1 1^T)^-1 r`` by the inverse itself, channel by channel; the second channel has no offset."""
-    residuals, jacobians = flights(np.random.default_rng(1))
-    offsets = FlightOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
-    for r, j, out, along in zip(
-        residuals, jacobians, *map(offsets.remove_offsets, (residuals, jacobians)), strict=True
-    ):
-        for channel, (size, weight) in enumerate(zip(offsets.size, offsets.weight, strict=True)):
-            inverse = np.linalg.inv(np.eye(len(r)) / weight + size**2)
-            result = weight * along[:, channel].T @ out[:, channel]
-            np.testing.assert_allclose(result, j[:, channel].T @ inverse @ r[:, channel], rtol=1e-10)
-            square = weight * out[:, channel] @ out[:, channel]
-            np.testing.assert_allclose(square, r[:, channel] @ inverse @ r[:, channel], rtol=1e-10)
-    np.testing.assert_array_equal(offsets.remove_offsets(residuals)[0][:, 1], residuals[0][:, 1])
 
 
 def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:

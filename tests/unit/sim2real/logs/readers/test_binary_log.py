@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.config import build
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real import FlightLog, read_flight_log
+from aerial_gym.sim2real import read_flight_log
 from aerial_gym.sim2real.logs.flights import file_digests, load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
@@ -154,16 +154,6 @@ def test_a_log_without_a_needed_quantity_is_refused(lost, named, table: pd.DataF
     results = {name: part for name, part in topics(table).items() if name not in lost}
     with pytest.raises(DataError, match=named):
         read_topics(results)
-
-
-def test_a_binary_flight_is_the_flight_of_its_csv_file(table: pd.DataFrame, tmp_path: Path) -> None:
-    binary: FlightLog = read_topics(topics(table))
-    text = read_flight_log(write(table, tmp_path / "a.csv"))
-    rows = np.searchsorted(text.time + 5.0, binary.time - 1e-4)
-    turned = np.abs((binary.attitude * text.attitude[rows]).sum(axis=1))
-    assert turned[5:-5].min() > np.cos(0.5 * 5e-3)
-    for name, size in (("ang_vel", 1e-6), ("specific_force", 1e-5)):
-        np.testing.assert_allclose(getattr(binary, name), getattr(text, name)[rows], atol=size)
 
 
 def test_commands_too_small_to_carry_a_vehicle_are_no_flight(table: pd.DataFrame, tmp_path: Path) -> None:

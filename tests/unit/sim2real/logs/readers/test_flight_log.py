@@ -37,13 +37,6 @@ def test_a_log_comes_back_as_it_was_written(table: pd.DataFrame, tmp_path: Path)
     assert log.name == "a"
 
 
-def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_path: Path) -> None:
-    empty = table.assign(**dict.fromkeys(("p_x", "p_y", "p_z"), np.nan), cmd_1=np.nan)
-    log = read_flight_log(write(empty, tmp_path / "a.csv"))
-    assert log.position is None
-    assert log.rotor_command is None
-
-
 @pytest.mark.parametrize(("change", "message"), [
     (
         lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]).assign(roll=0.0, pitch=0.0, yaw=0.0),
@@ -69,14 +62,6 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
 def test_a_bad_table_is_refused_with_the_place_and_the_way_out(table, tmp_path, change, message) -> None:
     with pytest.raises(DataError, match=message):
         read_flight_log(write(change(table), tmp_path / "a.csv"))
-
-
-def test_a_log_that_was_cut_off_loses_its_last_line(table: pd.DataFrame, tmp_path: Path) -> None:
-    path = write(table, tmp_path / "a.csv")
-    path.write_text(path.read_text()[:-60])
-    log = read_flight_log(path)
-    np.testing.assert_array_equal(log.time, table["t"][:-1])
-    assert log.notes[0].values["lines"] == [301]
 
 
 def test_a_column_that_appears_twice_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:

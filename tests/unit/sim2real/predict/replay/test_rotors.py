@@ -84,14 +84,6 @@ def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(replay_speeds(driven, quick)[1:], driven.rotor_command[:-1])
 
 
-def test_what_commands_lead_to_is_worked_out_once_for_each_lag(tmp_path: Path) -> None:
-    replay, result = RotorReplay([step_flight(tmp_path, rate=200.0, seconds=2.0)]), []
-    for robot in (ROBOT, ROBOT, POWERED, POWERED, ROBOT):
-        result.append(replay.speeds(build_model(vehicle_from_config(robot, num_envs=1, dtype=F64)), 0.0))
-    assert result[0] is result[1] is result[4]
-    assert result[2] is result[3] is not result[0]
-
-
 def test_tables_that_do_not_fit_are_refused() -> None:
     table, ends, one = torch.ones(5, 4, dtype=F64), torch.tensor([0, 6], dtype=torch.int32), torch.ones(1, dtype=F64)
     with pytest.raises(ShapeError, match=r"commands have shapes \(5, 4\) and \(5, 4\), expected \(6, 4\)"):
