@@ -138,7 +138,8 @@ class BlackboxReader(LogReader):
             name = next((n for n in names if f"{n}[2]" in known), None)
             if name is None:
                 return []
-            return [main.channel(quantity, main.numbers(*(f"{name}[{i}]" for i in range(3)), unit=unit))]
+            values = main.numbers(*(f"{name}[{i}]" for i in range(3)), unit=unit or _gyro_unit(log, name))
+            return [main.channel(quantity, values)]
 
         unit = UNIT_G / (log.number("acc_1G", 0.0) or 2048.0)
         return [
