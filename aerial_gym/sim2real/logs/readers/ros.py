@@ -147,10 +147,12 @@ def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequen
 
 def _world_velocity(topic: Topic, velocity: Array) -> Array:
     """Return the velocity of an odometry in world axes: by its definition it is in body axes, which some sources ignore."""
-    position, attitude = (
-        topic.numbers(*(f"pose.pose.{part}.{axis}" for axis in axes))
-        for part, axes in (("position", "xyz"), ("orientation", "xyzw"))
-    )
+    parts = [
+        [f"pose.pose.{part}.{axis}" for axis in axes] for part, axes in (("position", "xyz"), ("orientation", "xyzw"))
+    ]
+    if not topic.columns.keys() >= {*parts[0], *parts[1]}:  # a damaged definition
+        return velocity
+    position, attitude = (topic.numbers(*names) for names in parts)
     if topic.time.size < 3 or not np.all(np.linalg.norm(attitude, axis=1) > 0.5):
         return velocity
     turned = Rotation.from_quat(attitude).apply(velocity)

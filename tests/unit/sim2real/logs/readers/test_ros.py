@@ -2,6 +2,7 @@
 
 import bz2
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -88,3 +89,16 @@ def test_a_bag_of_other_people_is_read() -> None:
     assert channel(log, "ang_vel").time.size == 4078
     assert np.abs(channel(log, "lin_vel").values).max() > 1.0
     assert np.abs(channel(log, "ang_vel").values).max() < 0.02
+
+
+def test_a_velocity_beside_a_damaged_attitude_stays_as_logged(tmp_path) -> None:
+    ros_bags.write_bag(tmp_path / "log.bag", None)
+    log = read(tmp_path / "log.bag")
+    topics = [
+        replace(topic, columns={k: v for k, v in topic.columns.items() if k != "pose.pose.orientation.z"})
+        for topic in log.topics
+    ]
+    assert any("twist.twist.linear.x" in topic.columns for topic in topics)
+    velocity = channel(replace(log, topics=tuple(topics)), "lin_vel")
+    topic = next(topic for topic in topics if "twist.twist.linear.x" in topic.columns)
+    np.testing.assert_allclose(velocity.values[:, 0], topic.columns["twist.twist.linear.x"])
