@@ -20,7 +20,7 @@ class InspectLogCmd:
     """Show what a log holds: topics, rates, flights, delays, messages, and what its rates do not allow."""
 
     log: Annotated[Path, tyro.conf.Positional]
-    """Log file of any format; its content tells the format."""
+    """Log file of any format; its content tells the format. FILE#2 shows only its second flight."""
 
     mapping: str | None = None
     """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""

@@ -109,8 +109,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(stop.code or 0)
     except (StorageError, TrainingError) as error:
         return _print_error(error, 1)
-    except (AerialGymError, FileNotFoundError) as error:
+    except AerialGymError as error:
         return _print_error(error, 2)
+    except FileNotFoundError as error:
+        return _print_error(error if error.filename is None else f"{error.filename}: no such file or folder", 2)
     except OSError as error:
         if isinstance(error, BrokenPipeError) and not _stdout_has_reader():
             return 1

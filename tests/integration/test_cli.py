@@ -106,6 +106,8 @@ LOGS = ("--train", "a.csv", "--test", "b.csv", "--out", "never")
     (("evaluate", "--policy", "nowhere"), "nowhere"),
     (("replay", "tinyprp", "flight.csv"), "no robot 'tinyprp'. Did you mean 'tinyprop'"),
     (("replay", "tinyprop", "flight.csv"), "flight.csv: no such file"),
+    (("robot", "check", "."), "."),
+    (("robot", "import", "nowhere.urdf", "--out", "o.yaml"), "nowhere.urdf"),
     (("close-loop", "--robot", "missing.yaml", *LOGS), "missing.yaml: no such file"),
 ])  # fmt: skip
 def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:

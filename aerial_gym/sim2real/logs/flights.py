@@ -215,6 +215,11 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
     if not log.relative_commands or share is None or share.shape[1] != robot.num_rotors:
         return log
     if log.rotor_speed is not None:
+        if log.rotor_speed.shape != share.shape:
+            raise DataError(
+                f"{log.path}: has {log.rotor_speed.shape[1]} rotor speeds and {share.shape[1]} commands; both need "
+                "one for each rotor"
+            )
         line = np.polynomial.Polynomial.fit(share.ravel(), log.rotor_speed.ravel(), 1, domain=[])
         command, full = line(share), float(line(1.0))
     elif force is None:

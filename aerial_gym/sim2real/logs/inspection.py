@@ -17,7 +17,7 @@ from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import row_times
 from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ
 
@@ -99,8 +99,9 @@ class LogInspection:
 
 
 def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspection:
-    """Return the content of a log file; raise ``DataError`` if the file cannot be decoded at all."""
-    raw = read_raw_log(Path(path))
+    """Return the content of a log file, of ``FILE#2`` only that flight; raise ``DataError`` if nothing can be decoded."""
+    file, chosen = split_flight_number(path)
+    raw = read_raw_log(Path(file))
     if raw is None:
         return _inspect_csv(Path(path), mapping)
     opened, refusals = None, list[str]()
@@ -108,7 +109,7 @@ def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspe
         opened = open_raw_log(raw, mapping)
     except DataError as error:
         refusals.append(str(error))
-    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals)
+    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals, chosen)
     return _inspection(raw, flights, refusals, raw.notes if opened is None else opened.notes, _spans_of_arming(raw))
 
 
@@ -132,11 +133,17 @@ def _inspection(
     )
 
 
-def _flights_of_log(opened: LogFlights, mapping: LogMapping | None, refusals: list[str]) -> list[FlightSummary]:
-    """Return the usable flights; the errors of others go to ``refusals``."""
-    flights = []
+def _flights_of_log(
+    opened: LogFlights, mapping: LogMapping | None, refusals: list[str], chosen: int | None
+) -> list[FlightSummary]:
+    """Return the usable flights, or the chosen one; the errors of others go to ``refusals``."""
+    flights, count = list[FlightSummary](), len(opened.spans)
+    if chosen is not None and not 1 <= chosen <= count:
+        raise DataError(f"{opened.raw.path}#{chosen}: the file holds {count} flights, numbered from 1")
     relative = mapping is None or mapping.rotor_command is None
     for number, span in enumerate(opened.spans, start=1):
+        if chosen not in (None, number):
+            continue
         try:
             log = flight_of_log(opened, number, relative=relative, fastest=DELAY_ROWS_HZ)
         except DataError as error:

@@ -57,10 +57,6 @@ class ValueWithOrigin:
             return self
         return replace(self, origin=f"assumed: scales with the assumed {' and '.join(assumed)}")
 
-    def with_basis(self, basis: str) -> "ValueWithOrigin":
-        """Return the value with a further remark on its origin."""
-        return replace(self, origin=f"{self.origin}; {basis}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleDraft:
@@ -275,14 +271,14 @@ def _largest_thrust(
     thrust: ValueWithOrigin, curve: CommandCurve | None, has_speeds: bool, logs: Sequence[FlightLog]
 ) -> ValueWithOrigin:
     """Return the thrust at full command, or at the largest speed in flight if no command curve is known."""
-    if curve is not None:
-        return replace(thrust, value=thrust.value * (curve.offset.value + curve.gain.value) ** 2).with_basis(
-            "at full command, by the command curve"
-        )
     series = [log.rotor_speed if has_speeds else log.rotor_command for log in logs]
     largest = max(float(values.max()) for values in series if values is not None)
+    origin = f"{thrust.origin};" if thrust.is_assumed else "measured here:"
+    if curve is not None:
+        full = (curve.offset.value + curve.gain.value) ** 2
+        return ValueWithOrigin(value=thrust.value * full, origin=f"{origin} at full command, by the command curve")
     if has_speeds:
-        return replace(thrust, value=thrust.value * largest**2).with_basis("at the largest speed in flight")
+        return ValueWithOrigin(value=thrust.value * largest**2, origin=f"{origin} at the largest speed in flight")
     reached = f"at full command; the flights reach {largest:.2g}"
     return ValueWithOrigin(value=thrust.value * max(largest, 1.0), origin=f"assumed: {reached}")
 

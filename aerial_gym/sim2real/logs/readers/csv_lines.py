@@ -7,10 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.recording import split_flight_number
 
 SEPARATORS = (";", "\t", ",")  # Field separators; a header with none of them is separated by spaces
 SPACES = " "  # Separator mark for any run of white space
 ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # Encodings by byte-order mark; other files are UTF-8
+PACKED = {
+    b"\x1f\x8b": "gzip",
+    b"PK\x03\x04": "zip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"7z\xbc": "7z",
+}
+"""Compression of files by their first bytes."""
 REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)  # Start of a comment, a separator hint or an empty line
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # A number with a decimal comma
 
@@ -79,7 +89,13 @@ def read_lines(path: Path) -> list[str]:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
+        file, number = split_flight_number(path)
+        remedy = (
+            f"no such file; {file} holds one flight: leave out #{number}" if Path(file).exists() else "no such file"
+        )
+        raise DataError(f"{path}: {remedy}") from None
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; give the log files in it. A bag of ROS 2 has a metadata.yaml") from None
     except OSError as error:
         raise DataError(
             f"{path}: cannot be read as text ({error.strerror}); give a CSV file with one header line"
@@ -91,5 +107,10 @@ def read_lines(path: Path) -> list[str]:
 
 def check_is_text(data: bytes, path: str) -> None:
     """Raise ``DataError`` if the first bytes of a file are not text."""
+    if packed := next((name for head, name in PACKED.items() if data.startswith(head)), None):
+        raise DataError(f"{path}: is packed by {packed}; unpack it first")
     if data[:2] not in ENCODINGS and b"\0" in data.split(b"\n", 1)[0]:
-        raise DataError(f"{path}: cannot be read as text: it holds binary data; give a CSV file with one header line")
+        raise DataError(
+            f"{path}: cannot be read as text: it holds binary data of no known log format "
+            "(aerial-gym list log-formats), or is damaged at its beginning"
+        )

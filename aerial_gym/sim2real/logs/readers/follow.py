@@ -10,6 +10,8 @@ from typing import BinaryIO
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.csv_lines import check_is_text
+from aerial_gym.sim2real.logs.readers.log_readers import find_reader
+from aerial_gym.sim2real.logs.recording import split_flight_number
 
 POLL_S = 0.05  # Polling interval [s]
 START_BYTES = 256  # Number of first bytes, header and first row, compared to detect a file rewritten in place
@@ -54,6 +56,12 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
 
 def _open_text_file(path: Path) -> BinaryIO:
     """Return a text file opened for reading at its start."""
+    whole = Path(split_flight_number(path)[0])
+    if whole.is_file() and find_reader(whole) is not None:  # a pipe is left unread
+        raise DataError(
+            f"{path}: only CSV files and rows from stdin (-) are watched; convert it by 'aerial-gym log convert {path} --to "
+            "csv --out flights' and watch the result"
+        )
     if path.is_dir():
         raise DataError(f"{path}: is a folder. Give a flight log (CSV), or - for rows from stdin")
     try:
