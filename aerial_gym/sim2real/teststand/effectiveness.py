@@ -65,7 +65,9 @@ class CommandCurve:
 def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -> FlightRows:
     """Return the filtered rows of a flight in which all rotors turn and the log has gyro and accelerometer."""
     if log.ang_vel is None or log.specific_force is None:
-        raise DataError(f"{log.path}: needs gyro and accelerometer")
+        raise DataError(
+            f"{log.path}: needs a gyro, and an accelerometer or a velocity; log them, or map their columns (--mapping)"
+        )
     rate, inputs = sample_rate(log), thrust_input(log)
 
     def in_band(values: Array) -> Array:

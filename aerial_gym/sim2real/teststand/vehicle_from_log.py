@@ -16,6 +16,7 @@ from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import find_reader
@@ -86,7 +87,7 @@ def draft_vehicle(
         if value is not None and not 0.0 < value < inf:
             raise ConfigError(f"{name} = {value!r}: must be > 0 and finite")
     given = [flight for path in paths for flight in flight_paths(path)]
-    logs = [_with_speeds(read_flight_log(path, mapping=mapping)) for path in given]
+    logs = [_complete_log(read_flight_log(path, mapping=mapping)) for path in given]
     layout = _common_layout(logs)
     has_speeds = all(log.rotor_speed is not None for log in logs)
 
@@ -112,8 +113,10 @@ def draft_vehicle(
     return replace(draft, mapping=_mapping_text(draft, layout, logs, mapping))
 
 
-def _with_speeds(log: FlightLog) -> FlightLog:
-    """Return the log with commands above ``LARGEST_FORCE`` as speeds, if it has no measured ones."""
+def _complete_log(log: FlightLog) -> FlightLog:
+    """Return the log with the force by its velocity, and with commands above ``LARGEST_FORCE`` as speeds, if not measured."""
+    if log.specific_force is None and log.lin_vel is not None:
+        log = replace(log, specific_force=complete_flight(log).specific_force)
     command = log.rotor_command
     if command is None or log.rotor_speed is not None or command.max() <= LARGEST_FORCE:
         return log

@@ -211,3 +211,12 @@ def test_a_logged_torque_ratio_that_no_body_can_have_is_not_used() -> None:
         assert (torque_ratio.value == ratio) is used
         assert inertia.value < 2e-3 * (1.0 + 1e-9)
     assert len(notes) == 1
+
+
+def test_a_velocity_replaces_the_accelerometer(flights: list[Path], tmp_path: Path) -> None:
+    table = pd.read_csv(flights[0])
+    rise = np.cumsum(table.acc_z - 9.80665) / RATE
+    table = table.drop(columns=["acc_x", "acc_y", "acc_z"]).assign(v_x=0.0, v_y=0.0, v_z=rise)
+    table.to_csv(tmp_path / "velocity.csv", index=False)
+    thrust = draft_vehicle([tmp_path / "velocity.csv"], mass=MASS, arm=0.1).values["thrust"].value
+    assert thrust == pytest.approx(MASS * LIFT, rel=0.03)
