@@ -27,6 +27,7 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.state import BodyState
 from aerial_gym.robots import ROBOTS
 from tests.cross.firmware import crazyflie_vectors as made
+from tests.cross.firmware.draws import load_vectors
 
 DT = 0.002
 """Of the firmware's attitude loop [s]."""
@@ -57,11 +58,7 @@ Pair = tuple[Tensor, Tensor]
 
 def read_vectors() -> dict[str, Tensor]:
     """Return the firmware's answers by name, as they stand in the file."""
-    with np.load(made.VECTORS) as file:
-        if int(file["checksum"]) != made.states_checksum():
-            raise ValueError("the random states are not those of the vectors: make them anew (crazyflie_vectors.py)")
-        names = ("lee", "lee_integrals", "mellinger", "pid", "brescianini", "brescianini_reduced", "power")
-        return {name: torch.from_numpy(file[name]).double() for name in names}
+    return load_vectors(made.VECTORS, made.states_checksum())
 
 
 def _split(rows: np.ndarray, *widths: int) -> list[Tensor]:

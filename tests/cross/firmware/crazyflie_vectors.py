@@ -10,7 +10,6 @@ structures and parameters alone. States are not written: they follow from the se
 Units are the firmware's: degrees, PWM counts; its pitch is positive with the nose up, its quaternions are xyzw.
 """
 
-import argparse
 import ctypes
 from collections.abc import Mapping
 from ctypes import (
@@ -32,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.cross.firmware.draws import Array, Draws, checksum
+from tests.cross.firmware.draws import Array, Draws, checksum, write_vectors
 
 VECTORS = Path(__file__).with_name("crazyflie_vectors.npz")
 SEED = 40
@@ -377,15 +376,7 @@ def _nose_up(angles: Array) -> tuple[float, float, float]:
     return float(angles[0]), -float(angles[1]), float(angles[2])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--library", type=Path, required=True, help="host library of the firmware's controllers")
-    parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")
-    parser.add_argument("--out", type=Path, default=VECTORS)
-    args = parser.parse_args()
-    result = answers(ctypes.CDLL(str(args.library.resolve())))
-    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, **result)
-
-
 if __name__ == "__main__":
-    main()
+    write_vectors(
+        __doc__ or "", "library", VECTORS, lambda path: answers(ctypes.CDLL(str(path.resolve()))), states_checksum()
+    )

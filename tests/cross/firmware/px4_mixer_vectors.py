@@ -8,7 +8,6 @@ Nothing of PX4 is kept but these numbers. Commands are not written: they follow 
 still do. Frames are PX4's: forward, right, down.
 """
 
-import argparse
 import ctypes
 import subprocess
 import tempfile
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.cross.firmware.draws import Array, Draws, checksum, pointer
+from tests.cross.firmware.draws import Array, Draws, checksum, pointer, write_vectors
 
 VECTORS = Path(__file__).with_name("px4_mixer_vectors.npz")
 SOURCE = "src/modules/control_allocator/ControlAllocation/ControlAllocationSequentialDesaturation.cpp"
@@ -92,14 +91,5 @@ def signals(px4: Path) -> Array:
     return np.clip(result, parts[..., 4], np.float32(1.0))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--px4", type=Path, required=True, help="folder of a PX4-Autopilot checkout")
-    parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")
-    parser.add_argument("--out", type=Path, default=VECTORS)
-    args = parser.parse_args()
-    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, signals=signals(args.px4))
-
-
 if __name__ == "__main__":
-    main()
+    write_vectors(__doc__ or "", "px4", VECTORS, lambda px4: {"signals": signals(px4)}, states_checksum())

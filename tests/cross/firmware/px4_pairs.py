@@ -12,6 +12,7 @@ from aerial_gym.control.px4.rates import rate_torque, update_integral
 from aerial_gym.control.reduced_attitude import canonical_quat
 from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made
+from tests.cross.firmware.draws import load_vectors
 
 GRAVITY = 9.80665
 """PX4's [m/s²]."""
@@ -22,10 +23,7 @@ Pair = tuple[Tensor, Tensor, Tensor]
 
 def read_vectors() -> dict[str, Tensor]:
     """Return PX4's answers by name, as they stand in the file."""
-    with np.load(made.VECTORS) as file:
-        if int(file["checksum"]) != made.states_checksum():
-            raise ValueError("the random states are not those of the vectors: make them anew (px4_vectors.py)")
-        return {name: torch.from_numpy(file[name]).double() for name in ("torque", "rate", "position")}
+    return load_vectors(made.VECTORS, made.states_checksum())
 
 
 def flip_axes(rows: Tensor) -> Tensor:
@@ -107,10 +105,7 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
 
 def mixer_pair() -> tuple[Tensor, Tensor]:
     """Return the motor signals of all commands of ``px4_mixer_vectors``, (N, R)."""
-    with np.load(mixed.VECTORS) as file:
-        if int(file["checksum"]) != mixed.states_checksum():
-            raise ValueError("the commands are not those of the vectors: make them anew (px4_mixer_vectors.py)")
-        reference = torch.from_numpy(file["signals"]).double()
+    reference = load_vectors(mixed.VECTORS, mixed.states_checksum())["signals"]
     parts, wanted = (torch.from_numpy(rows).double() for rows in mixed.states())
     parts, low, wanted, airmode = parts[..., :4], parts[..., 4], wanted[:, :4], wanted[:, 4]
     down = parts.new_tensor((1.0, -1.0, -1.0, -1.0))  # pitch, yaw and thrust are positive the other way

@@ -8,7 +8,6 @@ from the seed, and a checksum says whether they still do. Frames and order are P
 wxyz.
 """
 
-import argparse
 import ctypes
 import subprocess
 import tempfile
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.cross.firmware.draws import Array, Draws, checksum, pointer
+from tests.cross.firmware.draws import Array, Draws, checksum, pointer, write_vectors
 
 VECTORS = Path(__file__).with_name("px4_vectors.npz")
 SEED = 17
@@ -124,14 +123,5 @@ def answers(px4: Path) -> dict[str, Array]:
     return {"torque": torque, "rate": rate, "position": position}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--px4", type=Path, required=True, help="folder of a PX4-Autopilot checkout")
-    parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")
-    parser.add_argument("--out", type=Path, default=VECTORS)
-    args = parser.parse_args()
-    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, **answers(args.px4))
-
-
 if __name__ == "__main__":
-    main()
+    write_vectors(__doc__ or "", "px4", VECTORS, answers, states_checksum())
