@@ -1,29 +1,17 @@
 """Blackbox logs: frames of every encoding, damaged ones, several flights, units, and the logs of other people."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.blackbox import BlackboxReader
-from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from tests.unit.sim2real.logs.readers import blackbox_files as files
+from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_bytes
 
-DATA = Path(__file__).parents[5].parent / "shared" / "data" / "real_logs"
-
-
-def read(tmp_path: Path, data: bytes) -> RawLog:
-    path = tmp_path / "log"
-    path.write_bytes(data)
-    reader = find_reader(path)
-    assert isinstance(reader, BlackboxReader)
-    return reader.read(path)
-
-
-def channel(log: RawLog, quantity: str) -> LogChannel:
-    return next(one for one in BlackboxReader().channels(log) if one.quantity == quantity)
+read = partial(read_bytes, kind=BlackboxReader)
+channel = partial(first_channel, reader=BlackboxReader())
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -136,13 +124,13 @@ def test_a_log_without_frames_is_refused(tmp_path) -> None:
         read(tmp_path, files.header() + bytes(1000))
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="needs the logs of other people")
+@pytest.mark.skipif(not REAL_LOGS.exists(), reason="needs the logs of other people")
 @pytest.mark.parametrize(
     ("name", "rows", "speed"),
     [("betaflight/bf451_erpm_5inch.BFL", 35915, 2633.0), ("betaflight/indiflight_LOG00257.BFL", 5667, 4028.0)],
 )
 def test_logs_of_other_people_are_read(name, rows, speed) -> None:
     """Numbers of rows by orangebox 0.4.0, which decodes all values alike."""
-    log = BlackboxReader().read(DATA / name)
+    log = BlackboxReader().read(REAL_LOGS / name)
     assert log.topics[0].time.size == rows
     assert channel(log, "rotor_speed").values.max() == pytest.approx(speed, abs=1.0)

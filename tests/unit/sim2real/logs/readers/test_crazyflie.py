@@ -1,6 +1,6 @@
 """Micro-SD logs of a Crazyflie: both versions, units, damage, and a log of other people."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,18 +9,13 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
 from aerial_gym.sim2real.logs.readers.crazyflie import CrazyflieReader
-from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from tests.unit.sim2real.logs.readers.crazyflie_files import card
+from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, read_bytes
 
-DATA = Path(__file__).parents[5].parent / "shared" / "data" / "real_logs" / "crazyflie" / "usd_log05"
+DATA = REAL_LOGS / "crazyflie" / "usd_log05"
 
 
-def read(tmp_path: Path, data: bytes) -> RawLog:
-    path = tmp_path / "log"
-    path.write_bytes(data)
-    reader = find_reader(path)
-    assert isinstance(reader, CrazyflieReader)
-    return reader.read(path)
+read = partial(read_bytes, kind=CrazyflieReader)
 
 
 def channels(log: RawLog, quantity: str) -> list[LogChannel]:

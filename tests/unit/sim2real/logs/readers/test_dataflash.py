@@ -1,30 +1,21 @@
 """ArduPilot logs: messages by type and instance, units, damaged bytes, channels, and a log of other people."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
 from aerial_gym.sim2real.logs.readers.dataflash import DataflashReader
-from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from tests.unit.sim2real.logs.readers import dataflash_files as files
+from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_bytes
 
-DATA = Path(__file__).parents[5].parent / "shared" / "data" / "real_logs" / "ardupilot" / "copter364_two_flights.bin"
-
-
-def read(tmp_path: Path, data: bytes) -> RawLog:
-    path = tmp_path / "log"
-    path.write_bytes(data)
-    reader = find_reader(path)
-    assert isinstance(reader, DataflashReader)
-    return reader.read(path)
+DATA = REAL_LOGS / "ardupilot" / "copter364_two_flights.bin"
 
 
-def channel(log: RawLog, quantity: str) -> LogChannel:
-    return next(one for one in DataflashReader().channels(log) if one.quantity == quantity)
+read = partial(read_bytes, kind=DataflashReader)
+channel = partial(first_channel, reader=DataflashReader())
 
 
 def test_messages_become_topics_by_instance_with_units(tmp_path) -> None:

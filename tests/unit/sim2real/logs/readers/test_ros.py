@@ -2,32 +2,24 @@
 
 import bz2
 import struct
-from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
-from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from aerial_gym.sim2real.logs.readers.ros import RosReader
+from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_file
 
 pytest.importorskip("rosbags")
 from tests.unit.sim2real.logs.readers import ros_bags
 
-DATA = Path(__file__).parents[5].parent / "shared" / "data" / "real_logs" / "rosbag" / "m100exp01.bag"
+DATA = REAL_LOGS / "rosbag" / "m100exp01.bag"
 
 
-def read(path: Path) -> RawLog:
-    reader = find_reader(path)
-    assert isinstance(reader, RosReader)
-    return reader.read(path)
-
-
-def channel(log: RawLog, quantity: str) -> LogChannel:
-    return next(one for one in RosReader().channels(log) if one.quantity == quantity)
+read = partial(read_file, kind=RosReader)
+channel = partial(first_channel, reader=RosReader())
 
 
 @pytest.mark.parametrize("kind", ["ros1", "ros1 bz2", "ros1 lz4", "db3", "mcap", "db3 file", "mcap file"])
