@@ -7,20 +7,21 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations, log_evidences, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, NormalEquations, log_evidences, posterior
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior, search_sets
 from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 
 
-def test_without_effects_the_evidence_is_that_of_a_normal_model() -> None:
-    """With normal priors alone, ``log Z = log N(y; 0, I + J J^T) - log N(y; 0, I)`` exactly."""
+@pytest.mark.parametrize(("made_of", "model"), [
+    (candidates(num_tolerances=3), ()), (replace(candidates(3), structures=frozenset({0})), (0,)),
+], ids=["tolerances", "a structure"])  # fmt: skip
+def test_with_normal_priors_the_evidence_is_that_of_a_normal_model(made_of: Candidates, model: tuple[int, ...]) -> None:
+    """``log Z = log N(y; 0, I + J J^T) - log N(y; 0, I)`` exactly."""
     rng = np.random.default_rng(0)
     columns, measured = rng.normal(size=(12, 3)), rng.normal(size=12)
-    result = posterior(candidates(num_tolerances=3), normal(columns, measured), ())
-    wide = stats.multivariate_normal(cov=np.eye(12) + columns @ columns.T).logpdf(measured)
-    assert result.log_evidence == pytest.approx(
-        wide - stats.multivariate_normal(cov=np.eye(12)).logpdf(measured), abs=1e-9
-    )
+    result = posterior(made_of, normal(columns, measured), model).log_evidence
+    wide, white = (stats.multivariate_normal(cov=cov) for cov in (np.eye(12) + columns @ columns.T, np.eye(12)))
+    assert result == pytest.approx(wide.logpdf(measured) - white.logpdf(measured), abs=1e-9)
 
 
 @pytest.mark.parametrize("low", [-np.inf, 0.0])
@@ -77,34 +78,15 @@ def test_columns_that_are_in_every_set_may_be_integrated_out_once() -> None:
 
 
 def test_many_sets_at_once_have_the_evidence_of_each() -> None:
-    rng = np.random.default_rng(5)
-    sums = normal(rng.normal(size=(40, 7)), rng.normal(size=40))
-    made_of = replace(candidates(2, 1, 3, low=-0.1, num_tolerances=1), structures=frozenset({2}))
-    models = [(), (0,), (1,), (2,), (0, 1), (0, 2), (0, 1, 2)]
-    expected = [posterior(made_of, sums, model).log_evidence for model in models]
-    np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
-
-
-def test_neighbours_in_structures_have_the_evidence_of_each() -> None:
     rng = np.random.default_rng(7)
     sums = normal(rng.normal(size=(60, 12)), rng.normal(size=60))
     made_of = replace(candidates(2, 1, 3, 2, 1, 2, low=-0.1, num_tolerances=1), structures=frozenset({2, 3, 4, 5}))
     structures = [own for count in range(4) for own in combinations((2, 3, 4, 5), count)]
     up_to_three = [(*effects, *own) for own in structures for effects in ((), (0,), (0, 1))]
     whole = tuple(range(6))
-    for models in (up_to_three, [whole, *combinations(whole, 5)], [(0, 2, 3), (0, 2)]):
+    for models in (up_to_three, [whole, *combinations(whole, 5)], [(0, 2, 3), (0, 2)], [(), (1,), (0, 1)]):
         expected = [posterior(made_of, sums, model).log_evidence for model in models]
         np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
-
-
-def test_a_structure_has_the_evidence_of_a_normal_prior() -> None:
-    """``log N(y; 0, I + J J^T)`` less that of no structure, exactly."""
-    rng = np.random.default_rng(6)
-    columns, measured = rng.normal(size=(12, 3)), rng.normal(size=12)
-    made_of = replace(candidates(3), structures=frozenset({0}))
-    result = posterior(made_of, normal(columns, measured), (0,)).log_evidence
-    wide = stats.multivariate_normal(cov=np.eye(12) + columns @ columns.T).logpdf(measured)
-    assert result == pytest.approx(wide - stats.multivariate_normal(cov=np.eye(12)).logpdf(measured), abs=1e-9)
 
 
 def all_subsets(count: int) -> list[tuple[int, ...]]:
@@ -145,13 +127,15 @@ def test_two_effects_that_replace_each_other_share_the_probability_and_neither_g
     assert 0.4 < inclusion["effect_0"] < 0.7
 
 
-def test_a_set_has_no_two_candidates_of_one_name() -> None:
-    rng = np.random.default_rng(3)
-    columns = rng.normal(size=(100, 2))
-    sums = normal(columns, columns @ np.array([1.0, 1.0]) + 0.1 * rng.normal(size=100))
-    sets = search_sets(candidates(1, 1, names=("load", "load")), sums)
-    assert len(sets.most_probable_set) == 1
-    assert all(len(model) < 2 for model in sets.log_posterior)
+def test_a_set_has_no_two_candidates_of_one_name_and_no_case_beside_a_wider_one() -> None:
+    columns = np.random.default_rng(3).normal(size=(100, 2))
+    sums = normal(columns, columns.sum(axis=1) + 0.1 * np.random.default_rng(7).normal(size=100))
+    apart = replace(candidates(1, 1), apart=frozenset({frozenset({"effect_0", "effect_1"})}))
+    assert search_sets(candidates(1, 1), sums).most_probable_set == (0, 1)
+    for made_of in (candidates(1, 1, names=("load", "load")), apart):
+        sets = search_sets(made_of, sums)
+        assert len(sets.most_probable_set) == 1
+        assert all(len(model) < 2 for model in sets.log_posterior)
 
 
 @pytest.mark.parametrize("count", [3, 20])
@@ -163,12 +147,3 @@ def test_a_long_list_finds_nothing_in_noise_by_its_length(count: int) -> None:
         sums = normal(30.0 * rng.normal(size=(50, count)), rng.normal(size=50))
         shares.append(search_sets(candidates(*[1] * count), sums).probabilities()[()])
     assert np.mean(shares) > 0.85
-
-
-def test_a_wide_case_and_what_it_contains_are_never_in_one_set() -> None:
-    rng = np.random.default_rng(7)
-    columns = rng.normal(size=(100, 2))
-    sums = normal(columns, columns @ np.array([1.0, 1.0]) + 0.1 * rng.normal(size=100))
-    apart = replace(candidates(1, 1), apart=frozenset({frozenset({"effect_0", "effect_1"})}))
-    assert search_sets(candidates(1, 1), sums).most_probable_set == (0, 1)
-    assert len(search_sets(apart, sums).most_probable_set) == 1
