@@ -194,6 +194,15 @@ def few_rays() -> Iterator[None]:
     set_levels()
 
 
+@pytest.fixture(params=[1, 3])
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Run torch on so many threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
 @pytest.fixture
 def coarser_plant(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fly ``benchmarks.undeclared`` in steps of 1.25 ms in place of 0.5 ms, which moves no flight by 1e-7 mm. A delay

@@ -1,6 +1,6 @@
 """Row i of a batch of the torch backend is bit for bit what it is in every other batch, float32 and float64, on any thread."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -23,14 +23,6 @@ from tests.repetitions import thin_values
 COUNTS = (1, 3, 4, 5, 63, 65, 130)
 MANY = 2048
 BENDING = 130
-
-
-@pytest.fixture(params=[1, 3])
-def threads(request: pytest.FixtureRequest) -> Iterator[int]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(request.param)
-    yield request.param
-    torch.set_num_threads(before)
 
 
 def assert_rows_alike(

@@ -1,6 +1,5 @@
 """Draws that are the same in torch and in kernels, and rows that have the same result in every batch, bit for bit."""
 
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -114,14 +113,6 @@ def test_it_is_what_a_loop_over_rows_makes(rows: int, kept: float) -> None:
 COUNTS = (*range(1, 20), 63, 64, 65, 127, 130, 1000, 33001)
 NUM_ROWS = 40003
 """More than torch gives to one thread (32,768 elements), and no multiple of anything."""
-
-
-@pytest.fixture(params=[1, 3])
-def threads(request: pytest.FixtureRequest) -> Iterator[int]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(request.param)
-    yield request.param
-    torch.set_num_threads(before)
 
 
 def numbers(*shape: int, dtype: torch.dtype) -> Tensor:

@@ -5,6 +5,8 @@
 - ``X500``: models x500_base and x500 of PX4-gazebo-models; ``IRIS``: models/iris of PX4-SITL_gazebo-classic.
 """
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 X2 = """<mujoco><option density="1.225" viscosity="1.8e-5"/><compiler autolimits="true"/><worldbody>
@@ -117,3 +119,11 @@ def cf2x() -> str:
     numbers = 'arm="0.0397" kf="3.16e-10" km="7.94e-12" thrust2weight="2.25" drag_coeff="1" gnd_eff_coeff="1"'
     base = f'<link name="base_link"><inertial>{own}</inertial>{shape}</link>'
     return f'<robot name="cf2"><properties {numbers}/>{base}{massless}</robot>'
+
+
+def check_named_once(out: Path, said: str, names: Iterable[str]) -> None:
+    """Check that each of these names stands in one line of what was said, and each line in the head of the robot file."""
+    lines = said.splitlines()
+    for name in names:
+        assert sum(re.search(rf"(?<!\w){re.escape(name)}(?!\w)", line) is not None for line in lines) == 1, name
+    assert set(lines) <= {line.removeprefix("# ") for line in out.read_text(encoding="utf-8").splitlines()}

@@ -11,6 +11,7 @@ from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import Imported, RotorHints, read_robot
+from tests.unit.robots.importers.files import check_named_once
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
 
@@ -202,11 +203,8 @@ def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFi
     path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
     path.write_text(text)
     assert main(["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05"]) == 0
-    said = capsys.readouterr().err.splitlines()
-    for name in ("eye", "lamp", "skin", "pan", "gyro", "hover", "servo", "damping", "biasprm[2]", "floor", "spare"):
-        assert sum(name in line for line in said) == 1, name
-    header = [line.removeprefix("# ") for line in out.read_text(encoding="utf-8").splitlines() if line[0] == "#"]
-    assert set(said) <= set(header)
+    names = ("eye", "lamp", "skin", "pan", "gyro", "hover", "servo", "damping", "biasprm[2]", "floor", "spare")
+    check_named_once(out, capsys.readouterr().err, names)
 
 
 def test_a_torque_across_the_force_moves_the_thrust_line(tmp_path: Path) -> None:

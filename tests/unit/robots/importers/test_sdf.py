@@ -14,7 +14,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers import Imported, RotorHints, import_robot, read_robot
-from tests.unit.robots.importers.files import IRIS_MOTOR, PLACES, PX4_TURNING, inertial, motor, write
+from tests.unit.robots.importers.files import IRIS_MOTOR, PLACES, PX4_TURNING, check_named_once, inertial, motor, write
 
 ACCEPT = RotorHints(accept_losses=True)
 
@@ -305,13 +305,10 @@ def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(tmp_path, caps
     text = vehicle(base, GIMBAL + control + '<link name="pod"/>', rotor_more="<limit><effort>3</effort></limit>")
     path, out = write(tmp_path, m=text), tmp_path / "m.yaml"
     assert main(["robot", "import", str(path), "--out", str(out)]) == 0
-    said = capsys.readouterr().err.splitlines()
+    said = capsys.readouterr().err
     names = ("front", "gyro", "skin", "skirt", "JointPositionController", "gimbal", "limit", "rollingMomentCoefficient")
-    for name in names:
-        assert sum(name in re.split(r"[\W]+", line) for line in said) == 1, name
-    assert any("pod" in line for line in said)  # its mass, its inertia, and that no joint holds it
-    header = [line for line in out.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
-    assert set(said) <= {line.removeprefix("# ") for line in header}
+    check_named_once(out, said, names)
+    assert "pod" in said  # its mass, its inertia, and that no joint holds it
     assert load_robot(out).num_rotors == 4
 
 

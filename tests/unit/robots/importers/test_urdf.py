@@ -9,7 +9,7 @@ from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import Imported, RotorHints, import_robot
-from tests.unit.robots.importers.files import cf2x
+from tests.unit.robots.importers.files import cf2x, check_named_once
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed: pip install 'aerial-gym[urdf]'")
 
@@ -143,8 +143,5 @@ def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFi
     path.write_text(text)
     given = ["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05", "--spins", "1", "-1", "1", "-1"]
     assert main(given) == 0
-    said = capsys.readouterr().err.splitlines()
-    for name in ("drive", "red", "eye", "mu1", "state", "skin", "arm"):
-        assert sum(name in line for line in said) == 1, name
-    header = [line.removeprefix("# ") for line in out.read_text(encoding="utf-8").splitlines() if line[0] == "#"]
-    assert set(said) <= set(header)
+    names = ("drive", "red", "eye", "mu1", "state", "skin", "arm")
+    check_named_once(out, capsys.readouterr().err, names)
