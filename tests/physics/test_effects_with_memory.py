@@ -26,7 +26,7 @@ from aerial_gym.physics import (
     build_model,
 )
 from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
-from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_state, make_memory
+from aerial_gym.physics.memory import begin_substep, end_substep, load_state, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
@@ -186,25 +186,6 @@ def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> N
     assert ((correlation - exp(-0.4 / corr_time) * torch.eye(3)).abs() < 5.0 / sqrt(num)).all()
 
 
-def gust_flight(backend, seed: int, num_envs: int = 4, steps: int = 5) -> Tensor:
-    """Return the velocities after some steps in gusts from rest, (E, 3)."""
-    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=num_envs)
-    rows = [(EFFECTS.get("gusts"), torch.tensor([3.0, 0.1]).expand(num_envs, -1))]
-    rows.append((EFFECTS.get("rotor_drag"), torch.ones(num_envs, 3)))
-    backend.allocate(
-        build_model(vehicle, rows, gravity=0.0), SpeedControl(), integrator="euler",
-        random=Randomness(num_envs, seed=seed),
-    )  # fmt: skip
-    state = single(rest_state(num_envs))
-    for _ in range(steps):
-        backend.step(state, torch.zeros(num_envs, 4), 0.01, 3)
-    return state.lin_vel
-
-
-def test_both_backends_draw_the_same_gusts() -> None:
-    torch.testing.assert_close(gust_flight(WarpBackend(), 7), gust_flight(TorchBackend(), 7), atol=2e-6, rtol=2e-5)
-
-
 @pytest.mark.parametrize(("dt", "hold"), [(0.002, 0.002), (0.001, 0.002), (0.0005, 0.003), (0.01, 0.002)])
 def test_a_random_force_is_uniform_and_held_for_its_interval(dt: float, hold: float) -> None:
     """Variance f² / 3 on each axis, independent of the interval before; bounds: five standard deviations of 20,000 draws."""
@@ -300,19 +281,6 @@ def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backe
         begun.rotor_speed[mask], new.rotor_speed[mask], atol=1e-3, rtol=1e-5
     )  # delay and battery
     assert not torch.equal(begun.lin_vel[mask], new.lin_vel[mask])  # gusts
-
-
-def test_forgetting_gives_the_memory_of_a_new_environment() -> None:
-    model = make_model(
-        {"slung_payload": {"mass": 0.1, "length": 1.0, "damping": 0.0}, "actuation_delay": {"delay": 0.05}}, 3
-    )
-    commands = [torch.full((3, 4), 900.0, dtype=F64)] * 5
-    _, memory = fly_remembering(model, make_memory(model, 0.01), random_state(3), commands, 0.01)
-    mask = torch.tensor([False, True, False])
-    after, fresh = forget(memory, mask), make_memory(model, 0.01)
-    assert torch.equal(after.numbers[mask], fresh.numbers[mask])
-    assert torch.equal(after.numbers[~mask], memory.numbers[~mask])
-    assert after.since.tolist() == [5, 0, 5]
 
 
 @pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])

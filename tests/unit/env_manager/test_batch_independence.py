@@ -1,6 +1,7 @@
 """An environment is the same alone, among 4 and among 37, bit for bit: nothing that is drawn or flown looks at a neighbour."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from aerial_gym import EnvManager, Task, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.repetitions import frequent_values
 
@@ -24,11 +26,17 @@ RANDOMIZE = {
     "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=2.0),
     "effects.rotor_drag.dx": RandomizeCfg(how="value", low=0.1, high=0.2),
     "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
+    "effects.imu_bias.ax": RandomizeCfg(how="value", low=-0.1, high=0.1),
+    "effects.imu_misalignment.yaw": RandomizeCfg(how="value", low=-0.1, high=0.1),
+    "sensors.base_imu.position": RandomizeCfg(how="offset", low=-0.1, high=0.1),
 }
 
 
 def build(env: str, robot: str, num_envs: int, **options: Any) -> EnvManager:
+    """Return a simulation; a robot of which something is drawn has an IMU, whose errors and place are among it."""
     defaults = {"backend": "warp", "seed": 5}
+    if "randomize" in options:
+        robot = replace(ROBOTS.get(robot), sensors=("base_imu",))
     return simulation(robot, "lee_velocity_control", env=env, num_envs=num_envs, **defaults | options)
 
 
