@@ -1,6 +1,5 @@
 """An effect in a user's own package, in torch only: both backends fly it, and the closed loop finds it in flights."""
 
-import json
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -8,15 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym.cli.main import main
-from aerial_gym.config import dump_yaml
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.warp_backend import WarpBackend
 from tests.cross.test_backends import assert_same_flight, build
 from tests.physics.vehicles import asymmetric_robot
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command
 
 PACKAGE = '''
 """Drag with the third power of the speed."""
@@ -64,15 +61,9 @@ def test_backends_agree_on_a_user_effect(own_effect: str, integrator: str) -> No
 
 
 def test_closed_loop_finds_a_user_effect(own_effect: str, tmp_path: Path) -> None:
-    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
-    logs = [tmp_path / f"f{seed}.csv" for seed in range(3)]
-    for seed, log in enumerate(logs):
-        write(flight(60 + seed, cubic=0.05, seconds=6.0, rate=100.0, noise=1.0), log)
-    *train, test = map(str, logs)
-    arguments = ["--robot", str(tmp_path / "robot.yaml"), "--train", *train, "--test", test]
-    arguments += ["--effects", own_effect, "rotor_drag", "quadratic_drag", "--out", str(tmp_path / "out")]
-    assert main(["close-loop", *arguments]) == 0
-    (effect,) = json.loads((tmp_path / "out" / "verdict.json").read_text())["effects"]
+    tables = [flight(60 + seed, cubic=0.05, seconds=6.0, rate=100.0, noise=1.0) for seed in range(3)]
+    verdict = verdict_of_command(tmp_path, ROBOT, tables, "--effects", own_effect, "rotor_drag", "quadratic_drag")
+    (effect,) = verdict["effects"]
     assert effect["name"] == own_effect
     low, high = effect["interval"]["c"]
     assert low < 0.05 < high

@@ -1,6 +1,5 @@
 """A rotor map of a user's own package: the one of the guide, in torch only, on both backends and in the closed loop."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +9,6 @@ import pandas as pd
 import pytest
 import torch
 
-from aerial_gym.cli.main import main
-from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
@@ -19,7 +16,7 @@ from aerial_gym.physics import ROTOR_MAPS, RotorMap, TorchBackend, WarpBackend, 
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
 from tests.cross.test_backends import assert_same_flight
 from tests.physics.vehicles import F64, asymmetric_robot, random_state
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "own_rotor_map.md"
 POWER, COEFFICIENT = 2.15, 4.0e-7
@@ -80,15 +77,9 @@ def test_gradients_of_both_backends_agree(power_law: type[RotorMap]) -> None:
 
 def test_closed_loop_finds_an_error_of_its_coefficient(power_law: type[RotorMap], tmp_path: Path) -> None:
     """The vehicle has 5 % more thrust than the file says."""
-    (tmp_path / "robot.yaml").write_text(dump_yaml(with_power_law(ROBOT)))
-    logs = [tmp_path / f"f{seed}.csv" for seed in range(3)]
-    for seed, log in enumerate(logs):
-        write(with_power_law_speeds(flight(70 + seed, seconds=6.0, rate=100.0, noise=1.0)), log)
-    *train, test = map(str, logs)
-    arguments = ["--robot", str(tmp_path / "robot.yaml"), "--train", *train, "--test", test]
-    arguments += ["--effects", "thrust_coefficient", "rotor_drag", "--out", str(tmp_path / "out")]
-    assert main(["close-loop", *arguments]) == 0
-    (effect,) = json.loads((tmp_path / "out" / "verdict.json").read_text())["effects"]
+    tables = [with_power_law_speeds(flight(70 + seed, seconds=6.0, rate=100.0, noise=1.0)) for seed in range(3)]
+    effects = ("--effects", "thrust_coefficient", "rotor_drag")
+    (effect,) = verdict_of_command(tmp_path, with_power_law(ROBOT), tables, *effects)["effects"]
     assert effect["name"] == "thrust_coefficient"
     low, high = effect["interval"]["scale"]
     assert low < 1.05 < high

@@ -1,6 +1,7 @@
 """Exact flights for tests: the rotor speeds that a smooth path needs, from differential flatness. Independent of the
 simulator: no equation of motion is integrated. Letters: T rows, R rotors."""
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from aerial_gym.cli.main import main
+from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.sim2real import LogMapping, read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
@@ -120,6 +123,15 @@ def load_tables(folder: Path, tables: Iterable[pd.DataFrame], robot: RobotCfg = 
     """Return the flights f0, f1, ... of logs, from files that are written for them."""
     paths = [write(table, folder / f"f{n}.csv") for n, table in enumerate(tables)]
     return load_flights(paths, robot, mapping=None, bandwidth=10.0)
+
+
+def verdict_of_command(folder: Path, robot: RobotCfg, tables: Iterable[pd.DataFrame], *options: str) -> dict[str, Any]:
+    """Run the command ``close-loop`` on logs, of which the last one is the test flight; return its verdict."""
+    (folder / "robot.yaml").write_text(dump_yaml(robot), encoding="utf-8")
+    *train, test = [str(write(table, folder / f"f{n}.csv")) for n, table in enumerate(tables)]
+    given = ["--robot", str(folder / "robot.yaml"), "--train", *train, "--test", test, "--out", str(folder / "out")]
+    assert main(["close-loop", *given, *options]) == 0
+    return json.loads((folder / "out" / "verdict.json").read_text())
 
 
 def make_predictor(flights: Sequence[Flight], robot: RobotCfg = ROBOT, **options: Any) -> Predictor:

@@ -32,7 +32,7 @@ from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.flights import load_train_and_test
 from aerial_gym.sim2real.report.run_folder import atomic_run_folder
 from aerial_gym.sim2real.wording import text
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command, write
 
 DRAG = 0.25
 SECTIONS = ("flights", "effects", "evidence", "rivals", "before-after", "next", "rest", "data")
@@ -155,21 +155,16 @@ def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
 
 @pytest.mark.slow
 def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_path: Path) -> None:
-    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
-    for seed in range(3):
-        table = flight(40 + seed, thrust_scale=0.9, noise=1.0, seconds=6.0, rate=100.0)
-        write(table.drop(columns=["omega_x", "omega_y", "omega_z"]), tmp_path / f"f{seed}.csv")
-    train, test = [tmp_path / "f0.csv", tmp_path / "f1.csv"], [tmp_path / "f2.csv"]
-    close_loop(tmp_path / "robot.yaml", train, test, tmp_path / "out")
-    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    tables = [flight(40 + seed, thrust_scale=0.9, noise=1.0, seconds=6.0, rate=100.0) for seed in range(3)]
+    gyro = ["omega_x", "omega_y", "omega_z"]
+    verdict = verdict_of_command(tmp_path, ROBOT, [table.drop(columns=gyro) for table in tables])
     assert verdict["verdict"] == "ambiguous"
     assert {"thrust_coefficient", "payload_mass"} <= set(verdict["candidates"])
     advice = verdict["manoeuvre"]
     assert {"thrust_coefficient", "payload_mass"} <= set(advice["tells"])
     assert advice["fly"] is None
     assert advice["expected_score_per_10s"] < 3.0
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "no manoeuvre of the catalogue is expected to tell" in page
+    assert "weigh_or_log" in [finding["code"] for finding in verdict["findings"]]
 
 
 @pytest.mark.slow
@@ -252,14 +247,9 @@ def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, st
 
 @pytest.mark.slow
 def test_only_what_is_requested_is_searched(tmp_path: Path) -> None:
-    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
-    for seed in range(3):
-        table = flight(60 + seed, drag=DRAG, thrust_scale=0.9, seconds=4.0, rate=100.0, noise=1.0)
-        write(table, tmp_path / f"f{seed}.csv")
-    logs = [str(tmp_path / f"f{seed}.csv") for seed in range(3)]
-    arguments = ["--train", *logs[:2], "--test", logs[2], "--out", str(tmp_path / "out"), "--effects", "rotor_drag"]
-    assert main(["close-loop", "--robot", str(tmp_path / "robot.yaml"), *arguments]) == 0
-    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    hidden = {"drag": DRAG, "thrust_scale": 0.9, "seconds": 4.0, "rate": 100.0, "noise": 1.0}
+    tables = [flight(60 + seed, **hidden) for seed in range(3)]
+    verdict = verdict_of_command(tmp_path, ROBOT, tables, "--effects", "rotor_drag")
     assert [effect["name"] for effect in verdict["effects"]] == ["rotor_drag"]
     assert set(verdict["inclusion"]) == {"rotor_drag"}
     assert verdict["verdict"] != "explained"
@@ -392,18 +382,13 @@ def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid_and_gets_no_effect_th
     arm = LinkCfg(mass=0.02, com=ROBOT.mounts.layout[0].position, inertia=still)
     hinge = JointCfg(name="arm", axis=(0.0, 1.0, 0.0), position=(0.05, -0.05, 0.01), link=arm)
     bending = replace(ROBOT, joints=JointsCfg(layout=(hinge,), source="invented"))
-    (tmp_path / "robot.yaml").write_text(dump_yaml(bending))
-    for seed in range(3):
-        write(flight(seed, spring=0.5, noise=1.0, seconds=4.0, rate=100.0), tmp_path / f"f{seed}.csv")
-    robot, *flights = (str(tmp_path / name) for name in ("robot.yaml", "f0.csv", "f1.csv", "f2.csv"))
-    asked = ["--effects", "joint_spring", "rotor_drag", "--out", str(tmp_path / "out")]
-    assert main(["close-loop", "--robot", robot, "--train", *flights[:2], "--test", flights[2], *asked]) == 0
+    tables = [flight(seed, spring=0.5, noise=1.0, seconds=4.0, rate=100.0) for seed in range(3)]
+    verdict = verdict_of_command(tmp_path, bending, tables, "--effects", "joint_spring", "rotor_drag")
     said = text(Finding("joints_held", "", {"joints": ["arm"]}))
     assert f"note: {said}" in " ".join(capsys.readouterr().out.split())
-    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert verdict["notes"][0] == said
     assert said in (tmp_path / "out" / "report.html").read_text()
     assert "this one has joints" in verdict["not_testable_because"]["joint_spring"]
     check_effects(load(RobotCfg, tmp_path / "out" / "robot.yaml"))
-    assert main(["replay", robot, flights[0]]) == 0
+    assert main(["replay", str(tmp_path / "robot.yaml"), str(tmp_path / "f0.csv")]) == 0
     assert f"note: {said}" in " ".join(capsys.readouterr().out.split())

@@ -1,6 +1,5 @@
 """The loop on logs of a vehicle whose rotors are in force mode: commands in newtons, no rotor speeds."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +10,10 @@ import pytest
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real import close_loop, replay
+from aerial_gym.sim2real import replay
 from aerial_gym.sim2real.logs.flights import load_train_and_test
 from aerial_gym.sim2real.loop import judge_flights
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command, write
 
 TAU = 0.04  # Declared lag of the thrusts [s]
 
@@ -42,13 +41,6 @@ def force_flight(seed: int, *, tau: float = TAU, late: int = 0, scale: float = 1
     return table.iloc[: len(table) - 1 - late]
 
 
-def run_loop(folder: Path, **hidden: float) -> dict:
-    (folder / "robot.yaml").write_text(dump_yaml(FORCED))
-    logs = [write(force_flight(40 + n, **hidden), folder / f"f{n}.csv") for n in range(4)]
-    close_loop(folder / "robot.yaml", logs[:3], logs[3:], folder / "out")
-    return json.loads((folder / "out" / "verdict.json").read_text())
-
-
 @pytest.mark.parametrize(("hidden", "name", "params"), [
     ({"tau": 0.1}, "motor_time_constant", {"tau": 0.1}),
     pytest.param({"drag": 0.25}, "rotor_drag", {"dx": 0.25, "dy": 0.25}, marks=pytest.mark.slow),
@@ -56,7 +48,7 @@ def run_loop(folder: Path, **hidden: float) -> dict:
 ])  # fmt: skip
 @pytest.mark.slow
 def test_the_hidden_effect_is_named(hidden, name, params, tmp_path) -> None:
-    verdict = run_loop(tmp_path, **hidden)
+    verdict = verdict_of_command(tmp_path, FORCED, [force_flight(40 + n, **hidden) for n in range(4)])
     assert [effect["name"] for effect in verdict["effects"]] == [name]
     effect = verdict["effects"][0]
     for key, value in params.items():

@@ -93,6 +93,13 @@ def test_one_throw_is_inside_its_interval() -> None:
     assert (deviation < 0.05 * values).all()
 
 
+def paths_of_throws(groups: dict[str, list[FreeFlight]], monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]]:
+    """Return names that the study reads as the throws of each group."""
+    flights = {f"{name}{n}": find_free_flight(f) for name, group in groups.items() for n, f in enumerate(group)}
+    monkeypatch.setattr(inertia_study, "read_throw", lambda path: flights[str(path)])
+    return {name: [f"{name}{n}" for n in range(len(group))] for name, group in groups.items()}
+
+
 def test_device_and_proof_body_give_the_body_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The proof body is the body itself turned by 0: its known inertia calibrates the wheel."""
     share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
@@ -100,9 +107,7 @@ def test_device_and_proof_body_give_the_body_alone(monkeypatch: pytest.MonkeyPat
         "body": throws(joint_inertia(), IMU + LEVER * (1.0 - share)),
         "device": throws(DEVICE, IMU),
     }
-    flights = {f"{name}{n}": find_free_flight(f) for name, group in records.items() for n, f in enumerate(group)}
-    monkeypatch.setattr(inertia_study, "read_throw", lambda path: flights[str(path)])
-    paths = {name: [name + str(n) for n in range(4)] for name in records}
+    paths = paths_of_throws(records, monkeypatch)
     study = study_inertia(
         ThrowSeries(paths=paths["body"], mass=BODY_MASS),  # type: ignore[arg-type]
         ThrowSeries(paths=paths["device"], mass=DEVICE_MASS),  # type: ignore[arg-type]
@@ -121,9 +126,7 @@ def test_proof_body_gives_the_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
         "device": throws(DEVICE, IMU),
         "proof": throws(np.diag(moments) + DEVICE + coupled, IMU + LEVER * (1.0 - share)),
     }
-    flights = {f"{name}{n}": find_free_flight(f) for name, group in groups.items() for n, f in enumerate(group)}
-    monkeypatch.setattr(inertia_study, "read_throw", lambda path: flights[str(path)])
-    paths = {name: [f"{name}{n}" for n in range(4)] for name in groups}
+    paths = paths_of_throws(groups, monkeypatch)
     study = study_inertia(
         ThrowSeries(paths=paths["proof"], mass=BODY_MASS),  # type: ignore[arg-type]
         ThrowSeries(paths=paths["device"], mass=DEVICE_MASS),  # type: ignore[arg-type]
