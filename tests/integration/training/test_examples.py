@@ -68,8 +68,6 @@ def test_reversible_rotors_hover_upside_down(capsys: pytest.CaptureFixture[str])
     assert speed == pytest.approx(-1326.0, abs=5.0)
 
 
-SOFT = ("morphy", "morphy_stiff")
-
 Told = Callable[..., list[tuple[str, list[float]]]]
 """From a file in ``examples/tasks`` and its arguments to its lines: what stands before the colon, and the numbers behind it."""
 
@@ -93,20 +91,20 @@ def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(run_example: Tol
     assert all(error < 0.01 and stay == 100.0 for label, (_, error, stay, _) in caught if "px4" in label)
 
 
-@pytest.mark.slow
-def test_a_law_holds_a_point_on_soft_arms_and_on_stiff_ones(run_example: Told) -> None:
-    for _, (lost, error, stay, _) in run_example("hold.py", 16, *(f"position_setpoint_task_{name}" for name in SOFT)):
-        assert lost == 0.0
-        assert error < 0.15
-        assert stay == 100.0
+SOFT = ("position_setpoint_task_morphy", "position_setpoint_task_morphy_stiff")
+RIGID = (
+    *("position_setpoint_task", "position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real"),
+    "smooth_position_setpoint_task",
+)
 
 
 @pytest.mark.slow
-def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(run_example: Told) -> None:
-    sims = ("position_setpoint_task", "position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real")
-    for _, (lost, error, stay, _) in run_example("hold.py", 16, *sims, "smooth_position_setpoint_task"):
+@pytest.mark.parametrize(("tasks", "most"), [(SOFT, 0.15), (RIGID, 0.02)], ids=["soft and stiff arms", "other actions"])
+def test_a_law_holds_a_point(run_example: Told, tasks: tuple[str, ...], most: float) -> None:
+    """By attitude, velocities and accelerations."""
+    for _, (lost, error, stay, _) in run_example("hold.py", 16, *tasks):
         assert lost == 0.0
-        assert error < 0.02
+        assert error < most
         assert stay == 100.0
 
 
