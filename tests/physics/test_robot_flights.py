@@ -26,7 +26,6 @@ from benchmarks.control.control_flights import (
     robot_controllers,
     robots_by_dynamics,
     target_robot,
-    time_to_settle_and_overshoot,
 )
 from tests.repetitions import frequent_values
 
@@ -197,11 +196,3 @@ def test_nor_with_any_other_controller_at_any_sim(robot: str, controller: str, s
     cfg, law = robots_by_dynamics()[robot], geometric_controllers()[controller]
     if not misfit_reason(cfg, law, SIMS.get(sim)):
         assert_flies(fly_robot(cfg, law, SIMS.get(sim), names=(robot, controller, sim)), cfg)
-
-
-def test_figures_of_a_response() -> None:
-    """Overshoot to 1.3, back within 2 % from the fifth sample of 20 ms on."""
-    settling, overshoot = time_to_settle_and_overshoot([0.5, 1.3, 0.9, 1.01, 1.0, 1.0])
-    assert settling == pytest.approx(0.08)
-    assert overshoot == pytest.approx(0.3)
-    assert time_to_settle_and_overshoot([0.5, 0.5])[0] == float("inf")

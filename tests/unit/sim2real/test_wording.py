@@ -12,9 +12,8 @@ import pytest
 
 import aerial_gym.sim2real
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.findings import CODES, Finding, unit_suffix
-from aerial_gym.sim2real.json_values import plain, select_fields, write_json
-from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.findings import CODES, Finding
+from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.wording import TEMPLATES, finding_rows, render_findings, text
 from aerial_gym.sim2real.wording.effects import EFFECT_TEMPLATES
 from aerial_gym.sim2real.wording.words import half_width_text, value_text
@@ -87,14 +86,6 @@ def test_an_interval_without_end_is_null_in_json_and_infinite_in_words() -> None
     assert "(-100 to +∞ %)" in text(finding)
 
 
-@pytest.mark.parametrize(
-    ("unit", "key"),
-    [("m/s²", "m_s2"), ("-", "ratio"), ("N s²/(m rad)", "n_s2_m_rad"), ("rad/s", "rad_s"), ("kg m²", "kg_m2")],
-)
-def test_units_end_keys(unit: str, key: str) -> None:
-    assert unit_suffix(unit) == key
-
-
 @pytest.mark.parametrize(("value", "half_width", "shown"), [
     (5.513, 0.61, "5.5 ± 0.6"),
     (5.513, 0.14, "5.51 ± 0.14"),
@@ -116,16 +107,6 @@ def test_a_direction_is_named_only_if_its_interval_holds_no_zero(x: float, words
 def test_a_weak_and_a_strong_rotor_have_their_sign_in_words(scale: float, word: str) -> None:
     sentence = text(effect("weak_motor", "front left", motor=(3.0, 1.0, None), scale=(scale, 1.0, 0.002)))
     assert f"Rotor 3 (front left) gives 4.0 % {word} thrust" in sentence
-
-
-def test_a_finding_is_plain_through_all_levels() -> None:
-    result = {"error": Rms(value=1.0, low=0.5, high=2.0), "place": (np.array([1.0, 2.0]), None)}
-    assert plain(result) == {"error": {"rms": 1.0, "interval": [0.5, 2.0]}, "place": [[1.0, 2.0], None]}
-
-
-def test_fields_come_in_the_order_in_which_they_are_named() -> None:
-    rms = Rms(value=1.0, low=0.5, high=2.0)
-    assert list(select_fields(rms, "high", "value").items()) == [("high", 2.0), ("value", 1.0)]
 
 
 def test_json_holds_signs_as_they_are_and_no_number_that_is_none(tmp_path: Path) -> None:

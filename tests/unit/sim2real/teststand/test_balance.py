@@ -20,7 +20,6 @@ from aerial_gym.sim2real.teststand.balance import (
     HoverEffort,
     hover_effort,
     judge_balance,
-    repeats_by_condition,
 )
 from aerial_gym.sim2real.teststand.causes import candidate_causes, experiments_for_causes, prior_probabilities_of_causes
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
@@ -319,12 +318,6 @@ def test_shares_and_sum_have_the_interval_of_a_pooled_t_test() -> None:
     assert results.shares[0].change.high == pytest.approx(half_width, rel=1e-9)
     assert results.shares[0].baseline.high == pytest.approx(0.25 + half_width / np.sqrt(2.0), rel=1e-9)
     assert results.total.change.value == pytest.approx(0.1, rel=1e-9)
-
-
-def test_conditions_are_names_without_their_last_number() -> None:
-    names = ("cut_1mm_log01", "cut_1mm_log3", "cut_2mm_log1")
-    logs = [HoverEffort(name=name, effort=UNEVEN, windows=9, voltage=None) for name in names]
-    assert {k: len(v) for k, v in repeats_by_condition(logs).items()} == {"cut_1mm_log": 2, "cut_2mm_log": 1}
 
 
 def test_what_tells_candidates_apart() -> None:

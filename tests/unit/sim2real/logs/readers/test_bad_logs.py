@@ -162,9 +162,6 @@ def test_one_flight_is_one_time_course(hold: int, columns: list[str], table: pd.
     resample_log(read_flight_log(write(held.drop(columns=columns), tmp_path / "a.csv")))
 
 
-# --- ULog ---------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("lost", [1, 2, 5])
 def test_rows_lost_beside_a_step_of_the_clock_do_not_make_the_motion_another(lost, table, tmp_path) -> None:
     for row in range(110, 700, 60):
