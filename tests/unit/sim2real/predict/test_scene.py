@@ -15,6 +15,7 @@ from aerial_gym.sim2real.flight_replay import replay_flights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.scene import finding_on_absent_data
+from tests.physics.vehicles import SpeedControl
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
 
@@ -131,13 +132,4 @@ def test_the_warp_backend_takes_one_height_of_the_ceiling_only() -> None:
     vehicle = vehicle_from_config(ROBOT, num_envs=2)
     model = build_model(vehicle, ceiling_height=torch.ones(2, 1))
     with pytest.raises(CapabilityError, match="one height of the ceiling for all"):
-        BACKENDS.get("warp")().allocate(model, _NoControl(), integrator="rk4")
-
-
-class _NoControl:
-    def rotor_command(self, state: object, action: torch.Tensor) -> torch.Tensor:
-        del state
-        return action
-
-    def fused(self) -> None:
-        return None
+        BACKENDS.get("warp")().allocate(model, SpeedControl(), integrator="rk4")

@@ -12,7 +12,6 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import (
     EFFECTS,
     INTEGRATORS,
-    BodyState,
     Model,
     accelerations,
     advance_remembering,
@@ -27,7 +26,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import integrate_swing
 from aerial_gym.sim2real.predict.scene import finding_on_absent_data
-from tests.physics.vehicles import F64, asymmetric_robot, random_state
+from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
@@ -167,22 +166,13 @@ def test_a_load_in_accelerations_is_that_of_the_simulator() -> None:
     rate = torch.randn(8, 3, dtype=F64, generator=generator)
     load = torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
     result = accelerations(model, state, load=load)
-    dt, law = 1e-5, _HoldLaw()
+    dt, law = 1e-5, SpeedControl()
     memory = place_memory(model, make_memory(model, dt), {"slung_payload": load})
     after, _ = advance_remembering(model, INTEGRATORS["rk4"], law, state, state.rotor_speed, dt, 1, memory)
     turning = (after.ang_vel - state.ang_vel) / dt
     torch.testing.assert_close(result.ang_acc, turning, atol=2e-2, rtol=1e-3)
     felt = (after.lin_vel - state.lin_vel) / dt + torch.tensor([0.0, 0.0, G], dtype=F64)
     torch.testing.assert_close(result.specific_force, quat_rotate_inverse(state.attitude, felt), atol=2e-2, rtol=1e-3)
-
-
-class _HoldLaw:
-    def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
-        del state
-        return action
-
-    def fused(self) -> None:
-        return None
 
 
 def test_a_rollout_carries_the_load_that_swings_in_the_flight() -> None:
