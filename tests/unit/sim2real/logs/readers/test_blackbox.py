@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.blackbox import BlackboxReader
 from tests.unit.sim2real.logs.readers import blackbox_files as files
 from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_bytes
