@@ -2,6 +2,7 @@
 
 import bz2
 import struct
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
