@@ -35,9 +35,8 @@ RANDOMIZE = {
 def build(env: str, robot: str, num_envs: int, **options: Any) -> EnvManager:
     """Return a simulation; a robot of which something is drawn has an IMU, whose errors and place are among it."""
     defaults = {"backend": "warp", "seed": 5}
-    if "randomize" in options:
-        robot = replace(ROBOTS.get(robot), sensors=("base_imu",))
-    return simulation(robot, "lee_velocity_control", env=env, num_envs=num_envs, **defaults | options)
+    own = replace(ROBOTS.get(robot), sensors=("base_imu",)) if "randomize" in options else robot
+    return simulation(own, "lee_velocity_control", env=env, num_envs=num_envs, **defaults | options)
 
 
 def make_actions(num_envs: int, first: int = 0, *, width: int = 4) -> Tensor:

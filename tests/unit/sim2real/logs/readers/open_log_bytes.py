@@ -12,6 +12,7 @@ REAL_LOGS = Path(__file__).parents[5].parent / "shared" / "data" / "real_logs"
 def read_file(path: Path, kind: type) -> RawLog:
     """Return the log of a file, which a reader of a kind must recognise."""
     reader = find_reader(path)
+    assert reader is not None
     assert isinstance(reader, kind)
     return reader.read(path)
 
