@@ -104,8 +104,8 @@ def _print_inspection(log: "LogInspection") -> None:
     from aerial_gym.sim2real.wording import text
 
     console = Console(markup=False)
-    console.print(f"{log.path}: {log.format}, {len(log.topics)} topics, {len(log.flights)} flights")
-    for name, value in log.metadata.items():
+    console.print(f"{log.raw.path}: {log.raw.format}, {len(log.raw.topics)} topics, {len(log.flights)} flights")
+    for name, value in log.raw.metadata.items():
         console.print(f"  {name}: {value}")
     rows = [
         (

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from aerial_gym.errors import MissingDependencyError
-from aerial_gym.sim2real.json_values import write_json
+from aerial_gym.sim2real.json_values import select_fields, write_json
 from aerial_gym.sim2real.logs.inspection import csv_raw_log
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
@@ -86,9 +86,9 @@ def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
     topics = {
         _file_name(one): {"name": one.name, "instance": one.instance, "units": dict(one.units)} for one in raw.topics
     }
-    messages = [{"time_s": m.time, "level": m.level, "text": m.text} for m in raw.messages]
-    head = {"path": raw.path, "format": raw.format, "metadata": dict(raw.metadata), "topics": topics}
-    write_json(out / "metadata.json", head | {"parameters": _finite_numbers(raw.parameters), "messages": messages})
+    head = {**select_fields(raw, "path", "format", "metadata"), "topics": topics}
+    content = head | {"parameters": _finite_numbers(raw.parameters), **select_fields(raw, "messages")}
+    write_json(out / "metadata.json", content)
     return [*files, out / "metadata.json"]
 
 

@@ -24,6 +24,18 @@ from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ
 SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
 
 
+NAMES_WITH_UNITS = {
+    **{name: f"{name}_s" for name in ("start", "end", "longest_gap", "latency", "delay", "half_width")},
+    **{"rate": "rate_hz", "battery": "battery_v"},
+}
+"""Names in JSON of the fields with a unit."""
+
+
+def fields_with_units(record: object) -> dict[str, object]:
+    """Return the fields of a record for JSON, by names with their units."""
+    return {NAMES_WITH_UNITS.get(name, name): value for name, value in vars(record).items()}
+
+
 @dataclass(frozen=True, kw_only=True)
 class TopicSummary:
     """Size and times of one topic."""
@@ -38,8 +50,7 @@ class TopicSummary:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        names = {"rate": "rate_hz", "start": "start_s", "end": "end_s", "longest_gap": "longest_gap_s"}
-        return {names.get(name, name): value for name, value in vars(self).items()}
+        return fields_with_units(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,45 +68,35 @@ class FlightSummary:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        names = {"rate": "rate_hz", "latency": "latency_s", "delay": "delay_s", "half_width": "half_width_s"}
-        streams = {
-            quantity: {names.get(name, name): value for name, value in vars(timing).items()}
-            for quantity, timing in self.streams.items()
-        }
-        head = {
-            "path": self.path,
-            "start_s": self.start,
-            "end_s": self.end,
-            "ended_by": self.ended_by,
-            "rate_hz": self.rate,
-        }
-        return head | {"streams": streams, "battery_v": plain(self.battery), "notes": self.notes}
+        streams = {quantity: fields_with_units(timing) for quantity, timing in self.streams.items()}
+        return fields_with_units(self) | {"streams": streams, "battery_v": plain(self.battery)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogInspection:
     """Content of one file."""
 
-    path: str
-    format: str  # Name in ``LOG_READERS``, or csv
-    metadata: Mapping[str, str]
-    topics: tuple[TopicSummary, ...]
-    armed: tuple[tuple[float, float], ...]  # Spans in which the vehicle is armed [s]
+    raw: RawLog  # Its format is a name in ``LOG_READERS``, or csv
+    armed: tuple[tuple[float, float], ...] = ()  # Spans in which the vehicle is armed [s]
     flights: tuple[FlightSummary, ...]
     refusals: tuple[str, ...]  # Reasons why the file, or a flight in it, cannot be used
     notes: tuple[Finding, ...]  # Findings on the file as a whole
-    messages: tuple[LogMessage, ...]
+
+    @property
+    def topics(self) -> list[TopicSummary]:
+        """Return size and times of all topics."""
+        return [topic_summary(topic) for topic in self.raw.topics]
 
     @property
     def warnings(self) -> tuple[LogMessage, ...]:
         """Return the warnings and errors of the firmware."""
-        return tuple(message for message in self.messages if message.level in SHOWN_LEVELS)
+        return tuple(message for message in self.raw.messages if message.level in SHOWN_LEVELS)
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON, with findings as objects."""
-        messages = [{"time_s": m.time, "level": m.level, "text": m.text} for m in self.messages]
-        plain_fields = select_fields(self, "path", "format", "metadata", "topics", "armed", "flights", "refusals")
-        return plain_fields | {"notes": self.notes, "messages": messages}
+        head = select_fields(self.raw, "path", "format", "metadata")
+        content = head | select_fields(self, "topics", "armed", "flights", "refusals")
+        return content | {"notes": self.notes, "messages": plain(self.raw.messages)}
 
 
 def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspection:
@@ -109,28 +110,9 @@ def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspe
         opened = open_raw_log(raw, mapping)
     except DataError as error:
         refusals.append(str(error))
-    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals, chosen)
-    return _inspection(raw, flights, refusals, raw.notes if opened is None else opened.notes, _spans_of_arming(raw))
-
-
-def _inspection(
-    raw: RawLog,
-    flights: list[FlightSummary],
-    refusals: list[str],
-    notes: tuple[Finding, ...],
-    armed: tuple[tuple[float, float], ...] = (),
-) -> LogInspection:
-    return LogInspection(
-        path=raw.path,
-        format=raw.format,
-        metadata=raw.metadata,
-        topics=tuple(map(topic_summary, raw.topics)),
-        armed=armed,
-        flights=tuple(flights),
-        refusals=tuple(refusals),
-        notes=notes,
-        messages=raw.messages,
-    )
+    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals)
+    notes, armed = raw.notes if opened is None else opened.notes, _spans_of_arming(raw)
+    return LogInspection(raw=raw, flights=tuple(flights), refusals=tuple(refusals), notes=notes, armed=armed)
 
 
 def _flights_of_log(
@@ -214,13 +196,14 @@ def _inspect_csv(path: Path, mapping: LogMapping | None) -> LogInspection:
             raw = csv_raw_log(path, mapping)
         except DataError:
             raw = _raw_log_of_header(path, error)
-        return _inspection(raw, [], [str(error)], raw.notes)
+        return LogInspection(raw=raw, flights=(), refusals=(str(error),), notes=raw.notes)
     raw = RawLog(path=str(path), format="csv", topics=(Topic(name="table", time=log.time, columns={}),))
     rate = topic_summary(raw.topics[0]).rate or 0.0
     streams = {
         name: StreamTiming(source="table[0]", rate=rate) for name in row_arrays(log) if name not in ("time", "lines")
     }
-    return _inspection(raw, [_flight_summary(replace(log, streams=streams), "log_end", rate, log.notes)], [], ())
+    flight = _flight_summary(replace(log, streams=streams), "log_end", rate, log.notes)
+    return LogInspection(raw=raw, flights=(flight,), refusals=(), notes=())
 
 
 def _raw_log_of_header(path: Path, error: DataError) -> RawLog:

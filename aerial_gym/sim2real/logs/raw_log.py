@@ -70,6 +70,10 @@ class LogMessage:
     level: str  # ``debug``, ``info``, ``warning`` or ``error``
     text: str
 
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        return {"time_s": self.time, "level": self.level, "text": self.text}
+
 
 @dataclass(frozen=True, kw_only=True)
 class RawLog:

@@ -102,13 +102,10 @@ def _channels_of_mapping(raw: RawLog, channels: Sequence[LogChannel], mapping: L
     Its columns are ``topic.field`` or ``topic[instance].field``. A column with the name of the quantity stands for the
     reader's own channel, so that a gain can convert it.
     """
-    quantities = {} if mapping is None else mapping.quantities()
-    assert mapping is not None or not quantities
-    return [
-        _channel_of_mapping(raw, channels, name, quantity, mapping)
-        for name, quantity in quantities.items()
-        if name in QUANTITIES and mapping is not None
-    ]
+    if mapping is None:
+        return []
+    quantities = {name: quantity for name, quantity in mapping.quantities().items() if name in QUANTITIES}
+    return [_channel_of_mapping(raw, channels, name, quantity, mapping) for name, quantity in quantities.items()]
 
 
 def _channel_of_mapping(
@@ -123,10 +120,10 @@ def _channel_of_mapping(
     if any(other is not topic for other, _ in places):
         raise DataError(f"{raw.path}: the columns of {name} are of several topics; a quantity needs one topic")
     table = pd.DataFrame({key: np.asarray(column, dtype=np.float64) for key, column in topic.columns.items()})
-    values = table[[field for _, field in places]].to_numpy()
+    values = topic.numbers(*(field for _, field in places))
     values = apply_column_conversion(values, table, quantity, raw.path) * UNITS[quantity.unit]
     values = to_package_frames({name: values}, mapping)[name]
-    return LogChannel(quantity=name, time=topic.time, values=values, source=topic.source)
+    return topic.channel(name, values)
 
 
 def _find_column(raw: RawLog, column: str) -> tuple[Topic, str]:

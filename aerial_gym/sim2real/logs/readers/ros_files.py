@@ -5,12 +5,12 @@ No chunk may grow beyond what the file can hold, so that a few bytes do not fill
 Source: ROS wiki, *Bags/Format/2.0*; MCAP specification (mcap.dev/spec); rosbag2 documentation, schema of its SQLite storage.
 """
 
-import bz2
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,14 @@ class MessageSource:
     messages: list[bytes] = field(default_factory=list)
 
 
+DECOMPRESSORS = {
+    "bz2": ("bz2", "BZ2Decompressor"),
+    "lz4": ("lz4.frame", "LZ4FrameDecompressor"),
+    "zstd": ("backports.zstd", "ZstdDecompressor"),
+}
+"""Module and class by the name of a compression."""
+
+
 class Inflater:
     """Decompression with a limit for the whole file."""
 
@@ -46,11 +54,10 @@ class Inflater:
         """Return the decompressed data; raise ``DataError`` beyond the limit, for damaged data and for unknown methods."""
         if method in ("", "none"):
             return data
-        machines = {"bz2": bz2.BZ2Decompressor, "lz4": _lz4_machine, "zstd": _zstd_machine}
-        if method not in machines:
+        if method not in DECOMPRESSORS:
             raise DataError(f"{self._path}: a chunk has the unknown compression {method[:20]!r}")
         try:
-            result = machines[method]().decompress(data, max_length=self._left + 1)
+            result = _load_decompressor(method).decompress(data, max_length=self._left + 1)
         except (ImportError, DataError):
             raise
         except Exception as error:  # each library has its own type
@@ -61,20 +68,14 @@ class Inflater:
         return result
 
 
-def _lz4_machine() -> Any:
+def _load_decompressor(method: str) -> Any:
+    module, name = DECOMPRESSORS[method]
     try:
-        from lz4.frame import LZ4FrameDecompressor  # pyright: ignore[reportMissingImports]
+        return getattr(import_module(module), name)()
     except ImportError:
-        raise MissingDependencyError("reading chunks in lz4 needs rosbags: pip install 'aerial-gym[logs]'") from None
-    return LZ4FrameDecompressor()
-
-
-def _zstd_machine() -> Any:
-    try:
-        from backports.zstd import ZstdDecompressor  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise MissingDependencyError("reading chunks in zstd needs rosbags: pip install 'aerial-gym[logs]'") from None
-    return ZstdDecompressor()
+        raise MissingDependencyError(
+            f"reading chunks in {method} needs rosbags: pip install 'aerial-gym[logs]'"
+        ) from None
 
 
 def read_sources(path: Path) -> list[MessageSource]:
