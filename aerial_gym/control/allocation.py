@@ -44,7 +44,7 @@ class Allotment:
     rest: Tensor  # Share of the yaw torque and the lateral force, 0 to 1, (E, 1)
 
 
-def allot_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def allot_rotor_thrusts(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return the thrusts of ``allot``, (E, R) [N]."""
     return allot(inverse, wrench, low, high).thrust
 
@@ -104,12 +104,16 @@ class ThrustsByPriority:
         slope, twist = (torch.where(carries, change / unit, 0.0) for change in (turn, rest))
         resting = torch.where(carries, 0.0, torch.clamp(torch.zeros_like(low), low, high))
         idle = torch.where(carries, 0.0, turn)
-        share = torch.minimum(_share_of_pairs(floor, ceiling, slope), _share_within_limits(resting, idle, low, high))
+        share = torch.minimum(
+            _largest_share_for_rotor_pairs(floor, ceiling, slope), _share_within_limits(resting, idle, low, high)
+        )
         floor, ceiling = floor - share * slope, ceiling - share * slope
         resting = resting + share * idle
         other = torch.where(carries, 0.0, rest)
-        most = torch.minimum(_share_of_pairs(floor, ceiling, twist), _share_within_limits(resting, other, low, high))
-        lowest, highest = -_highest_force(-floor, -twist, most), _highest_force(ceiling, twist, most)
+        most = torch.minimum(
+            _largest_share_for_rotor_pairs(floor, ceiling, twist), _share_within_limits(resting, other, low, high)
+        )
+        lowest, highest = -_highest_force_with_yaw(-floor, -twist, most), _highest_force_with_yaw(ceiling, twist, most)
         collective = torch.maximum(torch.minimum(force, highest), lowest)
         thrust = torch.where(carries, share * turn + collective * lift, resting)
         rest_share = _share_within_limits(thrust, rest, low, high)
@@ -141,7 +145,7 @@ def _share_within_limits(thrust: Tensor, change: Tensor, low: Tensor, high: Tens
     return _largest_share(room, change.abs()).amin(-1, keepdim=True)
 
 
-def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
+def _largest_share_for_rotor_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
     """Return the largest s <= 1, (E, 1), with one F for which ``floor <= F + s slope <= ceiling`` in every rotor."""
     room, upper, lower = ceiling.unsqueeze(1) - floor.unsqueeze(2), slope.unsqueeze(1), slope.unsqueeze(2)
     need = upper - lower
@@ -151,7 +155,7 @@ def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
     return _largest_share(room, need).flatten(1).amin(-1, keepdim=True)
 
 
-def _highest_force(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
+def _highest_force_with_yaw(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
     """Return the largest F, (E, 1), with one y from 0 to ``most`` for which ``F + y twist <= ceiling`` in every rotor."""
     alone = ceiling - most * twist.clamp_max(0.0)
     up, down = twist.unsqueeze(2), twist.unsqueeze(1)
@@ -203,7 +207,7 @@ class Allocation:
         """
         if self.effectiveness != "actual" or self._own:
             return
-        own = {name for name, rows in vehicle.rows().items() if not is_shared(rows)}
+        own = {name for name, rows in vehicle.tensors_by_name().items() if not is_shared(rows)}
         if own & MATRIX_FIELDS:
             self._own += ("allocation",)
             self._actuation, self.inverse = find_actuation(self._matrix), own_rows(self.inverse)
@@ -222,7 +226,7 @@ class Allocation:
     def compute_rows(self, vehicle: Vehicle) -> dict[str, Tensor]:
         """Compute the values of ``rows`` for a vehicle, as a row function of ``interop.rows``."""
         vehicle = vehicle if vehicle.mass.dtype == self._dtype else vehicle.to(self._dtype)
-        result = {name: rows for name, rows in vehicle.rows().items() if name in self._own}
+        result = {name: rows for name, rows in vehicle.tensors_by_name().items() if name in self._own}
         if "low" in self._own:
             result["low"], result["high"] = _thrust_limits(vehicle)
         if self._actuation is not None:
@@ -248,7 +252,7 @@ class Allocation:
     def allot(self, wrench: Tensor) -> Allotment:
         """Return thrusts for a wrench [N, N m], body, (E, 6); clamped thrusts count as shares of 0."""
         if self.saturation == "prioritised":
-            return allot(self.inverse, wrench, self.low, self.high, idle=self.idle)
+            return allot(self.inverse, wrench, self.low, self.high, idle=self.has_rotor_without_lift)
         thrust = self.thrust(wrench)
         given = is_within_limits(thrust, self.low, self.high).to(thrust.dtype)
         return Allotment(torch.clamp(thrust, self.low, self.high), given, given)
@@ -266,14 +270,14 @@ class Allocation:
         It is that of the first environment; 0 along axes without authority.
         """
         limit = self._wrenches_at_saturation(weight).amin(0)
-        return torch.where(limit.isfinite(), limit * self.axis_share, 0.0)
+        return torch.where(limit.isfinite(), limit * self.controllable_share_of_axes, 0.0)
 
     @property
-    def axis_share(self) -> Tensor:
+    def controllable_share_of_axes(self) -> Tensor:
         """Share of a force or torque along each body axis that the rotors give, (6,): 1 if independently available, else 0."""
         return (self._matrix * self.inverse[0].detach().T).sum(-1)
 
-    def critical_rotors(self, weight: float) -> Tensor:
+    def rotor_at_limit_by_axis(self, weight: float) -> Tensor:
         """Return the index of the rotor that limits ``wrench_authority`` along each axis, int64, (6,)."""
         return self._wrenches_at_saturation(weight).argmin(0)
 
@@ -286,7 +290,7 @@ class Allocation:
         return torch.where(need > 0.0, room / torch.where(need > 0.0, need, 1.0), torch.inf)
 
     @property
-    def idle(self) -> bool:
+    def has_rotor_without_lift(self) -> bool:
         """Whether a rotor contributes nothing to the force along body z, or may do so later."""
         return "allocation" in self._own or self._rests
 

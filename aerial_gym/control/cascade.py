@@ -14,7 +14,13 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import GAINS, explicit_or_derived, gains_with_own_rows, loop_spacing, make_gains
+from aerial_gym.control.gains import (
+    GAINS,
+    explicit_or_derived,
+    frequency_ratio_of_loop,
+    gains_with_own_rows,
+    make_gains,
+)
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains, thrust_wrench
 from aerial_gym.control.stateful import StatefulController
@@ -50,14 +56,16 @@ def rate_gains(
     proportional = explicit_or_derived(cfg.proportional, base.rate[0] / inertia)
     return RateGains(
         proportional=row(proportional),
-        integral=row(explicit_or_derived(cfg.integral, (proportional / loop_spacing(phase_margin)) ** 2)),
+        integral=row(explicit_or_derived(cfg.integral, (proportional / frequency_ratio_of_loop(phase_margin)) ** 2)),
         integral_limit=row(explicit_or_derived(cfg.integral_limit, INTEGRAL_SHARE * authority)),
         derivative=row(inertia.new_tensor(cfg.derivative)),
-        smoothing=vehicle.share([1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt)]),
+        smoothing=vehicle.rows_for_all_envs(
+            [1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt)]
+        ),
     )
 
 
-def setpoint_gains(base: LeeGains) -> LeeGains:
+def gains_for_rate_setpoint(base: LeeGains) -> LeeGains:
     """Return the gains that turn a law's torque into the error of its body-rate setpoint [rad/s]."""
     rate, num_envs = base.rate[0], len(base.rate)
     moves = rate > 0.0
@@ -79,13 +87,19 @@ class CascadeController(StatefulController):
         self.action_names = self._law.action
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         base = make_gains(
-            cfg, control, vehicle, self.allocation, gravity=gravity, dt=timing.loop_span, extra_lag=timing.extra_lag
+            cfg,
+            control,
+            vehicle,
+            self.allocation,
+            gravity=gravity,
+            dt=timing.inner_period,
+            extra_lag=timing.lag_between_levels,
         )
         self._inertia = vehicle.inertia
-        self.gains = base if loop is None else setpoint_gains(base)
+        self.gains = base if loop is None else gains_for_rate_setpoint(base)
         self.rate_gains: RateGains | None = None
         if loop is not None:
-            margin, span = control.phase_margin, timing.loop_span
+            margin, span = control.phase_margin, timing.inner_period
             self.rate_gains = rate_gains(loop, base, vehicle, self.allocation, phase_margin=margin, dt=span)
         inner = 0 if loop is None else LOOP_NUMBERS
         num_setpoint = None if loop is None else 4
@@ -111,7 +125,7 @@ class CascadeController(StatefulController):
         if gains is None:
             return self.allocation.speed_for_wrench(self._law.wrench(state, setpoint, self.gains)), memory
         integral, slope, before = memory.split(3, dim=-1)
-        span = self.timing.loop_span
+        span = self.timing.inner_period
         measured = torch.where(begins, 0.0, (ang_vel - before) / span)
         slope = slope + gains.smoothing * (measured - slope)
         error = setpoint[:, 1:] - ang_vel

@@ -103,7 +103,7 @@ class LeeController:
         law = LAWS[cfg.law]
         self.action_names, self._law = law.action, law
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        if law.lateral and not bool((self.allocation.axis_share > 0.999).all()):
+        if law.lateral and not bool((self.allocation.controllable_share_of_axes > 0.999).all()):
             raise ConfigError(
                 f"law {cfg.law!r}: pushes sideways without leaning, and the rotors of this vehicle do not. Take "
                 "lee_position_control, or a robot with rotors that point in several directions (aerial-gym robot check: rank 6)"
@@ -148,7 +148,7 @@ def make_controller(
     if cfg.law == "rotor_speed":
         return RotorSpeedController(vehicle)
     if cfg.law in CONTROL_LAWS:
-        return CONTROL_LAWS.get(cfg.law)(cfg, vehicle, gravity, dt=_require_step(cfg, dt), control=control)
+        return CONTROL_LAWS.get(cfg.law)(cfg, vehicle, gravity, dt=_require_time_step(cfg, dt), control=control)
     if cfg.law in LAWS and gravity == 0.0:
         raise ConfigError(
             f"gravity = {gravity!r}: the law {cfg.law!r} needs a weight. Without gravity use no_control or "
@@ -164,12 +164,12 @@ def make_controller(
         return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:
         kind = WITH_MEMORY[cfg.autopilot].load()
-        return kind(cfg, vehicle, gravity, dt=_require_step(cfg, dt), control=control)
+        return kind(cfg, vehicle, gravity, dt=_require_time_step(cfg, dt), control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS, *CONTROL_LAWS.names()))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")
 
 
-def _require_step(cfg: ControllerCfg, dt: float | None) -> float:
+def _require_time_step(cfg: ControllerCfg, dt: float | None) -> float:
     """Return the time step [s]; refuse a missing one."""
     if dt is None:
         raise ConfigError(f"law {cfg.law!r}: a controller with rates or memory needs a time step. Give dt [s]")

@@ -38,16 +38,16 @@ LEAST_GRAVITY = 1.0
 """Least apparent gravity of laws that tilt their thrust [m/s²]; lateral acceleration is then at most 1.7 m/s²."""
 
 
-def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
+def frequency_and_damping(lag: float, phase_margin: float) -> tuple[float, float]:
     """Return natural frequency [rad/s] and damping ratio of a loop with a lag T [s] and a phase margin [rad].
 
     Source: Kessler (1958), symmetrical optimum: ``a = tan(pi/4 + margin/2)``, ``w = a^-1.5 / T``, ``z = sqrt(a) / 2``.
     """
-    spacing = loop_spacing(phase_margin)
+    spacing = frequency_ratio_of_loop(phase_margin)
     return 1.0 / (spacing**1.5 * lag), 0.5 * spacing**0.5
 
 
-def loop_spacing(phase_margin: float) -> float:
+def frequency_ratio_of_loop(phase_margin: float) -> float:
     """Return the frequency ratio a between zero, crossover and lag of a loop with a phase margin [rad]."""
     return tan(0.25 * pi + 0.5 * phase_margin)
 
@@ -68,22 +68,24 @@ def derive_gains(
     first = vehicle.inertia[0]
     inertia = first.diagonal()
     lag = float(torch.maximum(vehicle.time_constant_up[0], vehicle.time_constant_down[0]).max()) + dt
-    quickest, damping = loop_shape(lag, cfg.phase_margin)
+    quickest, damping = frequency_and_damping(lag, cfg.phase_margin)
     authority = (allocation.torque_authority(float(vehicle.mass[0]) * gravity) / inertia).clamp_min(0.0).sqrt()
     attitude = explicit_or_derived(cfg.attitude_frequency, authority.clamp_max(quickest))
     attitude_damping = explicit_or_derived(cfg.attitude_damping, torch.full_like(inertia, damping))
     if extra_lag > 0.0:
-        attitude, attitude_damping = _add_lag(attitude, attitude_damping, loop_spacing(cfg.phase_margin) * extra_lag)
+        attitude, attitude_damping = _slow_down_loop(
+            attitude, attitude_damping, frequency_ratio_of_loop(cfg.phase_margin) * extra_lag
+        )
     attitude_lag = _longest_closed_loop_lag(attitude[:2], attitude_damping[:2])
-    frequency, damping = loop_shape(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
+    frequency, damping = frequency_and_damping(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
     position = explicit_or_derived(cfg.position_frequency, torch.full_like(inertia, frequency))
     position_damping = explicit_or_derived(cfg.position_damping, torch.full_like(inertia, damping))
     tilt = cfg.max_inclination
     return LeeGains(
-        position=vehicle.share(position**2),
-        velocity=vehicle.share(2.0 * position_damping * position),
-        attitude=vehicle.share(inertia * attitude**2),
-        rate=vehicle.share(2.0 * attitude_damping * attitude * inertia),
+        position=vehicle.rows_for_all_envs(position**2),
+        velocity=vehicle.rows_for_all_envs(2.0 * position_damping * position),
+        attitude=vehicle.rows_for_all_envs(inertia * attitude**2),
+        rate=vehicle.rows_for_all_envs(2.0 * attitude_damping * attitude * inertia),
         mass=vehicle.mass,
         inertia=vehicle.inertia,
         gravity=gravity,
@@ -92,7 +94,7 @@ def derive_gains(
     )
 
 
-def _add_lag(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Tensor]:
+def _slow_down_loop(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Tensor]:
     """Return frequency and damping with the same rate gain, ``2 z w``, and a closed loop slower by ``lag`` [s]."""
     moves = frequency > 0.0
     rate = 2.0 * damping * frequency
@@ -186,7 +188,7 @@ def _require_weight(law: str, gravity: float) -> None:
 def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:
     """Return the given gains, equal in all environments."""
     return LeeGains(
-        **{name: vehicle.share(getattr(cfg, name)) for name in GAINS},
+        **{name: vehicle.rows_for_all_envs(getattr(cfg, name)) for name in GAINS},
         mass=vehicle.mass,
         inertia=vehicle.inertia,
         gravity=gravity,

@@ -67,12 +67,12 @@ class RestState:
     loop: LinearLoop  # Loop linearised at the equilibrium
 
     @property
-    def offset(self) -> Tensor:
+    def offset_from_start(self) -> Tensor:
         """Offset of the body origin from its start [m], world, (B, 3)."""
         return (self.state - self.start)[:, :3]
 
     @property
-    def drift(self) -> Tensor:
+    def drift_velocity(self) -> Tensor:
         """Velocity [m/s], world, (B, 3): 0 for position control."""
         return self.state[:, 6:9]
 
@@ -116,7 +116,7 @@ def distances_from_start(rest: RestState, *, rotors: Tensor, dt: float) -> Tenso
         dt: Physics step [s].
     """
     loop, begin = rest.loop, rest.start - rest.state
-    sent = ((rotors - loop.command) @ loop.basis).repeat(1, loop.slots)
+    sent = ((rotors - loop.command) @ loop.rotor_combinations).repeat(1, loop.slots)
     deviation = torch.cat((begin, sent, torch.ones_like(begin[:, :1])), dim=-1).unsqueeze(-1)
     periods = max(1, ceil(HOVER_SPAN / SAMPLES / (len(loop.steps) * dt)))
     leap, history = torch.linalg.matrix_power(loop.period_map(), periods), []
@@ -126,7 +126,9 @@ def distances_from_start(rest: RestState, *, rotors: Tensor, dt: float) -> Tenso
     return torch.stack(history).nan_to_num(nan=inf)
 
 
-def flight_distance(loop: DiscreteLoop, rest: RestState, action: Tensor, *, returns: bool, decays: bool) -> float:
+def largest_final_distance(
+    loop: DiscreteLoop, rest: RestState, action: Tensor, *, returns: bool, decays: bool
+) -> float:
     """Return the largest final distance [m] from rest of ``NUM_STARTS`` nonlinear flights of ``HOVER_SPAN``.
 
     Args:
@@ -148,7 +150,7 @@ def flight_distance(loop: DiscreteLoop, rest: RestState, action: Tensor, *, retu
         distance = float((state.position - home).norm(dim=-1).nan_to_num(nan=inf).max())
         if distance > LOST:
             return distance
-        if decays and _deviation_share(state, home if returns else state.position) < QUIET:
+        if decays and _deviation_per_disturbance(state, home if returns else state.position) < QUIET:
             return distance if returns else 0.0
         if look > looks - last:
             farthest = max(farthest, distance)
@@ -157,7 +159,7 @@ def flight_distance(loop: DiscreteLoop, rest: RestState, action: Tensor, *, retu
     return farthest
 
 
-def _deviation_share(state: BodyState, home: Tensor) -> float:
+def _deviation_per_disturbance(state: BodyState, home: Tensor) -> float:
     """Return the largest deviation of flights in position, speed and rate, as a share of ``DISTURBANCE``."""
     parts = (state.position - home, state.lin_vel, state.ang_vel)
     sizes = (DISTURBANCE[0], *DISTURBANCE[2:])

@@ -91,7 +91,7 @@ def inverse_cos_pitch(up: Tensor) -> Tensor:
     return 1.0 / (up[:, 1] * up[:, 1] + up[:, 2] * up[:, 2]).clamp_min(SMALLEST_SQUARE).sqrt()
 
 
-def heading_axis(up: Tensor) -> Tensor:
+def vehicle_x_in_body_axes(up: Tensor) -> Tensor:
     """Return vehicle x in body axes, (E, 3): (cos pitch, sin roll sin pitch, cos roll sin pitch)."""
     inverse = inverse_cos_pitch(up)
     slope = -up[:, 0] * inverse
@@ -213,14 +213,17 @@ def steering_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tenso
 
 def velocity_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s], action (E, 4)."""
-    wanted, heading = from_vehicle_frame(state.attitude, action[:, :3]), heading_axis(world_up(state.attitude))
+    wanted, heading = (
+        from_vehicle_frame(state.attitude, action[:, :3]),
+        vehicle_x_in_body_axes(world_up(state.attitude)),
+    )
     force = force_within_inclination(gains.velocity * (wanted - state.lin_vel), gains)
     return force_wrench(state, force, heading, yaw_rate_within_limits(action[:, 3], gains), gains)
 
 
 def acceleration_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s], action (E, 4)."""
-    heading, force = heading_axis(world_up(state.attitude)), force_within_inclination(action[:, :3], gains)
+    heading, force = vehicle_x_in_body_axes(world_up(state.attitude)), force_within_inclination(action[:, :3], gains)
     return force_wrench(state, force, heading, yaw_rate_within_limits(action[:, 3], gains), gains)
 
 
@@ -230,7 +233,7 @@ def attitude_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tenso
     The wanted attitude has the heading of the body.
     """
     up = world_up(state.attitude)
-    turn = axes_of_tilt(up, action[:, 1], action[:, 2])
+    turn = axes_at_roll_and_pitch(up, action[:, 1], action[:, 2])
     rate = body_rates_of_yaw_rate(state.attitude, yaw_rate_within_limits(action[:, 3], gains))
     torque = attitude_torque(gains, turn, state.ang_vel, rate)
     return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.weight_per_mass, torque)
@@ -242,7 +245,7 @@ def rates_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.weight_per_mass, torque)
 
 
-def axes_of_tilt(up: Tensor, roll: Tensor, pitch: Tensor) -> Tensor:
+def axes_at_roll_and_pitch(up: Tensor, roll: Tensor, pitch: Tensor) -> Tensor:
     """Return the axes, as columns in body axes, (E, 3, 3), of a body with the same heading at a roll and pitch [rad], (E,).
 
     The axes of the vehicle frame are turned by the pitch about y, then by the roll about x.
@@ -251,7 +254,7 @@ def axes_of_tilt(up: Tensor, roll: Tensor, pitch: Tensor) -> Tensor:
         up: World z in body axes, (E, 3).
     """
     (sr, cr), (sp, cp) = ((torch.sin(a).unsqueeze(-1), torch.cos(a).unsqueeze(-1)) for a in (roll, pitch))
-    ahead, inverse = heading_axis(up), inverse_cos_pitch(up)
+    ahead, inverse = vehicle_x_in_body_axes(up), inverse_cos_pitch(up)
     left = torch.stack((torch.zeros_like(inverse), up[:, 2] * inverse, -up[:, 1] * inverse), dim=-1)
     raised = sp * ahead + cp * up
     return torch.stack((cp * ahead - sp * up, sr * raised + cr * left, cr * raised - sr * left), dim=-1)

@@ -68,7 +68,7 @@ class LinearLoop:
     slots: int  # Number of delayed commands: whole physics steps of dead time plus one; 0 without dead time
 
     @cached_property
-    def basis(self) -> Tensor:
+    def rotor_combinations(self) -> Tensor:
         """Orthonormal combinations of rotors that the law uses, (R, Q)."""
         commands = torch.cat([torch.cat(list(step.command), dim=-1) for step in dict.fromkeys(self.steps)], dim=-1)
         combinations, sizes, _ = torch.linalg.svd(commands, full_matrices=False)
@@ -83,7 +83,7 @@ class LinearLoop:
         """
         slots, parts = self.slots if late else 0, []
         for step, run in groupby(self.steps):
-            matrix = _step_map(step, self.basis, slots=slots, gain=gain)
+            matrix = _step_map(step, self.rotor_combinations, slots=slots, gain=gain)
             parts.append(torch.linalg.matrix_power(matrix, len(list(run))))
         whole = reduce(lambda before, after: after @ before, parts)
         plant, size = self.steps[0].plant.shape[-1], self.steps[0].change.shape[-1]
@@ -134,9 +134,9 @@ class DiscreteLoop:
         self._cascade = law if isinstance(law, StatefulController) else None
         self._laws: dict[int, ControlLaw] = {}
         self._plants: dict[int, tuple[Model, Memory]] = {}
-        self._whole = whole_delay(model, dt)
+        self._whole = command_delay_in_steps(model, dt)
         self.num_rotors = model.vehicle.num_rotors
-        self.num_plant = BODY + self.num_rotors + len(self._plant(1)[1].initial)
+        self.num_plant = BODY + self.num_rotors + len(self._repeat_plant(1)[1].initial)
         """Z."""
 
     def start(self, height: float, thrust: Tensor) -> Tensor:
@@ -151,7 +151,7 @@ class DiscreteLoop:
         thrust = thrust.to(body)
         speed = state_for_thrust(_repeat_vehicle(self._declared, 1), thrust.unsqueeze(0))[0]
         law = body[:0] if self._cascade is None else self._cascade.memory_at_rest(thrust)
-        state = torch.cat((body, speed, self._plant(1)[1].initial, law))
+        state = torch.cat((body, speed, self._repeat_plant(1)[1].initial, law))
         return state.repeat(self._model.vehicle.num_envs, 1)
 
     def linearise(self, state: Tensor, action: Tensor) -> LinearLoop:
@@ -189,8 +189,8 @@ class DiscreteLoop:
     def prepare_flight(self, backend: PhysicsBackend, states: Tensor) -> BodyState:
         """Allocate the first vehicle and its law on a backend, and return the body in states (E, X) for its steps."""
         count = len(states)
-        first = single(self._model)
-        law = self._make_law(_repeat_vehicle(single_vehicle(self._declared), count))
+        first = model_of_first_vehicle(self._model)
+        law = self._make_law(_repeat_vehicle(parameters_of_first_vehicle(self._declared), count))
         _update_allocation(getattr(law, "allocation", None), _repeat_vehicle(first.vehicle, count))
         backend.allocate(repeat_model(first, count), law, integrator=self._integrator)
         return _state_of_rows(states[:, : BODY + self.num_rotors])
@@ -210,7 +210,7 @@ class DiscreteLoop:
     def _plant_step(self, rows: Tensor) -> Tensor:
         """Return plant states (E, Z) after a step, from rows of plant state, earlier and later command, (E, Z + 2 R)."""
         states, earlier, later = rows.split((self.num_plant, self.num_rotors, self.num_rotors), dim=-1)
-        model, memory = self._plant(len(rows) // self._model.vehicle.num_envs)
+        model, memory = self._repeat_plant(len(rows) // self._model.vehicle.num_envs)
         body, numbers = _state_of_rows(states[:, : BODY + self.num_rotors]), states[:, BODY + self.num_rotors :]
         known = None
         if model.effects.names_with_memory:
@@ -222,7 +222,7 @@ class DiscreteLoop:
         numbers = numbers if after is None else after.numbers
         return torch.cat((*replace(body, attitude=quat_log(body.attitude)).tensors(), numbers), dim=-1)
 
-    def _plant(self, each: int) -> tuple[Model, Memory]:
+    def _repeat_plant(self, each: int) -> tuple[Model, Memory]:
         """Return the vehicles in ``each`` rows, and their memory with delayed commands of the law."""
         if each not in self._plants:
             model = repeat_model(self._model, each)
@@ -233,13 +233,15 @@ class DiscreteLoop:
 
     def _law(self, num_rows: int) -> ControlLaw:
         if num_rows not in self._laws:
-            self._laws[num_rows] = law = self._make_law(_repeat_vehicle(single_vehicle(self._declared), num_rows))
+            self._laws[num_rows] = law = self._make_law(
+                _repeat_vehicle(parameters_of_first_vehicle(self._declared), num_rows)
+            )
             each = num_rows // self._model.vehicle.num_envs
             _update_allocation(getattr(law, "allocation", None), _repeat_vehicle(self._model.vehicle, each))
         return self._laws[num_rows]
 
 
-def whole_delay(model: Model, dt: float) -> int:
+def command_delay_in_steps(model: Model, dt: float) -> int:
     """Return the whole physics steps of the first vehicle's dead time, as in ``physics.memory``; 0 without dead time."""
     for effect, params in model.effects[DelayEffect]:
         return int(float(effect.delay(params)[0]) / dt)
@@ -258,19 +260,19 @@ def repeat_model(model: Model, each: int) -> Model:
     )
 
 
-def single(model: Model) -> Model:
+def model_of_first_vehicle(model: Model) -> Model:
     """Return the model of the first vehicle alone."""
     effects = EffectsByKind((effect, params[:1]) for effect, params in model.effects)
     return replace(
         model,
-        vehicle=single_vehicle(model.vehicle),
+        vehicle=parameters_of_first_vehicle(model.vehicle),
         inertia_inverse=share_row(model.inertia_inverse[0], 1),
         other_position=share_row(model.other_position[0], 1),
         effects=effects,
     )
 
 
-def single_vehicle(vehicle: Vehicle) -> Vehicle:
+def parameters_of_first_vehicle(vehicle: Vehicle) -> Vehicle:
     """Return the first vehicle alone."""
     return vehicle.map_rows(lambda rows: share_row(rows[0], 1))
 

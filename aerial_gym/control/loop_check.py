@@ -70,7 +70,7 @@ def check_closed_loop(
         gravity=gravity,
         integrator=integrator,
         names=names,
-        drawn=select_gain_ranges(randomize or {}),
+        drawn=ranges_of_drawn_gains(randomize or {}),
     )
     subject = f"robot {names[0]} with controller {names[1]}"
     if vain := _uncontrollable_axes(loop.idle, controller, robot):
@@ -81,7 +81,7 @@ def check_closed_loop(
         )
     subject, hover = f"{subject} at dt = {dt:g} s", loop.hover(dt)
     if hover.is_lost or not hover.stable:
-        source, advice = _gain_source(controller, robot), _remedy(loop, controller, robot, dt)
+        source, advice = _gain_source(controller, robot), _remedy_of_instability(loop, controller, robot, dt)
         fault = f"{subject} {fault_of_unstable_loop(hover, dt)}, with {source}. {advice}"
         if hover.is_lost:
             refuse_or_warn(controller, fault)
@@ -100,13 +100,15 @@ def check_closed_loop(
     elif not hover.holds:
         effects = ", ".join(robot.effects) or "none"
         _log.warning(
-            f"{subject} {hover_error(hover)}, as its law does not know of its effects ({effects}). {remedy(hover)}"
+            f"{subject} {hover_error_text(hover)}, as its law does not know of its effects ({effects}). {hover_remedy(hover)}"
         )
     elif _log.isEnabledFor(logging.INFO) and not loop.is_firm(dt):
-        _log.info(f"{subject} has a gain margin of less than 6 dB. {_remedy(loop, controller, robot, dt)}")
+        _log.info(
+            f"{subject} has a gain margin of less than 6 dB. {_remedy_of_instability(loop, controller, robot, dt)}"
+        )
 
 
-def hover_error(hover: HoverResult) -> str:
+def hover_error_text(hover: HoverResult) -> str:
     """Return the hover error of a vehicle, as the predicate of a sentence."""
     speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
     if speed * HOVER_SPAN > HOVER_RANGE:
@@ -129,7 +131,7 @@ def refuse_or_warn(controller: ControllerCfg, message: str) -> None:
     _log.warning(message)
 
 
-def remedy(hover: HoverResult) -> str:
+def hover_remedy(hover: HoverResult) -> str:
     """Return the remedy for a vehicle that hovers beside its setpoint."""
     return SLOW_REMEDY if max(map(abs, (*hover.offset, *hover.drift))) < 0.01 else REMEDY
 
@@ -158,7 +160,7 @@ def _gain_source(controller: ControllerCfg, robot: RobotCfg) -> str:
     return "the explicit gains given" if explicit else "its frequencies and damping"
 
 
-def _remedy(loop: ClosedLoop, controller: ControllerCfg, robot: RobotCfg, dt: float) -> str:
+def _remedy_of_instability(loop: ClosedLoop, controller: ControllerCfg, robot: RobotCfg, dt: float) -> str:
     """Return the remedies of an unstable loop as sentences: the largest stable time step, and changes of gains."""
     late = "shorten the dead time (effects: actuation_delay), " if loop.delay else ""
     if controller.law not in LAWS:
@@ -182,6 +184,6 @@ def _largest_dt(loop: ClosedLoop, dt: float) -> str:
     return f"The largest dt with a gain margin of 6 dB is {best:.3g} s. "
 
 
-def select_gain_ranges(randomize: Randomize) -> dict[str, RandomizeCfg]:
+def ranges_of_drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
     """Return the ranges of randomised gains, by their names without ``gains.``."""
     return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}

@@ -30,12 +30,12 @@ def canonical_quat(q: Tensor) -> Tensor:
     return torch.where(q[:, 3:] < 0.0, -q, q)
 
 
-def up_axis(like: Tensor) -> Tensor:
+def unit_z(like: Tensor) -> Tensor:
     """Return a unit vector along z for every row, (E, 3)."""
     return like.new_tensor((0.0, 0.0, 1.0)).expand(len(like), 3)
 
 
-def forward_axis(like: Tensor) -> Tensor:
+def unit_x(like: Tensor) -> Tensor:
     """Return a unit vector along x for every row, (E, 3)."""
     return like.new_tensor((1.0, 0.0, 0.0)).expand(len(like), 3)
 
@@ -48,7 +48,7 @@ def tilt_first_error(attitude: Tensor, wanted: Tensor, yaw_share: Tensor) -> Ten
         wanted: Wanted attitude, (E, 4).
         yaw_share: Share of the heading error, 0 to 1, (E, 1).
     """
-    turn, exists = shortest_turn(*(quat_rotate(q, up_axis(q)) for q in (attitude, wanted)))
+    turn, exists = shortest_turn(*(quat_rotate(q, unit_z(q)) for q in (attitude, wanted)))
     tilted = torch.where(exists, quat_multiply(turn, attitude), wanted)
     heading = canonical_quat(quat_multiply(quat_conjugate(tilted), wanted))
     half = yaw_share * atan2(heading[:, 2:3], heading[:, 3:])

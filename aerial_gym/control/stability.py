@@ -29,7 +29,7 @@ from aerial_gym.control.hover import (
     RestState,
     distances_from_start,
     find_rest,
-    flight_distance,
+    largest_final_distance,
 )
 from aerial_gym.control.linear_loop import AXES, BODY, DiscreteLoop
 from aerial_gym.control.trim import hover_action, trim_axes
@@ -197,7 +197,7 @@ class ClosedLoop:
         """Return the spectral radii with the declared gains and with each combination of ends of the drawn ones."""
         return [self._corner_radius(corner, 1.0, dt) for corner in self._corners]
 
-    def margins(self, dt: float) -> list[float]:
+    def radii_at_loop_gains(self, dt: float) -> list[float]:
         """Return the spectral radii with the declared gains at each of ``LOOP_GAINS``."""
         return [self._corner_radius(None, gain, dt) for gain in LOOP_GAINS]
 
@@ -207,7 +207,7 @@ class ClosedLoop:
 
     def is_firm(self, dt: float) -> bool:
         """Return whether the loop is stable at a time step [s] with the margin of ``LOOP_GAINS``."""
-        return self.is_stable(dt) and stable(self.margins(dt))
+        return self.is_stable(dt) and stable(self.radii_at_loop_gains(dt))
 
     def largest_firm_dt(self, unfirm: float) -> float | None:
         """Return the largest time step [s] below an infirm one with the margin of ``LOOP_GAINS``; None if there is none."""
@@ -218,7 +218,7 @@ class ClosedLoop:
             best = largest_stable_dt(partial(self._corner_radius, *cases[radii.index(max(radii))]), best, lowest=lowest)
         return best
 
-    def modes(self, dt: float) -> Tensor:
+    def discrete_poles(self, dt: float) -> Tensor:
         """Return the discrete poles ``exp(s dt)`` of the loop with the declared gains at a time step [s], complex."""
         return self._corner_modes(None, 1.0, dt)[0]
 
@@ -232,24 +232,24 @@ class ClosedLoop:
 
     def _eigenvalues(self, rest: RestState, loop_gain: float) -> Tensor:
         mapped, width = rest.loop.period_map(gain=loop_gain), rest.state.shape[1]
-        rows = [*self._rest_indices(width), *range(width, mapped.shape[1] - 1)]
+        rows = [*self._indices_of_controlled_states(width), *range(width, mapped.shape[1] - 1)]
         return torch.linalg.eigvals(mapped[:, rows][:, :, rows]) ** (1.0 / len(rest.loop.steps))
 
-    def growth(self, dt: float) -> Tensor:
+    def radius_of_each_vehicle(self, dt: float) -> Tensor:
         """Return the spectral radius of each vehicle at a time step [s], (B,)."""
         return self._corner_modes(None, 1.0, dt).abs().amax(-1)
 
     def hover(self, dt: float) -> HoverResult:
         """Return the hover of the first vehicle at a time step [s], with flights if rotor limits may matter."""
-        result = self.hovers(dt)[0]
+        result = self.hover_of_each_vehicle(dt)[0]
         tight = not (result.stable and stable([self._corner_radius(None, gain, dt) for gain in TIGHT_GAINS]))
-        if not self.holds_place or not (tight or self._slews(dt)):
+        if not self.holds_place or not (tight or self._reaches_slew_limit(dt)):
             return result
         loop, returns = self._make_loop(dt, None), "x" in self.axes.split()
-        flown = flight_distance(loop, self.rest(dt), self._action(dt), returns=returns, decays=result.stable)
+        flown = largest_final_distance(loop, self.rest(dt), self._action(dt), returns=returns, decays=result.stable)
         return replace(result, flown=flown)
 
-    def _slews(self, dt: float) -> bool:
+    def _reaches_slew_limit(self, dt: float) -> bool:
         """Return whether a disturbance exceeds the rotors' slew rate, by the change of the command over the lag."""
         vehicle, size = self._model.vehicle, torch.tensor(DISTURBANCE, dtype=torch.float64).repeat_interleave(3)
         if "slew" not in vehicle.traits:
@@ -260,14 +260,14 @@ class ClosedLoop:
         )
         return bool((change > slowest[0]).any())
 
-    def hovers(self, dt: float) -> list[HoverResult]:
+    def hover_of_each_vehicle(self, dt: float) -> list[HoverResult]:
         """Return the hover of each vehicle at a time step [s], without flights."""
-        rest, growth = self.rest(dt), self.growth(dt)
+        rest, growth = self.rest(dt), self.radius_of_each_vehicle(dt)
         rests, way = rest.converged & (growth <= 1.0 + ROUND_OFF), torch.zeros_like(growth)
         if self.holds_place:
-            away = rest.offset.norm(dim=-1) + HOVER_SPAN * rest.drift.norm(dim=-1)
-            way = torch.where(rests, self.distance(dt), away)
-        rows = (rests, growth, rest.offset, rest.drift, way)
+            away = rest.offset_from_start.norm(dim=-1) + HOVER_SPAN * rest.drift_velocity.norm(dim=-1)
+            way = torch.where(rests, self.largest_distance_of_each_vehicle(dt), away)
+        rows = (rests, growth, rest.offset_from_start, rest.drift_velocity, way)
         return [
             HoverResult(
                 stable=stays, growth=factor, offset=tuple(offset), drift=tuple(drift), distance=distance, flown=None
@@ -285,7 +285,9 @@ class ClosedLoop:
         if (dt, corner) not in self._rests:
             loop = self._make_loop(dt, corner)
             start = loop.start(HEIGHT, self._hover)
-            self._rests[dt, corner] = find_rest(loop, start, self._action(dt), self._rest_indices(start.shape[1]))
+            self._rests[dt, corner] = find_rest(
+                loop, start, self._action(dt), self._indices_of_controlled_states(start.shape[1])
+            )
         return self._rests[dt, corner]
 
     def deviation_bound(self, dt: float, steps: int, size: Tensor) -> Tensor:
@@ -294,12 +296,12 @@ class ClosedLoop:
         mapped = torch.linalg.matrix_power(loop.period_map()[0], steps // len(loop.steps))
         return mapped[:BODY, :BODY].abs() @ size.to(mapped)
 
-    def distance(self, dt: float) -> Tensor:
+    def largest_distance_of_each_vehicle(self, dt: float) -> Tensor:
         """Return the largest distance [m] of each vehicle from its start within ``HOVER_SPAN`` of hover, (B,)."""
         rest = self.rest(dt)
         return distances_from_start(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
 
-    def _rest_indices(self, width: int) -> list[int]:
+    def _indices_of_controlled_states(self, width: int) -> list[int]:
         """Return the indices of controlled states in a state vector of the given width."""
         first = BODY + len(self._hover)
         drifting = {first + place for place in self._drifting}

@@ -48,7 +48,7 @@ class Tuning:
     inner: Response  # Response H of acceleration to its command
 
     @property
-    def closed(self) -> Response:
+    def closed_loop_response(self) -> Response:
         """Closed-loop response of angle or position to its setpoint."""
         return _close_loop(self.proportional, self.derivative, self.inner)
 
@@ -172,7 +172,7 @@ def tune_position(attitude: Tuning, *, bandwidth: Bandwidth, damping: float) -> 
     """
 
     def inner(s: Tensor) -> Tensor:
-        pitch_and_roll = attitude.closed(s[:, [1, 0, 2]])[:, [1, 0]]
+        pitch_and_roll = attitude.closed_loop_response(s[:, [1, 0, 2]])[:, [1, 0]]
         return torch.cat((pitch_and_roll, attitude.inner(s)[:, 2:]), dim=-1)
 
     lag = attitude.derivative / attitude.proportional

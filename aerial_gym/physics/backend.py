@@ -31,7 +31,7 @@ class Capabilities:
     contact_of_links: bool = False  # Whether links have contact forces with ground, obstacles and each other
 
 
-class EffectSet(Collection[str]):
+class EffectSupport(Collection[str]):
     """Names of supported effects. An effect is imported at its test, because a vehicle has few."""
 
     def __init__(self, can_run: Callable[[Effect], bool]) -> None:
@@ -99,7 +99,7 @@ class PhysicsBackend(Protocol):
         """Advance ``state`` in place by ``substeps`` of ``dt`` [s] with the action ``command`` (E, n) held."""
         ...
 
-    def reset(self, mask: Tensor) -> None:
+    def reset_memory(self, mask: Tensor) -> None:
         """Reset the backend's memory of the environments in ``mask``, bool (E,)."""
         ...
 
@@ -111,7 +111,7 @@ class PhysicsBackend(Protocol):
         """Update the ground heights from ``Model.ground_height`` if that is a tensor (E, 1)."""
         ...
 
-    def load(self) -> Tensor | None:
+    def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, world, (E, 6); None without a load."""
         ...
 

@@ -81,7 +81,7 @@ def _accelerations(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]
     return with_load(model, attitude, ang_vel, state.load, acc, ang_acc)
 
 
-def step_wrench(
+def speeds_and_wrench_of_step(
     model: Model, state: MassState, rotor_command: RotorCommand, dt: float
 ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
     """Return the rotor speeds after a step (E, R), and the constant wrench of a first-order integrator.
@@ -103,10 +103,10 @@ def step_wrench(
 def advance_load(load: Tensor, swing: Tensor, dt: float) -> Tensor:
     """Return direction and rate of a load's link, (E, 6), after a semi-implicit step under n'' [1/s²], (E, 3)."""
     rate = load[:, 3:] + dt * swing
-    return _settle(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
+    return _normalise_load(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
 
 
-def _settle(load: Tensor) -> Tensor:
+def _normalise_load(load: Tensor) -> Tensor:
     """Normalise direction and rate of a link to ``|n| = 1``, ``n . n' = 0``."""
     if load.shape[1] == 0:
         return load
@@ -123,7 +123,7 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorComm
     """
     if model.effects[FluidEffect]:
         return euler_in_fluid(model, state, rotor_command, dt)
-    rotor_speed, wrench = step_wrench(model, state, rotor_command, dt)
+    rotor_speed, wrench = speeds_and_wrench_of_step(model, state, rotor_command, dt)
     acc, ang_acc, swing = _accelerations(model, state, wrench)
     lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
     return MassState(
@@ -144,9 +144,9 @@ def euler_in_fluid(model: Model, state: MassState, rotor_command: RotorCommand, 
     Source: Hairer, Lubich, Wanner (2006), Geometric Numerical Integration, II.5 (Strang splitting).
     """
     middle = coast(model, state, 0.5 * dt)
-    rotor_speed, (force, torque) = step_wrench(model, middle, rotor_command, dt)
+    rotor_speed, (force, torque) = speeds_and_wrench_of_step(model, middle, rotor_command, dt)
     acc, ang_acc, swing = _accelerations(model, middle, (force, torque))
-    free_force, free_torque = free_wrench(model, middle)
+    free_force, free_torque = wrench_of_coast(model, middle)
     acc = acc - quat_rotate(middle.attitude, free_force / model.vehicle.mass.unsqueeze(-1))
     ang_acc = ang_acc - multiply_rows(model.inertia_inverse, free_torque)
     pushed = replace(
@@ -172,11 +172,11 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
         attitude=quat_normalize(quat_multiply(attitude, turn)),
         lin_vel=state.lin_vel + quat_rotate(attitude, gain),
         ang_vel=ang_vel,
-        load=_settle(torch.cat((load[:, :3] + dt * load[:, 3:], load[:, 3:]), dim=-1)),
+        load=_normalise_load(torch.cat((load[:, :3] + dt * load[:, 3:], load[:, 3:]), dim=-1)),
     )
 
 
-def free_wrench(model: Model, state: MassState) -> tuple[Tensor, Tensor]:
+def wrench_of_coast(model: Model, state: MassState) -> tuple[Tensor, Tensor]:
     """Return force [N] and torque [N m], body, each (E, 3), that give a hull without fluid the motion of ``coast``."""
     ((effect, params),) = model.effects[FluidEffect]
     v, w = air_velocity(model, state.position, state.attitude, state.lin_vel), state.ang_vel
@@ -205,7 +205,7 @@ def rk4(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) 
         stage = _advance(state, slopes[-1], weight * dt)
     mean = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(*slopes, strict=True)]
     final = _advance(state, mean, dt)
-    settled = {"attitude": quat_normalize(final.attitude), "rotor_speed": end, "load": _settle(final.load)}
+    settled = {"attitude": quat_normalize(final.attitude), "rotor_speed": end, "load": _normalise_load(final.load)}
     return MassState(**{**vars(final), **settled})
 
 

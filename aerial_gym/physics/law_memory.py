@@ -38,17 +38,17 @@ class Timing:
         return self.action_delay + 1 if self.action_delay else 0
 
     @property
-    def extra_lag(self) -> float:
+    def lag_between_levels(self) -> float:
         """Delay between the levels beyond one run of the inner one [s]."""
         return (self.law - self.loop + self.delay) * self.dt
 
     @property
-    def law_span(self) -> float:
+    def outer_period(self) -> float:
         """Period of the outer level [s]."""
         return self.law * self.dt
 
     @property
-    def loop_span(self) -> float:
+    def inner_period(self) -> float:
         """Period of the inner level [s]."""
         return self.loop * self.dt
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.random import Purpose, Randomness, state_of_count
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, Moment
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, SubstepStart
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotor_lag import CommandSwitch, Ramp, RotorCommand
+from aerial_gym.physics.rotor_lag import CommandSwitch, LinearRotorSpeeds, RotorCommand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class Memory:
     """Memory of all effects of a model."""
 
     initial: Tensor  # Numbers right after a reset, (sum of M,)
-    numbers: Tensor  # Memory of the effects in the order of `EffectsByKind.forces`, (E, sum of M)
+    numbers: Tensor  # Memory of the effects in the order of `EffectsByKind.step_effects`, (E, sum of M)
     past: Tensor  # Commands of the control law [rad/s], newest first, (E, S, R); S is 0 without a delay
     since: Tensor  # Substeps since the reset, int32, (E,)
     random: Randomness  # Of the draws, which depend on `since` as well
@@ -39,7 +39,7 @@ def num_past_commands(model: Model, dt: float) -> int:
 def make_memory(model: Model, dt: float, *, random: Randomness | None = None) -> Memory:
     """Return the memory right after a reset; ``random`` is that of the batch, of seed 0 if not given."""
     mass, vehicle = model.vehicle.mass, model.vehicle
-    fresh = [number for effect, _ in model.effects.forces for number in effect.fresh_memory(vehicle.num_rotors)]
+    fresh = [number for effect, _ in model.effects.step_effects for number in effect.fresh_memory(vehicle.num_rotors)]
     initial = mass.new_tensor(fresh)
     return Memory(
         initial=initial,
@@ -60,7 +60,7 @@ def forget(memory: Memory, mask: Tensor) -> Memory:
 
 
 def begin_substep(
-    model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor | Ramp, dt: float
+    model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor | LinearRotorSpeeds, dt: float
 ) -> tuple[Model, RotorCommand, Memory]:
     """Return the model with its memory, the commands that the rotors follow, and the memory of a substep.
 
@@ -73,15 +73,15 @@ def begin_substep(
     """
     random = state_of_count(memory.random.stream(Purpose.EFFECTS), memory.since)
     span = torch.tensor(dt, dtype=torch.float64)  # on the CPU: an argument of any device's operations
-    moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=span, vehicle=model.vehicle)
+    moment = SubstepStart(rotor_speed=rotor_speed, since=memory.since, random=random, dt=span, vehicle=model.vehicle)
     places = model.effects.places(rotor_speed.shape[1])
     numbers = [
         place.effect.remember(moment, torch.cat((params, memory.numbers[:, place.memory]), dim=-1))
-        for place, (_, params) in zip(places, model.effects.forces, strict=True)
+        for place, (_, params) in zip(places, model.effects.step_effects, strict=True)
     ]
     model = replace(model, effects=model.effects.with_memory(numbers))
     memory = replace(memory, numbers=torch.cat(numbers, dim=-1))
-    if isinstance(command, Ramp):
+    if isinstance(command, LinearRotorSpeeds):
         return model, command, memory
     if not model.effects[DelayEffect]:
         return model, _effective_command(model, command), memory
@@ -110,13 +110,13 @@ def _delay_command(model: Model, memory: Memory, rotor_speed: Tensor, dt: float)
     return CommandSwitch(earlier=earlier, later=later, change=dt * (substeps - whole).unsqueeze(-1))
 
 
-def load_state(model: Model, memory: Memory) -> Tensor:
+def link_state_of_load(model: Model, memory: Memory) -> Tensor:
     """Return direction and rate of the load's link, (E, 6), or (E, 0) without a load."""
     width = sum(len(effect.memory) for effect, _ in model.effects[LoadEffect])
     return memory.numbers[:, memory.numbers.shape[1] - width :]
 
 
-def place_memory(model: Model, memory: Memory, remembered: Mapping[str, Tensor]) -> Memory:
+def replace_memory(model: Model, memory: Memory, remembered: Mapping[str, Tensor]) -> Memory:
     """Return the memory with the numbers (E, M) of some effects replaced, by name."""
     places = model.effects.places(model.vehicle.num_rotors)
     parts = [remembered.get(place.effect.name, memory.numbers[:, place.memory]) for place in places]

@@ -123,8 +123,8 @@ def build_model(
         above = torch.tensor((0.0, 0.0, inf), dtype=vehicle.mass.dtype, device=vehicle.mass.device)
         other_position = share_row(above, vehicle.num_envs)
     for effect, params in effects:
-        check_rotors(effect, vehicle.traits)
-        check_joints(effect, bends=articulation is not None)
+        check_effect_on_rotors(effect, vehicle.traits)
+        check_effect_on_joints(effect, bends=articulation is not None)
         expected = (vehicle.num_envs, len(effect.parameters))
         if tuple(params.shape) != expected:
             raise ShapeError(f"effect {effect.name}: parameters have shape {tuple(params.shape)}, expected {expected}")
@@ -142,12 +142,12 @@ def build_model(
     )
 
 
-def in_steady_wind(model: Model, velocity: Tensor) -> Model:
+def add_steady_wind(model: Model, velocity: Tensor) -> Model:
     """Return the model with a steady wind [m/s], world, (E, 3), in addition to its own."""
     return replace(model, effects=model.effects.plus(EFFECTS.get("constant_wind"), velocity))
 
 
-def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
+def check_effect_on_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
     """Raise ``ConfigError`` for rotors of a kind that an effect does not support (``docs/concepts/rotors.md``)."""
     if missing := sorted(traits - set(effect.rotors)):
         raise ConfigError(
@@ -156,7 +156,7 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
         )
 
 
-def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
+def check_effect_on_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
     """Raise ``ConfigError`` for an effect that does not suit a vehicle with joints, or a rigid one."""
     alternatives = " or ".join(", ".join(effect.instead).rsplit(", ", 1))
     if not bends and not effect.on_rigid:
@@ -257,8 +257,8 @@ def check_effects(robot: RobotCfg) -> None:
     """Raise the errors of ``effects_from_config``, and those of missing inputs in the robot file, without making tensors."""
     for name, values in robot.effects.items():
         effect = EFFECTS.get(name).bind_robot(robot)
-        check_rotors(effect, robot.rotor_traits)
-        check_joints(effect, bends=robot.joints is not None)
+        check_effect_on_rotors(effect, robot.rotor_traits)
+        check_effect_on_joints(effect, bends=robot.joints is not None)
         effect.check(robot)
         row = dict(zip((p.name for p in effect.parameters), effect.parse_params(values), strict=True))
         for parameter in effect.parameters:

@@ -23,7 +23,7 @@ from aerial_gym.physics.effects import (
     LinearWrenchEffect,
     LoadEffect,
     RotorEffect,
-    Suspension,
+    SuspensionMotion,
     WindEffect,
     WrenchEffect,
 )
@@ -198,7 +198,7 @@ def force_breakdown(
     return result
 
 
-def with_fluid(model: Model, condition: Condition, acting: ForceBreakdown) -> ForceBreakdown:
+def add_fluid_contributions(model: Model, condition: Condition, acting: ForceBreakdown) -> ForceBreakdown:
     """Add the contributions of fluids with added mass, which depend on the sum of all others."""
     if not model.effects[FluidEffect]:
         return acting
@@ -220,7 +220,7 @@ def _total_wrench(model: Model, condition: Condition, acting: ForceBreakdown) ->
     force, torque = _sum_wrenches(model, condition, acting)
     for effect, params in model.effects[FluidEffect]:
         condition = condition.with_thrust(acting.whole_thrust)
-        wrench = effect.entrain(torch.cat((force, torque), dim=-1), condition, model.gravity, params)
+        wrench = effect.wrench_with_fluid(torch.cat((force, torque), dim=-1), condition, model.gravity, params)
         force, torque = wrench[:, :3], wrench[:, 3:]
     return force, torque
 
@@ -263,11 +263,11 @@ def with_load(
     if not model.effects[LoadEffect]:
         return acc, ang_acc, load[:, :0]
     force, torque, swing = pull_of_load(model, attitude, ang_vel, load, acc, ang_acc)
-    acc = acc + hull_force(model, attitude, force) / model.vehicle.mass.unsqueeze(-1)
+    acc = acc + force_without_fluid(model, attitude, force) / model.vehicle.mass.unsqueeze(-1)
     return acc, ang_acc + multiply_rows(model.inertia_inverse, torque), swing
 
 
-def hull_force(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
+def force_without_fluid(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
     """Return the force [N], world, (E, 3), that gives the hull without fluid the acceleration under ``force`` with fluid."""
     if not model.effects[FluidEffect]:
         return force
@@ -303,17 +303,19 @@ def pull_of_load(
     )
 
 
-def origin_suspension(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspension:
+def origin_suspension(model: Model, attitude: Tensor, acceleration: Tensor) -> SuspensionMotion:
     """Return the suspension of a load at the body origin, which has ``acceleration`` [m/s²], world, (E, 3), without it."""
     cross = _skew(-model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
     mobility = mobility + torch.diag_embed(1.0 / (model.vehicle.mass.unsqueeze(-1) + _added_mass(model)))
     rotation = quat_to_matrix(attitude)
-    return Suspension(acceleration=acceleration, mobility=rotation @ mobility @ rotation.mT, gravity=model.gravity)
+    return SuspensionMotion(
+        acceleration=acceleration, mobility=rotation @ mobility @ rotation.mT, gravity=model.gravity
+    )
 
 
 def suspension_pull(
-    model: Model, attitude: Tensor, suspension: Suspension, load: Tensor
+    model: Model, attitude: Tensor, suspension: SuspensionMotion, load: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return force, torque and n'' of a load on a suspension, as ``pull_of_load``."""
     ((effect, params),) = model.effects[LoadEffect]
@@ -328,7 +330,7 @@ def _skew(vector: Tensor) -> Tensor:
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
-def with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
+def append_memory_to_params(model: Model, remembered: Mapping[str, Tensor]) -> Model:
     """Return the model with the effects' memory appended to their parameters."""
 
     def append_memory(effect: Effect, params: Tensor) -> Tensor:
@@ -371,9 +373,9 @@ def accelerations(
         Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
     """
     if remembered:
-        model = with_memory(model, remembered)
+        model = append_memory_to_params(model, remembered)
     told = {*(remembered or ()), *(effect.name for effect, _ in model.effects[LoadEffect] if load is not None)}
-    for effect, _ in model.effects.forces:
+    for effect, _ in model.effects.step_effects:
         if effect.accelerates and effect.remembers and effect.name not in told:
             raise CapabilityError(
                 f"effect {effect.name}: has memory, so one state does not determine its force. Fly it with a backend instead"

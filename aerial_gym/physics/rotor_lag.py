@@ -28,13 +28,13 @@ class CommandSwitch:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ramp:
+class LinearRotorSpeeds:
     """Rotor speeds that are linear within a step, as measured in a log, without lag."""
 
     rate: Tensor  # Rate of change of their states [rad/s²] or [N/s], (E, R)
 
 
-RotorCommand = Tensor | CommandSwitch | Ramp
+RotorCommand = Tensor | CommandSwitch | LinearRotorSpeeds
 """Command of the rotors in a step: one constant (E, R), two successive ones, or measured speeds."""
 
 
@@ -123,7 +123,7 @@ def vehicle_lag(vehicle: Vehicle) -> RotorLag:
 
 def follow_command(lag: RotorLag, state: Tensor, command: RotorCommand, dt: float | Tensor) -> Tensor:
     """Return the exact states of the rotors, (E, R), ``dt`` [s] after the start of a step."""
-    if isinstance(command, Ramp):
+    if isinstance(command, LinearRotorSpeeds):
         return state + command.rate * dt
     if isinstance(command, Tensor):
         return lag.follow(state, command, dt)
@@ -139,7 +139,7 @@ def stage_rates(
     If the command changes within the step, all rates are shifted alike, so that Simpson's rule gives the exact change of the
     states, hence of the rotors' momentum.
     """
-    if isinstance(command, Ramp):
+    if isinstance(command, LinearRotorSpeeds):
         return command.rate, command.rate, command.rate
     start, _, end = stages
     if isinstance(command, Tensor):
@@ -208,7 +208,7 @@ def slew_limited_lag(
     span = torch.zeros_like(distance) + dt  # of their float type, which a bare number would not have
     until_zero = choose(
         crosses,
-        _fall_time,
+        _time_to_distance,
         torch.where(falls, span, 0.0),
         torch.where(crosses, distance, 1.0),
         beyond,
@@ -226,7 +226,7 @@ def _distance_left(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) ->
     return (distance - linear) * torch.exp(-(span - linear / slew).clamp_min(0.0) / tau)
 
 
-def _fall_time(distance: Tensor, less: Tensor, tau: Tensor, slew: Tensor) -> Tensor:
+def _time_to_distance(distance: Tensor, less: Tensor, tau: Tensor, slew: Tensor) -> Tensor:
     """Return the time [s] in which a distance shrinks to ``less`` > 0."""
     linear = torch.minimum((distance - slew * tau).clamp_min(0.0), distance - less)
     return linear / slew + tau * torch.log((distance - linear) / less)

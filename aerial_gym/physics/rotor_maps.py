@@ -78,7 +78,7 @@ class PolynomialMap(RotorMap):
     def speed_for_thrust(self, coefficients: Tensor, thrust: Tensor) -> Tensor:
         """Return the larger root of ``c0 + c1 w + c2 w² = T``; the speed of the minimum for a thrust below it."""
         c0, c1, c2 = coefficients.unbind(-1)
-        return (_root(c1 * c1 + 4.0 * c2 * (thrust - c0)) - c1) / (2.0 * c2)
+        return (_root_or_zero(c1 * c1 + 4.0 * c2 * (thrust - c0)) - c1) / (2.0 * c2)
 
 
 class ThrustOrPolynomialMap(PolynomialMap):
@@ -89,11 +89,11 @@ class ThrustOrPolynomialMap(PolynomialMap):
         c0, c1, c2 = coefficients.unbind(-1)
         linear = c2 == 0.0
         square, slope = torch.where(linear, 1.0, c2), torch.where(linear, c1, 1.0)
-        root = _root(torch.where(linear, 1.0, c1 * c1 + 4.0 * square * (thrust - c0)))
+        root = _root_or_zero(torch.where(linear, 1.0, c1 * c1 + 4.0 * square * (thrust - c0)))
         return torch.where(linear, (thrust - c0) / slope, (root - c1) / (2.0 * square))
 
 
-def _root(square: Tensor) -> Tensor:
+def _root_or_zero(square: Tensor) -> Tensor:
     """Return the square root; 0 with gradient 0 for arguments <= 0, where that of the root is infinite."""
     none = square <= 0.0
     return torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())

@@ -40,13 +40,13 @@ class Solids:
     moves: bool = False  # Whether the velocities count; else they are taken as zero
 
     @cached_property
-    def _in_obstacles(self) -> tuple[Tensor, Tensor]:
+    def _poses_in_carriers(self) -> tuple[Tensor, Tensor]:
         """Positions and attitudes of the table's rows in their carriers, float64."""
         kind = {"dtype": torch.float64, "device": self.state.device}
         rows = ([solid.position for solid in self.table], [solid.attitude for solid in self.table])
         return torch.tensor(rows[0], **kind), torch.tensor(rows[1], **kind)
 
-    def part_motion(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def motion_of_parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return poses and velocities of all parts, float64.
 
         Returns:
@@ -55,7 +55,7 @@ class Solids:
         """
         there = (self.part >= 0).unsqueeze(-1)
         row, carrier = self.part.long().clamp_min(0), self.carrier.long().clamp_min(0)
-        offset, turn = (values[row] for values in self._in_obstacles)
+        offset, turn = (values[row] for values in self._poses_in_carriers)
         state = self.state.double().gather(1, carrier.unsqueeze(-1).expand(*carrier.shape, 13))
         position, attitude, lin_vel, ang_vel = state.split((3, 4, 3, 3), dim=-1)
         lever, turned = quat_rotate(attitude, offset), quat_multiply(attitude, turn)

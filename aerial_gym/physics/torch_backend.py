@@ -16,7 +16,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
-from aerial_gym.physics.contact import position_share
+from aerial_gym.physics.contact import displacement_share
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
@@ -33,12 +33,12 @@ from aerial_gym.physics.memory import (
     begin_substep,
     end_substep,
     forget,
-    load_state,
+    link_state_of_load,
     make_memory,
     num_past_commands,
 )
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotor_lag import Ramp, stop_in_dead_band
+from aerial_gym.physics.rotor_lag import LinearRotorSpeeds, stop_in_dead_band
 from aerial_gym.physics.state import ArticulatedState, BodyState, JointEfforts
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_rows import SubstepRows
@@ -77,7 +77,7 @@ def advance_remembering(
     stepper: Stepper,
     control: ControlLaw | None,
     state: BodyState,
-    command: Tensor | Ramp,
+    command: Tensor | LinearRotorSpeeds,
     dt: float,
     substeps: int,
     memory: Memory | None,
@@ -98,7 +98,12 @@ def advance_remembering(
 
 
 def _substep(
-    model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor | Ramp, dt: float, memory: Memory | None
+    model: Model,
+    stepper: Stepper,
+    state: BodyState,
+    rotor_command: Tensor | LinearRotorSpeeds,
+    dt: float,
+    memory: Memory | None,
 ) -> tuple[MassState, MassState, Memory | None]:
     """Return the motion before and after a substep, and the new memory."""
     if isinstance(rotor_command, Tensor):
@@ -107,7 +112,7 @@ def _substep(
         before = to_mass_state(model, state)
         return before, stepper(model, before, rotor_command, dt), None
     now, followed, memory = begin_substep(model, memory, state.rotor_speed, rotor_command, dt)
-    before = to_mass_state(model, state, load_state(model, memory))
+    before = to_mass_state(model, state, link_state_of_load(model, memory))
     after = stepper(now, before, followed, dt)
     return before, after, end_substep(memory, after.load)
 
@@ -183,12 +188,12 @@ class TorchBackend:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
         if model.articulation is not None:
-            from aerial_gym.physics.articulated.flight import check_jointed
+            from aerial_gym.physics.articulated.flight import check_integrator_and_ground
 
-            check_jointed(integrator, ground, self.capabilities)
+            check_integrator_and_ground(integrator, ground, self.capabilities)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook, self._efforts = hook, efforts
-        self._share = position_share(integrator, in_fluid=bool(model.effects[FluidEffect]))
+        self._share = displacement_share(integrator, in_fluid=bool(model.effects[FluidEffect]))
         self._memory, self.law_memory, self._random, self._crept = None, None, random, None
         self._places: tuple[dict[str, Tensor], ...] = ({}, {}, {})
         self.set_model(model)
@@ -207,16 +212,16 @@ class TorchBackend:
     def set_model(self, model: Model) -> None:
         """Replace the parameters."""
         self._model = model
-        rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
+        rows = model.vehicle.tensors_by_name() | {"inertia_inverse": model.inertia_inverse}
         self._own = [name for name, kept in rows.items() if not is_shared(kept)]
 
     def take_ground_heights(self) -> None:
         """Do nothing, because every step reads the tensor."""
 
-    def load(self) -> Tensor | None:
+    def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, (E, 6); None without a load."""
         return (
-            load_state(self._model, self._memory)
+            link_state_of_load(self._model, self._memory)
             if self._memory is not None and self._model.effects[LoadEffect]
             else None
         )
@@ -238,7 +243,7 @@ class TorchBackend:
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the vehicle's parameters that differ between environments, and the inverse inertia."""
-        rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
+        rows = model.vehicle.tensors_by_name() | {"inertia_inverse": model.inertia_inverse}
         return tuple(rows[name] for name in self._own)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
@@ -415,7 +420,7 @@ class TorchBackend:
             self._crept = torch.where(mask[:, None, None], nan, self._crept)
 
     @torch.no_grad()
-    def reset(self, mask: Tensor) -> None:
+    def reset_memory(self, mask: Tensor) -> None:
         """Reset the memory of the environments in ``mask``; gradients through memory end for all."""
         self.detach()
         if self._memory is not None:

@@ -150,17 +150,17 @@ class Vehicle:
         """Torque on the body per drag torque, (E, R, 3): against the spin."""
         return -self.rotor_spin.unsqueeze(-1) * self.rotor_axis
 
-    def rows(self) -> dict[str, Tensor]:
+    def tensors_by_name(self) -> dict[str, Tensor]:
         """Return all tensors by name, each (E, ...)."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
 
-    def share(self, numbers: Tensor | Sequence[float]) -> Tensor:
+    def rows_for_all_envs(self, numbers: Tensor | Sequence[float]) -> Tensor:
         """Return numbers (...) as rows (E, ...) that all environments share, in the float type of the vehicle."""
         return share_row(torch.as_tensor(numbers, dtype=self.mass.dtype, device=self.mass.device), self.num_envs)
 
     def map_rows(self, change: Callable[[Tensor], Tensor]) -> "Vehicle":
         """Return the vehicle with ``change(rows)`` in place of every tensor."""
-        return replace(self, **{name: change(rows) for name, rows in self.rows().items()})
+        return replace(self, **{name: change(rows) for name, rows in self.tensors_by_name().items()})
 
     def to(self, dtype: torch.dtype) -> "Vehicle":
         """Return the vehicle in another float type; shared rows stay shared."""
@@ -175,7 +175,9 @@ class Vehicle:
         def some(rows: Tensor) -> Tensor:
             return share_row(rows[0][numbers], rows.shape[0]) if is_shared(rows) else rows[:, numbers]
 
-        return replace(self, **{name: some(rows) for name, rows in self.rows().items() if name not in _OF_BODY})
+        return replace(
+            self, **{name: some(rows) for name, rows in self.tensors_by_name().items() if name not in _OF_BODY}
+        )
 
     def with_scaled_maps(self, *, thrust: Tensor | None = None, torque: Tensor | None = None) -> "Vehicle":
         """Return the vehicle with factors (E, R) or (E, 1) on thrust and drag torque, for both directions of spin."""
@@ -235,7 +237,7 @@ def vehicle_from_config(
 
 def _check_numbers(vehicle: Vehicle) -> None:
     """Raise ``ConfigError`` for numbers of the robot file beyond the range of float32, which kernels use."""
-    first = {name: rows[:1].float().cpu() for name, rows in vehicle.rows().items()}
+    first = {name: rows[:1].float().cpu() for name, rows in vehicle.tensors_by_name().items()}
     for name, row in first.items():
         may_lack = name.startswith("slew_rate") or name in ("rotor_radius", "battery")
         if not may_lack and not bool(row.isfinite().all()):

@@ -25,8 +25,8 @@ from aerial_gym.interop import (
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectSet
-from aerial_gym.physics.contact import position_share
+from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectSupport
+from aerial_gym.physics.contact import displacement_share
 from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
@@ -42,9 +42,9 @@ from aerial_gym.physics.fused.packing import (
     collect_numbers,
     law_rows,
     make_structs,
-    model_types,
     pack_rows,
     parameter_rows,
+    rotor_types_of_model,
 )
 from aerial_gym.physics.fused.types import LawArrays, rotor_types
 from aerial_gym.physics.ground import Ground
@@ -76,7 +76,7 @@ class _GroundArrays(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Binding:
+class _LaunchRecord:
     """Recorded launches for particular tensors."""
 
     state: BodyState
@@ -107,7 +107,7 @@ class WarpBackend:
             dtypes=(torch.float32,),
             integrators=tuple(STAGES),
             differentiable=self._differentiable,
-            effects=EffectSet(self._can_run),
+            effects=EffectSupport(self._can_run),
             rotors=ROTOR_TRAITS,
             contact=not self._differentiable,
             joints=not self._differentiable,
@@ -142,9 +142,9 @@ class WarpBackend:
         if model.articulation is not None:
             if self._differentiable:
                 raise CapabilityError("backend warp: a differentiable rollout moves no joints. Use backend 'torch'.")
-            from aerial_gym.physics.articulated.flight import check_jointed
+            from aerial_gym.physics.articulated.flight import check_integrator_and_ground
 
-            check_jointed(integrator, ground, self.capabilities)
+            check_integrator_and_ground(integrator, ground, self.capabilities)
         if isinstance(model.ceiling_height, torch.Tensor):
             raise CapabilityError("backend warp: one height of the ceiling for all. Use backend 'torch'.")
         if law_needs(control) is not None and self._differentiable:
@@ -209,7 +209,7 @@ class WarpBackend:
             )
         if not self._differentiable:
             compile_ahead(self.kernel, wp.device_from_torch(self._device), block_dim=BLOCK_DIM)
-        self._binding: _Binding | None = None
+        self._binding: _LaunchRecord | None = None
 
     def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:
         """Return the kernel arguments of a ground."""
@@ -221,7 +221,7 @@ class WarpBackend:
         impulse = ground.impulse
         if impulse is None:  # unread
             impulse = torch.zeros(self._num_envs if ground.cfg is not None else 1, 3, device=self._device)
-        share = position_share(self._integrator, in_fluid=bool(self._model.effects[FluidEffect]))
+        share = displacement_share(self._integrator, in_fluid=bool(self._model.effects[FluidEffect]))
         return _GroundArrays(
             wp.from_torch(ground.spheres, dtype=wp.vec4),
             ground.height,
@@ -240,7 +240,7 @@ class WarpBackend:
         longer shared, the kernel is recomposed, and a captured step needs a new capture.
         """
         old, self._model = self._model, model
-        pairs = [*zip(model.vehicle.rows().values(), old.vehicle.rows().values(), strict=True)]
+        pairs = [*zip(model.vehicle.tensors_by_name().values(), old.vehicle.tensors_by_name().values(), strict=True)]
         pairs.append((model.other_position, old.other_position))
         changed = any(is_shared(kept) and new is not kept and not is_same_row(new, kept) for new, kept in pairs)
         if changed or not self._packing.fits(self._numbers(1.0)):
@@ -251,7 +251,7 @@ class WarpBackend:
         elif self._dt != 0.0:
             self._write_packed()
 
-    def reset(self, mask: Tensor) -> None:
+    def reset_memory(self, mask: Tensor) -> None:
         """Reset the memory of the environments in ``mask``, and write new gains if they are randomised."""
         if self._dashpots is not None:
             self._dashpots.masked_fill_(mask, nan)
@@ -270,14 +270,14 @@ class WarpBackend:
         if isinstance(self._model.ground_height, torch.Tensor):
             self._packed[self._packing.vehicle["ground_height"]].copy_(self._model.ground_height[:, 0])
 
-    def load(self) -> Tensor | None:
+    def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, a view (E, 6); None without a load."""
         return self._memory.numbers[-6:].T if self._memory is not None and self._model.effects[LoadEffect] else None
 
     def prepare(self, dt: float) -> None:
         """Compute all values that depend on the length of a substep [s]."""
         if dt != self._dt:
-            self._prepare(dt)
+            self._set_substep_length(dt)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint, by name."""
@@ -316,16 +316,16 @@ class WarpBackend:
         if self._packing.total:
             torch.cat([rows.T for rows in pack_rows(self._packing, self._numbers(self._dt))], out=self._packed)
 
-    def _prepare(self, dt: float) -> None:
+    def _set_substep_length(self, dt: float) -> None:
         """Compute all values that depend on the length of a substep."""
         self._dt, self._binding = dt, None
         self._write_packed()
         self._arrange_memory(dt)
-        self._shared = make_structs(self._packing, self._numbers(dt), self._law, model_types(self._model))
+        self._shared = make_structs(self._packing, self._numbers(dt), self._law, rotor_types_of_model(self._model))
 
     def _arrange_memory(self, dt: float) -> None:
         """Allocate the memory unless its size is right; neighbouring environments are contiguous, (M, E)."""
-        effects, law = self._effect_arrays(dt), self._law_arrays(dt)
+        effects, law = self._effect_memory_arrays(dt), self._law_memory_arrays(dt)
         together = memory_type(effects=effects is not None, law=law is not None)
         self._memory_arrays = effects if effects is not None and law is None else together()
         if law is not None:
@@ -333,7 +333,7 @@ class WarpBackend:
             if effects is not None:
                 self._memory_arrays.effects = effects
 
-    def _effect_arrays(self, dt: float) -> Any:
+    def _effect_memory_arrays(self, dt: float) -> Any:
         """Return ``MemoryArrays``; None if no effect has memory."""
         if not self._model.effects.names_with_memory:
             return None
@@ -345,7 +345,7 @@ class WarpBackend:
             self._memory = memory = replace(memory, **rows)
         return make_struct(MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(memory.random))
 
-    def _law_arrays(self, dt: float) -> Any:
+    def _law_memory_arrays(self, dt: float) -> Any:
         """Return ``LawArrays``; None for a law without memory."""
         needs = self._law.needs
         if needs is None:
@@ -368,14 +368,14 @@ class WarpBackend:
             return
         bound = self._binding
         if dt != self._dt:
-            self._prepare(dt)
+            self._set_substep_length(dt)
             bound = None
         if bound is None or bound.state is not state or bound.command is not command or bound.substeps != substeps:
             bound = self._binding = self._bind(state, command, dt, substeps)
         with on_torch_stream(command):
             launch_side_by_side(bound.launches)
 
-    def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _Binding:
+    def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _LaunchRecord:
         """Record the launches for tensors of fixed addresses, so that a step creates no views."""
         check_substeps(self._hook, substeps)
         arrays = self._arrays(state)
@@ -396,7 +396,7 @@ class WarpBackend:
                     block_dim=BLOCK_DIM,
                 )
             )
-        return _Binding(state, command, dt, substeps, launches)
+        return _LaunchRecord(state, command, dt, substeps, launches)
 
     def _chunks(self, substeps: int) -> list[tuple[int, int]]:
         """Return the first environment and the number of environments of each launch."""
@@ -406,7 +406,7 @@ class WarpBackend:
         return split(self._num_envs, threads)
 
     def _arrays(self, state: BodyState) -> list[wp.array]:
-        kinds = self._kinds()[:-1]
+        kinds = self._tensor_types()[:-1]
         if self._model.articulation is not None:
             kinds = (*kinds, *(vector_type(self._model.articulation.num_joints),) * 2)
         return [self._view(tensor, kind, name) for (name, tensor), kind in zip(vars(state).items(), kinds, strict=True)]
@@ -421,7 +421,7 @@ class WarpBackend:
             return [wp.empty(0, dtype=kind, device=wp.device_from_torch(self._device))] * 2
         return [self._view(tensor, kind, f"effort of {name}") for name, tensor in vars(efforts).items()]
 
-    def _kinds(self) -> tuple[type, ...]:
+    def _tensor_types(self) -> tuple[type, ...]:
         """Return the Warp types of the tensors of a state and of an action."""
         rotors = rotor_types(self._num_rotors).vector
         return wp.vec3, wp.quat, wp.vec3, wp.vec3, rotors, vector_type(self._law.num_actions)
@@ -443,12 +443,14 @@ class WarpBackend:
         Gradients flow to the state, the action and every parameter of the model and of the control law.
         """
         if dt != self._dt:
-            self._prepare(dt)
+            self._set_substep_length(dt)
         if not self._differentiable:
             after = replace(state, **{name: tensor.clone() for name, tensor in vars(state).items()})
             self.step(after, command, dt, substeps)
             return after
         rows = pack_rows(self._packing, self._numbers(dt))
-        rollout = Rollout(self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
+        rollout = Rollout(
+            self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._tensor_types()
+        )
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))

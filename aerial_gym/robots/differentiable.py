@@ -61,9 +61,9 @@ class DifferentiableBackend(TorchBackend):
         self._rows = None
         super().set_model(model.to(self._dtype))
 
-    def load(self) -> Tensor | None:
+    def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's cable, in float32 and without gradients; None without a load."""
-        link = super().load()
+        link = super().link_state_of_load()
         return None if link is None else link.detach().float()
 
     def state_tensors(self) -> dict[str, Tensor]:
@@ -101,7 +101,7 @@ class DifferentiableBackend(TorchBackend):
             self._rows = (dt, self.make_substep_rows(self.state, self.actions[0], dt) if plain else None)
         return self._rows[1]
 
-    def reset(self, mask: Tensor) -> None:
+    def reset_memory(self, mask: Tensor) -> None:
         """Restart the graph of the environments in ``mask``, bool (E,), from the GTD's state; others continue."""
         mask = mask.clone()  # the graph keeps it; the next reset overwrites the mask
         self.forget(mask)

@@ -16,7 +16,7 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
-from aerial_gym.control.loop_check import fault_of_unstable_loop, hover_error, remedy
+from aerial_gym.control.loop_check import fault_of_unstable_loop, hover_error_text, hover_remedy
 from aerial_gym.control.stability import ClosedLoop, HoverResult, hover_model
 from aerial_gym.control.trim import trim_axes
 from aerial_gym.physics.effects import EFFECTS, DelayEffect
@@ -43,9 +43,9 @@ def report_range_faults(
     )
     faults = [each for each in ends if not each[2].holds]
     if faults:
-        texts = [hover_error(one) if one.stable else fault_of_unstable_loop(one, dt) for _, _, one in faults]
+        texts = [hover_error_text(one) if one.stable else fault_of_unstable_loop(one, dt) for _, _, one in faults]
         said = "; ".join(f"{name} = {end}: {text}" for (name, end, _), text in zip(faults, texts, strict=True))
-        helps = dict.fromkeys(remedy(hover) for _, _, hover in faults if hover.stable)
+        helps = dict.fromkeys(hover_remedy(hover) for _, _, hover in faults if hover.stable)
         logging.getLogger(__name__).warning(
             f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s does not hover within {HOVER_RANGE:g} m for "
             f"{HOVER_SPAN:g} s at these ends of drawn ranges: {said}. {'. '.join((*helps, 'Narrow the ranges (randomize:)'))}"
@@ -70,7 +70,7 @@ def hovers_at_range_ends(
         acting = [(effect, rows) for (effect, _), rows in zip(effects, followed.params, strict=True)]
         model = hover_model(robot, followed.vehicle, gravity=gravity, effects=acting)
         loop = ClosedLoop(robot, controller, gravity=gravity, integrator=integrator, names=names, model=model)
-        for (name, end, _), hover in zip(ends, loop.hovers(dt), strict=True):
+        for (name, end, _), hover in zip(ends, loop.hover_of_each_vehicle(dt), strict=True):
             yield name, end, hover
 
 

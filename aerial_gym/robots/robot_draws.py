@@ -82,7 +82,7 @@ class RobotDraws:
         """
         check_names(cfg, quantity_names(robot, gains=gains))
         self._num_rotors, self._declared = declared.num_rotors, declared
-        self._vehicle = {name: rows[0].tolist() for name, rows in declared.rows().items()}
+        self._vehicle = {name: rows[0].tolist() for name, rows in declared.tensors_by_name().items()}
         self._effects = [effect for effect, _ in effects]
         self._params = [params[0].tolist() for _, params in effects]
         self._gains = {name: rows[0].tolist() for name, rows in gains.items()}

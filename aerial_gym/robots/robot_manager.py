@@ -228,8 +228,8 @@ class RobotManager:
             exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
             self.imu_errors.copy_(imu_errors(exact))
         effects = EffectsByKind(self._effects)  # which the model keeps reading
-        declared = self.declared.rows()
-        changed = {name: rows for name, rows in model.vehicle.rows().items() if rows is not declared[name]}
+        declared = self.declared.tensors_by_name()
+        changed = {name: rows for name, rows in model.vehicle.tensors_by_name().items() if rows is not declared[name]}
         own = {id(rows): own_rows(rows) for rows in changed.values()}  # a tensor with two names stays one tensor
         vehicle = replace(model.vehicle, **{name: own[id(rows)] for name, rows in changed.items()})
         inverse = own_rows(model.inertia_inverse) if "inertia" in changed else model.inertia_inverse
@@ -350,10 +350,10 @@ class RobotManager:
             self._update.mark_written()
         if self._joints is not None:
             self._joints.reset()
-        self.backend.reset(mask)  # uses the draws
+        self.backend.reset_memory(mask)  # uses the draws
         self._refresh_load()
 
     def _refresh_load(self) -> None:
-        load = None if self._load is None else self.backend.load()
+        load = None if self._load is None else self.backend.link_state_of_load()
         if self._load is not None and load is not None:
             self._load.refresh(load)

@@ -10,7 +10,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.physics.model import check_rotors
+from aerial_gym.physics.model import check_effect_on_rotors
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
@@ -155,7 +155,7 @@ def judge_flights(
         DataError: If failures leave no training or no test flight.
     """
     if learn_residual:
-        check_rotors(LearnedResidual, robot.rotor_traits)
+        check_effect_on_rotors(LearnedResidual, robot.rotor_traits)
     flights, off = [*train, *test], tolerances or Tolerances()
     finder = FailureFinder(robot, tolerances=off)
     seen = [failure for flight in flights if (failure := finder.find_first_failure(flight)) is not None]

@@ -292,7 +292,9 @@ def scale_by_env(vehicle: Vehicle) -> Vehicle:
         steps = torch.linspace(0.9, 1.1, rows.shape[0], dtype=rows.dtype)
         return rows * (1.0 + by * (steps - 1.0)).view(-1, *([1] * (rows.dim() - 1)))
 
-    changes = {k: scale_rows(v, 1.0) for k, v in vehicle.rows().items() if k not in ("rotor_axis", "rotor_spin")}
+    changes = {
+        k: scale_rows(v, 1.0) for k, v in vehicle.tensors_by_name().items() if k not in ("rotor_axis", "rotor_spin")
+    }
     changes["com"] = changes["com"] + 0.01
     return replace(vehicle, **changes, rotor_axis=vehicle.rotor_axis.clone(), rotor_spin=vehicle.rotor_spin.clone())
 
@@ -316,7 +318,7 @@ def test_gains_of_each_environment_are_read() -> None:
         mask = torch.ones(8, dtype=torch.bool)
         for k, rows in enumerate(law.gains_by_name.values()):
             rows *= torch.linspace(0.8, 1.2, 24).roll(5 * k).view(8, 3)
-        backend.reset(mask)
+        backend.reset_memory(mask)
         backend.step(state, actions, DT, SUBSTEPS)
         ends.append(state)
     torch.testing.assert_close(ends[1].ang_vel, ends[0].ang_vel, rtol=2e-5, atol=2e-5)

@@ -40,7 +40,7 @@ def assert_rows_alike(
             learned = LearnedResidual(network, dtype=dtype), torch.full((count, 1), 0.7, dtype=dtype)
             model = replace(model, effects=type(model.effects)([*model.effects, learned]))
         if adjust is not None:
-            own = {name: kept[rows].clone() for name, kept in whole.vehicle.rows().items()}
+            own = {name: kept[rows].clone() for name, kept in whole.vehicle.tensors_by_name().items()}
             inverse = whole.inertia_inverse[rows].clone()
             model = replace(model, vehicle=replace(whole.vehicle, **own), inertia_inverse=inverse)
         backend = TorchBackend()

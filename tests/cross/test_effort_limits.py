@@ -129,7 +129,7 @@ def fly(robot: RobotCfg, monkeypatch: pytest.MonkeyPatch) -> dict[str, Residuals
     """Return the largest violations in 0.1 s under commands and thrusts drawn anew every 10 ms; each step also on torch from
     the same start."""
     seen: list[Equations] = []
-    own = steppers._implicit
+    own = steppers._implicit_step
 
     def record_step(tree, state, result, acts, dt):
         seen.append(result)

@@ -17,7 +17,7 @@ from aerial_gym.physics.articulated.dynamics import Equations, equations
 from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.articulated.joint_laws import Effort
 from aerial_gym.physics.articulated.motion import angular_jacobian, point_jacobian
-from aerial_gym.physics.articulated.steppers import _implicit, with_drive
+from aerial_gym.physics.articulated.steppers import _implicit_step, step_within_limits
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import state_for_thrust
@@ -127,9 +127,9 @@ def step_bound(start: Start, first: int) -> Bound:
 
         def step(acts: Effort, swings: TreeState) -> TreeState:
             used.append((acts, equations(tree, links, swings, gravity=gravity, wrench=wrench)))
-            return _implicit(tree, before, used[-1][1], acts, dt)
+            return _implicit_step(tree, before, used[-1][1], acts, dt)
 
-        after = with_drive(step, laws, drive, friction, before, dt)
+        after = step_within_limits(step, laws, drive, friction, before, dt)
         acts, result = used[-1]
         places = result.places
         mass = result.mass + torch.diag_embed(

@@ -10,8 +10,8 @@ from torch import Tensor
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
-from aerial_gym.physics.effects import Condition, EffectsByKind, Moment, Parameter, RotorEffect, WrenchEffect
-from aerial_gym.physics.effects.track import FlightTrack, relax
+from aerial_gym.physics.effects import Condition, EffectsByKind, Parameter, RotorEffect, SubstepStart, WrenchEffect
+from aerial_gym.physics.effects.track import RotorSpeedsOfFlight, relax
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
@@ -36,11 +36,11 @@ class DuctEffect(RotorEffect, WrenchEffect):
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         return torch.nn.functional.pad((params[:, 1] * params[:, 2]).unsqueeze(1), (0, 5))
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         mean = moment.rotor_speed.mean(dim=1, keepdim=True)
         return mean + (values[:, 2:] - mean) * torch.exp(-moment.dt / TAU)
 
-    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
+    def replay(self, track: RotorSpeedsOfFlight, params: Tensor) -> Tensor:
         rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()
         return torch.from_numpy(relax(rest, rest[0], tau=TAU, step=track.step))
 

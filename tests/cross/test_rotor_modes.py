@@ -32,7 +32,7 @@ def by_env(rows: Tensor) -> Tensor:
 def make_model(robot: RobotCfg, dtype: torch.dtype, *, vary: bool, effects: tuple[str, ...]):
     vehicle = declared = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     if vary:
-        kept = {name: rows for name, rows in vehicle.rows().items() if name in ("rotor_axis", "rotor_spin")}
+        kept = {name: rows for name, rows in vehicle.tensors_by_name().items() if name in ("rotor_axis", "rotor_spin")}
         vehicle = replace(vehicle.map_rows(by_env), **kept)
     rows = strong_effects(effects, robot, NUM_ENVS, dtype=dtype)
     return build_model(vehicle, rows, ceiling_height=1.0), declared

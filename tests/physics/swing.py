@@ -9,7 +9,7 @@ from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics import INTEGRATORS, BodyState
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.integrators import MassState, to_body_state, to_mass_state
-from aerial_gym.physics.memory import Memory, begin_substep, end_substep, load_state, make_memory
+from aerial_gym.physics.memory import Memory, begin_substep, end_substep, link_state_of_load, make_memory
 from aerial_gym.physics.model import Model
 
 MASS, LENGTH, DAMPING = 0, 1, 2
@@ -21,7 +21,9 @@ def fly_remembering(
 ) -> tuple[BodyState, Memory]:
     for command in commands:
         now, followed, memory = begin_substep(model, memory, state.rotor_speed, command, dt)
-        after = INTEGRATORS[integrator](now, to_mass_state(model, state, load_state(model, memory)), followed, dt)
+        after = INTEGRATORS[integrator](
+            now, to_mass_state(model, state, link_state_of_load(model, memory)), followed, dt
+        )
         state, memory = to_body_state(model, after), end_substep(memory, after.load)
     return state, memory
 
@@ -31,7 +33,7 @@ def fly_load(
 ) -> tuple[BodyState, Tensor]:
     memory = replace(make_memory(model, span / steps), numbers=load)
     end, memory = fly_remembering(model, memory, state, [state.rotor_speed] * steps, span / steps, integrator)
-    return end, load_state(model, memory)
+    return end, link_state_of_load(model, memory)
 
 
 def momentum_energy(model: Model, state: BodyState, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -13,9 +13,9 @@ from torch import Tensor
 from aerial_gym.config.robot import MountCfg, MountsCfg, RobotCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import EFFECTS, Model, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.effects import Condition, EffectsByKind, Moment, WrenchEffect
+from aerial_gym.physics.effects import Condition, EffectsByKind, SubstepStart, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import LARGEST_ANGLE, ArmJoint
-from aerial_gym.physics.memory import make_memory, place_memory
+from aerial_gym.physics.memory import make_memory, replace_memory
 from aerial_gym.physics.rigid_body import condition_in
 from tests.physics.swing import fly_remembering
 from tests.physics.vehicles import F64, asymmetric_robot, random_state, rest_state
@@ -88,7 +88,7 @@ def test_without_a_lag_arms_rest_under_the_thrust_at_once() -> None:
     """tau -> 0: after any substep the angle is C f l."""
     model = make_model(cross_robot(), ("joint_spring", (0.3, 1e-9, 0.0)))
     speed = torch.full((1, 4), 1500.0, dtype=F64)
-    now = Moment(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=1e-3, vehicle=model.vehicle)
+    now = SubstepStart(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=1e-3, vehicle=model.vehicle)
     values = torch.cat((model.effects[WrenchEffect][0][1], torch.full((1, 4), 0.4, dtype=F64)), dim=1)
     result = joint("joint_spring").remember(now, values)
     torch.testing.assert_close(result, torch.full((1, 4), 0.3 * 2.25 * 0.2, dtype=F64), atol=0.0, rtol=1e-12)
@@ -168,7 +168,7 @@ def test_the_angle_of_a_substep_is_that_of_its_middle() -> None:
     for step in range(200):
         start = step * dt
         speed = torch.full((1, 4), start / 1e-6, dtype=F64).sqrt()
-        now = Moment(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=dt, vehicle=model.vehicle)
+        now = SubstepStart(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=dt, vehicle=model.vehicle)
         angles = joint("joint_spring").remember(now, torch.cat((model.effects[WrenchEffect][0][1], angles), dim=1))
     missed = compliance * 0.2 * (start + 0.5 * dt - tau) - angles
     expected = torch.full_like(missed, compliance * 0.2 * dt**2 / (12.0 * tau))
@@ -183,7 +183,7 @@ def test_a_single_state_tells_the_force_if_the_angles_are_given() -> None:
         accelerations(model, state)
     angles = torch.tensor([[0.1, 0.2, 0.3, -0.1]], dtype=F64)
     result = accelerations(model, state, remembered={"joint_spring": angles})
-    memory = place_memory(model, make_memory(model, 1e-9), {"joint_spring": angles})
+    memory = replace_memory(model, make_memory(model, 1e-9), {"joint_spring": angles})
     slow = replace(model, effects=EffectsByKind(((joint("joint_spring"), torch.tensor([[0.3, 1e3, 0.4]], dtype=F64)),)))
     after, _ = fly_remembering(slow, memory, state, [state.rotor_speed], 1e-6, "euler")
     torch.testing.assert_close((after.ang_vel - state.ang_vel) / 1e-6, result.ang_acc, atol=1e-3, rtol=1e-4)
@@ -194,7 +194,7 @@ def test_memory_is_placed_by_name() -> None:
         asymmetric_robot(), ("joint_spring", (0.3, 0.02, 0.4)), ("joint_creep", (0.3, 2.0, 0.4)), num_envs=2
     )
     angles = torch.arange(8.0, dtype=F64).view(2, 4)
-    placed = place_memory(model, make_memory(model, 0.01), {"joint_creep": angles}).numbers
+    placed = replace_memory(model, make_memory(model, 0.01), {"joint_creep": angles}).numbers
     assert torch.equal(placed, torch.cat((torch.zeros(2, 4, dtype=F64), angles), dim=1))
 
 

@@ -86,7 +86,7 @@ def test_a_condition_follows_from_nothing_else_of_the_vehicle() -> None:
     model = make_model({})
     vehicle, seen = model.vehicle, make_condition(model)
     names = ("position", "air_velocity", "rotor_thrust", "lever", "axis", "hub_velocity", "hub_altitude", "wake_room")
-    for field, rows in vehicle.rows().items():
+    for field, rows in vehicle.tensors_by_name().items():
         other = replace(vehicle, **{field: rows + 0.1 * (1.0 + rows.abs())})
         moved = make_condition(replace(model, vehicle=other))
         if field not in MOVES_OF_VEHICLE:

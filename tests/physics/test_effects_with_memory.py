@@ -26,7 +26,7 @@ from aerial_gym.physics import (
     build_model,
 )
 from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
-from aerial_gym.physics.memory import begin_substep, end_substep, load_state, make_memory
+from aerial_gym.physics.memory import begin_substep, end_substep, forget, link_state_of_load, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
@@ -177,7 +177,7 @@ def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> N
     for _ in range(round(1.0 / dt) + 1):
         _, _, memory = begin_substep(model, memory, rotors, rotors, dt)
         winds.append(memory.numbers)
-        memory = end_substep(memory, load_state(model, memory))
+        memory = end_substep(memory, link_state_of_load(model, memory))
     back = round(0.4 / dt)
     for wind in (winds[0], winds[-1]):
         assert (wind.mean(0).abs() < 5.0 * std / sqrt(num)).all()
@@ -197,7 +197,7 @@ def test_a_random_force_is_uniform_and_held_for_its_interval(dt: float, hold: fl
     for _ in range(3 * substeps):
         _, _, memory = begin_substep(model, memory, rotors, rotors, dt)
         forces.append(memory.numbers / largest)
-        memory = end_substep(memory, load_state(model, memory))
+        memory = end_substep(memory, link_state_of_load(model, memory))
     for i, force in enumerate(forces):
         assert torch.equal(force, forces[i - i % substeps])
     for i in range(0, 3 * substeps, substeps):
@@ -265,7 +265,7 @@ def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backe
         reset.step(begun, actions, 0.004, 5)
     mask = torch.tensor([True, False, True, False])
     chance.begin(mask)
-    reset.reset(mask)
+    reset.reset_memory(mask)
     for tensor, first in zip(begun.tensors(), start, strict=True):
         tensor[mask] = first[mask]
     fresh = backend()
@@ -331,7 +331,7 @@ def test_gradients_end_at_a_reset() -> None:
         end = backend.advance(start, command, 0.004, 6)
         end.rotor_speed.sum().backward()
         grads.append(command.grad)
-        backend.reset(torch.ones(4, dtype=torch.bool))
+        backend.reset_memory(torch.ones(4, dtype=torch.bool))
     torch.testing.assert_close(grads[0], grads[1], atol=0.0, rtol=1e-12)
 
 

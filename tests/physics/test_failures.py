@@ -134,7 +134,7 @@ def test_a_reset_mends_the_masked_rows_until_their_moment(name: str, backend: ty
     for _ in range(6):
         kept.step(flown, told, 0.005, 5)
         reset.step(begun, told, 0.005, 5)
-    reset.reset(mask)
+    reset.reset_memory(mask)
     begun.rotor_speed[mask] = START
     for _ in range(2):
         kept.step(flown, told, 0.005, 5)
@@ -154,7 +154,7 @@ def test_as_declared_nothing_fails(name: str) -> None:
     torch.testing.assert_close(
         end.rotor_speed, torch.full((1, 4), lag_speed(START, TOLD, 0.2), dtype=F64), atol=1e-9, rtol=0
     )
-    assert not effect.is_selectable
+    assert not effect.is_candidate_of_selection
 
 
 @pytest.mark.parametrize(("moment", "last_whole"), [(0.0124, 2), (0.0126, 3)])

@@ -163,7 +163,7 @@ def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
     assert {name for name in EFFECTS.names() if EFFECTS.get(name).medium == "water"} == {
         "added_inertia", "added_mass", "buoyancy", "hull_drag", "link_added_mass", "link_buoyancy",
     }  # fmt: skip
-    assert not any(EFFECTS.get(name).is_selectable for name in ("added_mass", "hull_drag", "gusts"))
+    assert not any(EFFECTS.get(name).is_candidate_of_selection for name in ("added_mass", "hull_drag", "gusts"))
     twice = make_effects({"added_mass": ADDED}, 1) * 2
     with pytest.raises(ConfigError, match="a vehicle has one fluid at most"):
         build_model(vehicle_from_config(ROBOTS.get("lmf1"), num_envs=1, dtype=F64), twice)

@@ -22,7 +22,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight.loop import (
     THROTTLE_STEP,
     actual_rate,
-    integral_share,
+    anti_windup_factor,
     mix_signals,
     throttle_attenuation,
 )
@@ -73,7 +73,7 @@ class BetaflightController(StatefulController):
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds [rad/s], (E, R), for thrust per weight and body rates, (E, 4)."""
-        gains, own, span = self.gains, self._own, self.timing.loop_span
+        gains, own, span = self.gains, self._own, self.timing.inner_period
         integral, *filtered, slow, eased, before, used = memory.split(PARTS, dim=-1)
         rate, seen = state.ang_vel, state.ang_vel
         for number, low_pass in enumerate((*self.filters.gyro, *self.filters.derivative)):
@@ -88,7 +88,7 @@ class BetaflightController(StatefulController):
         eased = torch.where(begins, wanted, eased + self.filters.relax * (wanted - eased))
         change = torch.where(begins, 0.0, (wanted - before) / span)
         relaxed = {"OFF": (0.0, 0.0, 0.0), "RP": (1.0, 1.0, 0.0), "RPY": (1.0, 1.0, 1.0)}[own.iterm_relax]
-        share = integral_share((wanted - eased) * wanted.new_tensor(relaxed), used, own.iterm_windup / 100.0)
+        share = anti_windup_factor((wanted - eased) * wanted.new_tensor(relaxed), used, own.iterm_windup / 100.0)
         integral = integral + share * gains.integral * error * span
         integral = integral.clamp(-gains.integral_limit, gains.integral_limit)
         throttle = self._signal(self.allocation.speed(setpoint[:, :1] * gains.weight * self.allocation.inverse[..., 2]))

@@ -36,7 +36,7 @@ def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) ->
     return (center * stick + (largest - center).clamp_min(0.0) * bent).clamp(-RATE_LIMIT, RATE_LIMIT)
 
 
-def integral_share(change: Tensor, used: Tensor, windup: float) -> Tensor:
+def anti_windup_factor(change: Tensor, used: Tensor, windup: float) -> Tensor:
     """Return the anti-windup factor on the growth of the integrals, (E, 3), 0 to 1.
 
     Args:

@@ -14,7 +14,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.filters.biquad import Biquad, butterworth
-from aerial_gym.control.gains import loop_spacing, make_gains
+from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
 from aerial_gym.control.px4.rates import smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
@@ -76,7 +76,13 @@ def derive_parameters(
     the a of that module.
     """
     base = make_gains(
-        cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
+        cfg,
+        control,
+        vehicle,
+        allocation,
+        gravity=gravity,
+        dt=timing.loop * timing.dt,
+        extra_lag=timing.lag_between_levels,
     )
     inverse = allocation.inverse[0].detach()
     largest = inverse[:, 3:].abs().amax(0)
@@ -89,11 +95,11 @@ def derive_parameters(
     rate, inertia = base.rate[0], vehicle.inertia[0].diagonal()
     turns = (rate > 0.0) & (unit > 0.0)
     some = torch.where(turns, unit, 1.0)
-    slow = loop_spacing(control.phase_margin) ** 2
+    slow = frequency_ratio_of_loop(control.phase_margin) ** 2
     derived = {"p": torch.where(turns, rate / some, 0.0)}
     derived["i"] = torch.where(turns, rate.square() / inertia / slow / some, 0.0)
 
-    row = vehicle.share
+    row = vehicle.rows_for_all_envs
 
     def gain(name: str) -> Tensor:
         given = [getattr(own, f"{name}_{axis}") for axis in AXES]

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
 from aerial_gym.control.lee import LEAST_LIFT, limit_inclination
-from aerial_gym.control.reduced_attitude import shortest_turn, tilt_first_error, up_axis
+from aerial_gym.control.reduced_attitude import shortest_turn, tilt_first_error, unit_z
 from aerial_gym.math.quaternion import quat_from_yaw, quat_multiply, quat_rotate
 from aerial_gym.physics.state import BodyState
 
@@ -63,7 +63,7 @@ def outer_loop(
     wanted = gains.position * error + gains.velocity * drift + weight
     if max_inclination is not None:
         wanted = limit_inclination(wanted, torch.full_like(wanted[:, 2], LEAST_LIFT * gravity), tan(max_inclination))
-    up = up_axis(wanted)
+    up = unit_z(wanted)
     collective = wanted[:, 2:] / quat_rotate(state.attitude, up)[:, 2:]
     collective = collective.clamp(gains.least_thrust, gains.most_thrust)
     turn, _ = shortest_turn(up, wanted / wanted.norm(dim=-1, keepdim=True))

@@ -26,8 +26,8 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie import brescianini, geometric, mellinger, pid
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, rotor_counts
 from aerial_gym.control.crazyflie.parameters import (
-    CountGains,
-    NominalGains,
+    GainsOfVehicle,
+    GainsOfVehicleInCounts,
     brescianini_gains,
     integral_gains,
     mellinger_gains,
@@ -48,7 +48,7 @@ class _Crazyflie(StatefulController):
     _widths: tuple[int, int]
     """Numbers of memory of the inner and the outer level."""
 
-    _derived_type: type[NominalGains] = NominalGains
+    _derived_type: type[GainsOfVehicle] = GainsOfVehicle
     """Type of the derived gains."""
 
     _make_gains: Callable[[Any, Any], Any]
@@ -71,8 +71,8 @@ class _Crazyflie(StatefulController):
 class _CrazyflieInCounts(_Crazyflie):
     """Common part of controllers with output in counts: the power distribution."""
 
-    _derived_type = CountGains
-    _derived: CountGains
+    _derived_type = GainsOfVehicleInCounts
+    _derived: GainsOfVehicleInCounts
 
     def _speeds(self, thrust: Tensor, moment: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), for a thrust (E, 1) and moments (E, 3) [counts]."""
@@ -102,7 +102,7 @@ class MellingerController(_CrazyflieInCounts):
             memory,
             self.gains,
             gravity=self._derived.gravity,
-            dt=self.timing.loop_span,
+            dt=self.timing.inner_period,
             max_inclination=self._derived.tilt,
         )
         return self._speeds(thrust, moment), memory
@@ -122,13 +122,13 @@ class PidController(_CrazyflieInCounts):
 
     def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return thrust [counts], roll, pitch and yaw [deg], (E, 4), for position [m] and yaw [rad]."""
-        wanted, memory = pid.outer_loop(state, action[:, :3], memory, self.gains, dt=self.timing.law_span)
+        wanted, memory = pid.outer_loop(state, action[:, :3], memory, self.gains, dt=self.timing.outer_period)
         return torch.cat((wanted, degrees(1.0) * action[:, 3:]), dim=-1), memory
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for thrust and angles."""
         memory = torch.where(begins, pid.memory_of_first_run(state), memory)
-        moment, memory = pid.inner_loop(state, setpoint[:, 1:], memory, self.gains, dt=self.timing.loop_span)
+        moment, memory = pid.inner_loop(state, setpoint[:, 1:], memory, self.gains, dt=self.timing.inner_period)
         return self._speeds(setpoint[:, :1], moment), memory
 
 
@@ -139,7 +139,7 @@ class CrazyflieLeeController(_Crazyflie):
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for position [m] and yaw [rad], (E, 4)."""
-        target, span = target_at_rest(setpoint), self.timing.loop_span
+        target, span = target_at_rest(setpoint), self.timing.inner_period
         thrust, torque, memory = geometric.geometric_control(state, target, memory, self.gains, dt=span)
         return self.allocation.speed_for_wrench(thrust_wrench(thrust, torque)), memory
 

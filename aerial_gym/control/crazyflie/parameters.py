@@ -21,7 +21,7 @@ from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, rotor_signs, 
 from aerial_gym.control.crazyflie.geometric import IntegralGains
 from aerial_gym.control.crazyflie.mellinger import MellingerGains
 from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
-from aerial_gym.control.gains import loop_spacing, make_gains
+from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
 from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.vehicle import Vehicle
@@ -33,7 +33,7 @@ LEAST_OF_HOVER = 5.0 / 9.0
 """Least thrust as a share of hover thrust: 20000 of 36000 counts of a Crazyflie."""
 
 
-class NominalGains:
+class GainsOfVehicle:
     """Derived gains of a declared vehicle, as rows for all environments."""
 
     def __init__(
@@ -41,10 +41,16 @@ class NominalGains:
         timing: Timing,
     ) -> None:  # fmt: skip
         base: LeeGains = make_gains(
-            cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
+            cfg,
+            control,
+            vehicle,
+            allocation,
+            gravity=gravity,
+            dt=timing.loop * timing.dt,
+            extra_lag=timing.lag_between_levels,
         )
-        self.base, self.vehicle, self.slow = base, vehicle, loop_spacing(control.phase_margin) ** 2
-        self.row = vehicle.share
+        self.base, self.vehicle, self.slow = base, vehicle, frequency_ratio_of_loop(control.phase_margin) ** 2
+        self.row = vehicle.rows_for_all_envs
         self.authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity)  # [N m]
         self.mass, self.most_thrust = float(vehicle.mass[0]), allocation.largest_thrust()  # [kg], [N]
         self.gravity, self.tilt = base.gravity, base.max_inclination
@@ -63,7 +69,7 @@ class NominalGains:
         return self.row([float(d) if g is None else g for g, d in zip((xy, xy, z), derived, strict=True)])
 
 
-class CountGains(NominalGains):
+class GainsOfVehicleInCounts(GainsOfVehicle):
     """Derived gains with torques in counts."""
 
     def __init__(
@@ -94,7 +100,7 @@ def _pid_level(proportional: Tensor, integral: Tensor, derivative: Tensor, limit
     )
 
 
-def mellinger_gains(own: MellingerCfg, derived: CountGains) -> MellingerGains:
+def mellinger_gains(own: MellingerCfg, derived: GainsOfVehicleInCounts) -> MellingerGains:
     """Return the gains of ``crazyflie_mellinger_control``, the same in all environments."""
     axes, mass = derived.axis_gains, derived.mass if own.mass is None else own.mass
     none = torch.zeros(3)
@@ -114,7 +120,7 @@ def mellinger_gains(own: MellingerCfg, derived: CountGains) -> MellingerGains:
     )
 
 
-def pid_gains(own: CrazyfliePidCfg, derived: CountGains) -> PidGains:
+def pid_gains(own: CrazyfliePidCfg, derived: GainsOfVehicleInCounts) -> PidGains:
     """Return the gains of ``crazyflie_pid_control``, the same in all environments."""
     given, row = derived.explicit_or_derived, derived.row
     tilting = degrees(1.0) / derived.gravity * derived.velocity
@@ -144,7 +150,7 @@ def pid_gains(own: CrazyfliePidCfg, derived: CountGains) -> PidGains:
     )
 
 
-def integral_gains(own: CrazyflieLeeCfg, derived: NominalGains) -> IntegralGains:
+def integral_gains(own: CrazyflieLeeCfg, derived: GainsOfVehicle) -> IntegralGains:
     """Return the gains of ``crazyflie_lee_control``, the same in all environments; integral gains only if given."""
     given, mass, base = derived.explicit_or_derived, derived.mass if own.mass is None else own.mass, derived.base
     position, attitude = given(own.Kpos_P, derived.position), given(own.KR, derived.attitude)
@@ -171,7 +177,7 @@ def integral_gains(own: CrazyflieLeeCfg, derived: NominalGains) -> IntegralGains
     )
 
 
-def brescianini_gains(own: BrescianiniCfg, derived: NominalGains) -> BrescianiniGains:
+def brescianini_gains(own: BrescianiniCfg, derived: GainsOfVehicle) -> BrescianiniGains:
     """Return the gains of ``crazyflie_brescianini_control``, the same in all environments.
 
     Roll and pitch share the slower of their time constants. Heading has none: its share of the attitude error slows it down.

@@ -21,10 +21,10 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import from_vehicle_frame, thrust_wrench
 from aerial_gym.control.px4.attitude import attitude_from_thrust, rate_setpoint
 from aerial_gym.control.px4.mixer import mix
-from aerial_gym.control.px4.parameters import derive_parameters, make_filters, thrust_curve
+from aerial_gym.control.px4.parameters import derive_parameters, make_filters, signal_of_thrust_share
 from aerial_gym.control.px4.position import limit_velocity, velocity_control
 from aerial_gym.control.px4.rates import RATE_NUMBERS, rate_torque, update_integral
-from aerial_gym.control.reduced_attitude import forward_axis
+from aerial_gym.control.reduced_attitude import unit_x
 from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.timing import make_timing
 from aerial_gym.errors import ConfigError
@@ -75,7 +75,7 @@ class Px4Controller(StatefulController):
             rates = self._rate_setpoint(state, wanted, action[:, 3])
             return torch.cat((thrust, rates), dim=-1), torch.zeros_like(memory)
         if self._law == "velocity":
-            heading, yaw_rate = from_vehicle_frame(state.attitude, forward_axis(action)), action[:, 3]
+            heading, yaw_rate = from_vehicle_frame(state.attitude, unit_x(action)), action[:, 3]
             velocity = from_vehicle_frame(state.attitude, action[:, :3])
         else:
             yaw = action[:, 3]
@@ -88,7 +88,7 @@ class Px4Controller(StatefulController):
     def _thrust(self, state: BodyState, velocity: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return the thrust [-], world, (E, 3), for a velocity setpoint [m/s], world, and the new memory, (E, 9)."""
         integral, before, smooth = memory.split(3, dim=-1)
-        span = self.timing.law_span
+        span = self.timing.outer_period
         measured = torch.where(begins, 0.0, (state.lin_vel - before) / span)
         smooth = smooth + self.filters.acceleration * (measured - smooth)
         error = limit_velocity(velocity, self.gains.position) - state.lin_vel
@@ -103,7 +103,7 @@ class Px4Controller(StatefulController):
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds [rad/s], (E, R), for normalised thrust and body rates, (E, 4)."""
-        gains, filters, span = self.gains, self.filters, self.timing.loop_span
+        gains, filters, span = self.gains, self.filters, self.timing.inner_period
         sizes = (3, 3, 3, 6, 3, 1, *[6] * len(filters.notches))
         integral, ang_acc, before, low_pass, short, yaw, *notched = memory.split(sizes, dim=-1)
         rate = state.ang_vel
@@ -143,7 +143,7 @@ class Px4Controller(StatefulController):
         """Return the rotor speeds [rad/s] of thrusts [N] within their limits, (E, R), by PX4's thrust curve."""
         if self._factor is None:
             return self.allocation.speed_within_limits(thrust)
-        return self._low + self._span * thrust_curve((thrust / self._full).clamp(0.0, 1.0), self._factor)
+        return self._low + self._span * signal_of_thrust_share((thrust / self._full).clamp(0.0, 1.0), self._factor)
 
 
 def _require_speed_rotors(px4: Px4Cfg, vehicle: Vehicle) -> None:

@@ -14,7 +14,7 @@ from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import Biquad, butterworth, notch
-from aerial_gym.control.gains import loop_spacing, make_gains
+from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
 from aerial_gym.control.px4.position import PositionGains
 from aerial_gym.control.px4.rates import smoothing_coefficient
 from aerial_gym.control.timing import Timing
@@ -95,7 +95,7 @@ def _tilt_scale(column: Tensor) -> float:
     return float((turning.square().sum() / (0.5 * max(len(turning), 1))).sqrt())
 
 
-def thrust_curve(share: Tensor, factor: float) -> Tensor:
+def signal_of_thrust_share(share: Tensor, factor: float) -> Tensor:
     """Return the motor signal s, 0 to 1, of a share of the full thrust in PX4's model: ``f s² + (1 - f) s = share``.
 
     Source: PX4, THR_MDL_FAC, ``FunctionMotors::updateValues``.
@@ -120,11 +120,17 @@ def derive_parameters(
         ConfigError: If the limits exclude hover thrust.
     """
     base = make_gains(
-        cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
+        cfg,
+        control,
+        vehicle,
+        allocation,
+        gravity=gravity,
+        dt=timing.loop * timing.dt,
+        extra_lag=timing.lag_between_levels,
     )
     _require_lift(cfg.law, allocation)
     torque, thrust = unit_wrench(allocation)
-    inertia, slow = vehicle.inertia[0].diagonal(), loop_spacing(control.phase_margin) ** 2
+    inertia, slow = vehicle.inertia[0].diagonal(), frequency_ratio_of_loop(control.phase_margin) ** 2
     rate = base.rate[0]
     turns = (rate > 0.0) & (torque > 0.0)
     some, unit = torch.where(turns, rate, 1.0), torch.where(turns, torque, 1.0)
@@ -135,12 +141,12 @@ def derive_parameters(
         "LIM": torch.where(turns, INTEGRAL_SHARE * authority / unit, 0.0),
         "ANGLE": torch.where(turns, base.attitude[0] / some, 0.0),
     }
-    row = vehicle.share
+    row = vehicle.rows_for_all_envs
     scale = [getattr(px4, f"MC_{axis}RATE_K") for axis in _AXES]
 
     def rate_parameter(name: str, derived: Tensor | None = None) -> Tensor:
         named = [getattr(px4, f"MC_{axis}RATE_{name}") for axis in _AXES]
-        return row(_parameters_or_defaults(named, derived)) * row(scale) if name != "FF" else row(named)
+        return row(_explicit_or_derived(named, derived)) * row(scale) if name != "FF" else row(named)
 
     velocity, position = base.velocity[0], base.position[0] / base.velocity[0]
     return Px4Gains(
@@ -148,8 +154,8 @@ def derive_parameters(
         rate_integral=rate_parameter("I", known["I"]),
         rate_derivative=rate_parameter("D"),
         rate_forward=rate_parameter("FF"),
-        integral_limit=row(_parameters_or_defaults([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
-        attitude=row(_parameters_or_defaults([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
+        integral_limit=row(_explicit_or_derived([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
+        attitude=row(_explicit_or_derived([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
         rate_limit=row([radians(getattr(px4, f"MC_{axis}RATE_MAX")) for axis in _AXES]),
         yaw_weight=row([px4.MC_YAW_WEIGHT]),
         unit_torque=row(torque),
@@ -173,7 +179,7 @@ def _position_gains(
 ) -> PositionGains:  # fmt: skip
     def axis_values(name: str, derived: Tensor | None = None) -> Tensor:
         flat, up = (getattr(px4, f"MPC_{axis}_{name}") for axis in ("XY", "Z"))
-        return _parameters_or_defaults([flat, flat, up], derived)
+        return _explicit_or_derived([flat, flat, up], derived)
 
     speed, reach = axis_values("VEL_P_ACC", velocity), axis_values("P", position)
     least = min(LEAST_THRUST, LEAST_SHARE * hover) if px4.MPC_THR_MIN is None else px4.MPC_THR_MIN
@@ -238,7 +244,7 @@ def make_filters(px4: Px4Cfg, timing: Timing) -> Px4Filters:
     )
 
 
-def _parameters_or_defaults(named: list[float | None], derived: Tensor | None = None) -> Tensor:
+def _explicit_or_derived(named: list[float | None], derived: Tensor | None = None) -> Tensor:
     """Return the given numbers, with derived ones in place of None, (3,)."""
     if derived is None:
         return torch.tensor(named, dtype=torch.float64)

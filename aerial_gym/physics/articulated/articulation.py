@@ -15,7 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
 from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, JointLimits, Spring, dry_friction
-from aerial_gym.physics.articulated.motion_check import check_motions
+from aerial_gym.physics.articulated.motion_check import check_motion_inertias
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
@@ -133,7 +133,7 @@ class Articulation:
         return end + (crept - end) * torch.exp(-dt / self.creep_time)
 
     @property
-    def resistance(self) -> Drive | None:
+    def dry_friction_law(self) -> Drive | None:
         """Dry friction; None without friction."""
         return dry_friction(self.friction) if self.rubs else None
 
@@ -261,7 +261,7 @@ def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
             "no body has. body.inertia is that of the whole vehicle in its reference pose, about its centre of mass"
         )
     held = (exact.spring.stiffness + exact.spring.damping)[0] + exact.creep_stiffness.sum(0) > 0.0
-    check_motions(exact.tree, links, exact.reference, held, exact.names)
+    check_motion_inertias(exact.tree, links, exact.reference, held, exact.names)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,7 +104,7 @@ class LimitState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Point:
+class _StepEnd:
     """Rates at the end of a step, and the efforts of the step."""
 
     rate: Tensor  # [rad/s] or [m/s], (E, D)
@@ -155,7 +155,7 @@ class ComplementarityProblem:
             now = self._is_solved(side, end)
             share = torch.where(now, 1.0, self._line_search(at, end))
             share = torch.where(solved, 0.0, share).unsqueeze(-1)
-            at = _Point(**{name: torch.lerp(a, getattr(end, name), share) for name, a in vars(at).items()})
+            at = _StepEnd(**{name: torch.lerp(a, getattr(end, name), share) for name, a in vars(at).items()})
             solved = solved | now
         return self._within_limits(step, at.rate, solved)
 
@@ -169,17 +169,17 @@ class ComplementarityProblem:
     def _make_state(self, side: Tensor) -> LimitState:
         return LimitState(side=side, effort=torch.zeros_like(side), is_held=torch.zeros_like(side[:, :1, :1]).bool())
 
-    def _tangent_step(self, step: EffortStep, side: Tensor) -> _Point:
+    def _tangent_step(self, step: EffortStep, side: Tensor) -> _StepEnd:
         """Return the end of a step in which each law is at its limit or unlimited, by ``side``."""
         bounded = self._make_state(side)
         end = step(self.total(bounded))
-        return _Point(rate=end.joint_vel, effort=self.law_efforts(bounded, end).sum(1))
+        return _StepEnd(rate=end.joint_vel, effort=self.law_efforts(bounded, end).sum(1))
 
-    def _is_solved(self, side: Tensor, end: _Point) -> Tensor:
+    def _is_solved(self, side: Tensor, end: _StepEnd) -> Tensor:
         """Return whether the limited laws at the end of a step equal those of the step, (E,)."""
         return (side == self.laws.side(end.rate)).flatten(1).all(1)
 
-    def _line_search(self, start: _Point, end: _Point) -> Tensor:
+    def _line_search(self, start: _StepEnd, end: _StepEnd) -> Tensor:
         """Return the minimum of the convex function between ``start`` and ``end``, as a share in [0, 1], (E,).
 
         Its slope rises along the line, and is linear between the points where a law reaches or leaves a limit.

@@ -18,7 +18,7 @@ from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_i
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.link_fluid import LinkFluid
-from aerial_gym.physics.articulated.motion import move_links, place_links, turn_links
+from aerial_gym.physics.articulated.motion import move_links, place_links, rotations_to_base
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.backend import Capabilities
@@ -76,7 +76,7 @@ def articulated_step(
         dt,
         gravity=model.gravity,
         drive=articulation.drive(joint_command),
-        friction=articulation.resistance,
+        friction=articulation.dry_friction_law,
         wrench=link_wrenches(model, articulation, before, rotor_speed, rotor_acc),
         damping=link_damping(model, articulation, links, before),
         fluid=link_fluid(model, links, before),
@@ -144,7 +144,7 @@ def _hub_wrenches(
     tree, turn = articulation.tree, state.attitude
     places = place_links(tree, articulation.links(model.vehicle), state.joint_pos)
     motion = move_links(tree, places, quat_rotate_inverse(turn, state.lin_vel - wind), state.ang_vel, state.joint_vel)
-    attitudes = turn_links(tree, state.joint_pos)
+    attitudes = rotations_to_base(tree, state.joint_pos)
     thrust, on_links = [turn.new_zeros(len(turn))] * len(articulation.rotor_links), []
     for link in range(tree.num_links):
         rotors = list(articulation.link_rotors(link))
@@ -217,7 +217,7 @@ def link_fluid(model: Model, links: Links, state: TreeState) -> LinkFluid | None
     return LinkFluid(added=added, wind=_wind(model, state))
 
 
-def check_jointed(integrator: str, ground: Ground | None, able: Capabilities) -> None:
+def check_integrator_and_ground(integrator: str, ground: Ground | None, able: Capabilities) -> None:
     """Raise ``CapabilityError`` for an integrator or ground that a backend does not support with joints."""
     if integrator != "euler":
         raise CapabilityError(

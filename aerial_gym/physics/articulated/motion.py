@@ -63,7 +63,7 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> LinkPoses:
     )
 
 
-def turn_links(tree: Tree, joint_pos: Tensor) -> Tensor:
+def rotations_to_base(tree: Tree, joint_pos: Tensor) -> Tensor:
     """Return the rotation from each link to the base as quaternions, xyzw, (E, L, 4), for joint coordinates (E, D)."""
     attitudes = [joint_pos.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(joint_pos.shape[0], 4)]
     for k, joint in enumerate(tree.joints):
@@ -85,7 +85,7 @@ def angular_jacobian(tree: Tree, places: LinkPoses) -> Tensor:
     """Return the angular Jacobian: angular velocity of each link per coordinate of motion, (E, L, 3, N)."""
     like, num_envs = places.axis, places.axis.shape[0]
     base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
-    turns = _of_joints(tree, like, "revolute").unsqueeze(2) * places.axis.transpose(1, 2).unsqueeze(1)
+    turns = _mask_of_joints(tree, like, "revolute").unsqueeze(2) * places.axis.transpose(1, 2).unsqueeze(1)
     return torch.cat((torch.zeros_like(base), base, turns), dim=-1)
 
 
@@ -96,8 +96,8 @@ def point_jacobian(tree: Tree, places: LinkPoses, points: Tensor) -> Tensor:
     lever = points.unsqueeze(2) - places.origin[:, 1:].unsqueeze(1)  # (E, L, D, 3)
     swept = cross(places.axis.unsqueeze(1).expand_as(lever), lever)
     slid = places.axis.unsqueeze(1).expand_as(lever)
-    joints = _of_joints(tree, like, "revolute").unsqueeze(-1) * swept
-    joints = joints + _of_joints(tree, like, "prismatic").unsqueeze(-1) * slid
+    joints = _mask_of_joints(tree, like, "revolute").unsqueeze(-1) * swept
+    joints = joints + _mask_of_joints(tree, like, "prismatic").unsqueeze(-1) * slid
     return torch.cat((base, -_skew(points), joints.transpose(2, 3)), dim=-1)
 
 
@@ -143,7 +143,7 @@ def move_links(tree: Tree, places: LinkPoses, lin_vel: Tensor, ang_vel: Tensor, 
     )
 
 
-def _of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
+def _mask_of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
     """Return a mask with 1 for each joint of a kind that moves a link, (1, L, D)."""
     rows = [
         [float(moves and joint.kind == kind) for moves, joint in zip(row, tree.joints, strict=True)]

@@ -17,7 +17,7 @@ PLACES = 2.0**-24
 """Round-off of a position in float32; an inertia with a lever of that share of the vehicle's size is unknown."""
 
 
-def check_motions(tree: Tree, links: Links, reference: Tensor, held: Tensor, names: tuple[str, ...]) -> None:
+def check_motion_inertias(tree: Tree, links: Links, reference: Tensor, held: Tensor, names: tuple[str, ...]) -> None:
     """Raise ``ConfigError`` for a motion of the vehicle without inertia in its reference pose.
 
     The mass matrix is scaled by the inertia that each coordinate would move at the vehicle's full size. A motion has no inertia

@@ -75,12 +75,12 @@ def implicit_euler(
             return system if damping is None else add_damping(tree, system, damping, dt)
 
     def step(acts: Effort, swings: TreeState) -> TreeState:
-        return _implicit(tree, state, build_equations(swings), acts, dt)
+        return _implicit_step(tree, state, build_equations(swings), acts, dt)
 
-    return with_drive(step, laws, drive, friction, state, dt, centered=fluid is not None, applied=applied)
+    return step_within_limits(step, laws, drive, friction, state, dt, centered=fluid is not None, applied=applied)
 
 
-def with_drive(
+def step_within_limits(
     step: Callable[[Effort, TreeState], TreeState],
     laws: Sequence[JointLaw],
     drive: Drive | None,
@@ -135,7 +135,7 @@ def half_way(state: TreeState, end: TreeState) -> TreeState:
     )
 
 
-def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt: float) -> TreeState:
+def _implicit_step(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt: float) -> TreeState:
     """Return the state after a step under equations of motion and implicit efforts of joints."""
     effort, stiff = (torch.nn.functional.pad(rows, (6, 0)) for rows in acts.at_end(state.joint_vel, dt))
     now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + effort)

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.physics.effects.base import Effect, Moment
+    from aerial_gym.physics.effects.base import Effect, SubstepStart
     from aerial_gym.physics.effects.by_kind import EffectParams, EffectsByKind
     from aerial_gym.physics.effects.catalog import EFFECTS
     from aerial_gym.physics.effects.condition import Condition
     from aerial_gym.physics.effects.kinds.command import CommandEffect, DelayEffect
     from aerial_gym.physics.effects.kinds.fluid import FluidEffect
     from aerial_gym.physics.effects.kinds.link import LinkEffect, LinkFluidEffect, LinkWrenchEffect
-    from aerial_gym.physics.effects.kinds.load import LoadEffect, Suspension
+    from aerial_gym.physics.effects.kinds.load import LoadEffect, SuspensionMotion
     from aerial_gym.physics.effects.kinds.rotor import RotorEffect
     from aerial_gym.physics.effects.kinds.sensor import ImuEffect, RotorSensorEffect
     from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
@@ -37,11 +37,11 @@ __all__ = [
     "LinkFluidEffect",
     "LinkWrenchEffect",
     "LoadEffect",
-    "Moment",
     "Parameter",
     "RotorEffect",
     "RotorSensorEffect",
-    "Suspension",
+    "SubstepStart",
+    "SuspensionMotion",
     "VehicleEffect",
     "WindEffect",
     "WrenchEffect",

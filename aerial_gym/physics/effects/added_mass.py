@@ -36,7 +36,7 @@ class AddedMass(FluidEffect):
         """Return the parameters."""
         return params
 
-    def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
+    def wrench_with_fluid(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
         """Return ``S (F + N) + (1 - S) m g up`` with ``S = m / (m + M_A)``, and ``tau - v x (M_A v)``."""
         mass, v, w = condition.vehicle.mass.unsqueeze(-1), condition.air_velocity, condition.ang_vel
         share, momentum = mass / (mass + params), params * v

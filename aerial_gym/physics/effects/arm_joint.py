@@ -29,11 +29,11 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.effects.track import FlightTrack, relax
+from aerial_gym.physics.effects.track import RotorSpeedsOfFlight, relax
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
@@ -103,13 +103,13 @@ class ArmJoint(WrenchEffect):
         limit = LARGEST_ANGLE
         return (params[:, COMPLIANCE, None] * moment).clamp(-limit, limit)
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the angles at the end of the substep, (E, R)."""
         decay = torch.exp(-moment.dt / values[:, TAU, None])
         rest = self.deflection(moment.vehicle, moment.rotor_speed, values)
         return rest + (values[:, ANGLES:] - rest) * decay
 
-    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
+    def replay(self, track: RotorSpeedsOfFlight, params: Tensor) -> Tensor:
         """Return the angles in every row of a flight, (T, R).
 
         Between rows the steady angle is linear, with an exact solution of the element. Logs do not give the thrust before the
@@ -141,5 +141,5 @@ class ArmJoint(WrenchEffect):
         force = thrust * leaning
         torque = torch.linalg.cross(condition.lever.expand_as(force), force)
         torque = torque + torch.linalg.cross(moved, thrust * axis + force)
-        drag = vehicle.rotor_spin * condition.rotor_drag
+        drag = vehicle.rotor_spin * condition.rotor_drag_torque
         return torch.cat((force, torque - drag.unsqueeze(-1) * leaning), dim=-1).sum(1)

@@ -16,7 +16,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.effects.track import FlightTrack
+from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.vehicle import Vehicle
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
@@ -29,7 +29,7 @@ ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sens
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moment:
+class SubstepStart:
     """State at the start of a substep, from which an effect updates its memory."""
 
     rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
@@ -101,12 +101,12 @@ class Effect(ABC):
     """Whether selection considers it by default; False if other effects together have the same signature."""
 
     @property
-    def is_selectable(self) -> bool:
+    def is_candidate_of_selection(self) -> bool:
         """Whether selection can consider it: it predicts rows of a rigid vehicle in air."""
-        return self.predicts and self.medium == "air"
+        return self.is_in_prediction and self.medium == "air"
 
     @property
-    def predicts(self) -> bool:
+    def is_in_prediction(self) -> bool:
         """Whether the prediction for a rigid vehicle includes it."""
         return self.on_rigid and not self.random
 
@@ -119,7 +119,7 @@ class Effect(ABC):
         """Return the M numbers of memory of an environment right after a reset."""
         return self.memory + tuple(number for number in self.rotor_memory for _ in range(num_rotors))
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the memory (E, M) at the start of a substep, from parameters and memory (E, P + M).
 
         The forces of the substep use this memory as a constant: an operator splitting of first order.
@@ -127,7 +127,7 @@ class Effect(ABC):
         del moment
         return values[:, len(self.parameters) :]
 
-    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
+    def replay(self, track: RotorSpeedsOfFlight, params: Tensor) -> Tensor:
         """Return the memory in every row of a measured flight, (T, M), from parameters (1, P).
 
         Identification needs it for a kind that is ``replayed`` and has memory.

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import Moment
+from aerial_gym.physics.effects.base import SubstepStart
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.rotors import rotor_torque
@@ -60,7 +60,7 @@ class BatterySag(CommandEffect):
                 "internal_resistance, capacity, source}"
             )
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return charge at the end and voltage at the start of the substep, (E, 2)."""
         vehicle, charge, speed = moment.vehicle, values[:, 1], moment.rotor_speed
         _, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
@@ -73,6 +73,6 @@ class BatterySag(CommandEffect):
         """Return the commanded speeds times the factor."""
         return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
 
-    def replay_memory(self, voltage: Tensor) -> Tensor:
+    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
         """Return no charge and the voltage, (T, 2)."""
         return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)

@@ -188,7 +188,7 @@ class BladeElement(WrenchEffect):
         climb = (sign * condition.axial_velocity / tip).clamp(-1.0, 1.0)
         lift = solidity * slope
         hover_thrust = (sign * condition.rotor_thrust / unit).clamp_min(LEAST)
-        hover_torque = sign * condition.rotor_drag / (unit * radius)
+        hover_torque = sign * condition.rotor_drag_torque / (unit * radius)
         hover_inflow = (0.5 * hover_thrust).sqrt()
         theta = 2.0 * hover_thrust / lift + 0.5 * hover_inflow
         root = 3.0 * (theta - 0.25 * twist)

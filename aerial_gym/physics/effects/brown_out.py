@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.failure import LATEST, TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -53,7 +53,7 @@ class BrownOut(CommandEffect):
         del robot
         return 1.0, 0.0, 0.0
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
         since = substep_middle(moment, values).unsqueeze(-1) - values[:, 1:2]
         return torch.where((since >= 0.0) & (since < values[:, 2:3]), values[:, :1], 1.0)
@@ -63,6 +63,6 @@ class BrownOut(CommandEffect):
         del vehicle
         return command * params[:, 3:]
 
-    def replay_memory(self, voltage: Tensor) -> Tensor:
+    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""
         return torch.ones_like(voltage).unsqueeze(-1)

@@ -19,7 +19,7 @@ Kind = TypeVar("Kind", bound=Effect)
 
 
 @dataclass(frozen=True)
-class Place:
+class EffectPlace:
     """Position of the numbers of one effect among those of all effects of a step."""
 
     effect: Effect
@@ -49,23 +49,23 @@ class EffectsByKind:
         return self._of[kind]  # pyright: ignore[reportReturnType]
 
     @property
-    def forces(self) -> tuple[EffectParams, ...]:
+    def step_effects(self) -> tuple[EffectParams, ...]:
         """Effects of a step, in ``step_order``."""
         return tuple(self._all[index] for index in self.step_order)
 
-    def places(self, num_rotors: int) -> list[Place]:
+    def places(self, num_rotors: int) -> list[EffectPlace]:
         """Return the places of parameters and memory of each of ``forces``, for a number of rotors R."""
         places, params, memory = [], 0, 0
-        for effect, _ in self.forces:
+        for effect, _ in self.step_effects:
             width, remembered = len(effect.parameters), len(effect.fresh_memory(num_rotors))
-            places.append(Place(effect, slice(params, params + width), slice(memory, memory + remembered)))
+            places.append(EffectPlace(effect, slice(params, params + width), slice(memory, memory + remembered)))
             params, memory = params + width, memory + remembered
         return places
 
     @property
     def names_with_memory(self) -> tuple[str, ...]:
         """Names of the effects with memory of their own."""
-        return tuple(effect.name for effect, _ in self.forces if effect.remembers)
+        return tuple(effect.name for effect, _ in self.step_effects if effect.remembers)
 
     def plus(self, effect: Effect, params: Tensor) -> "EffectsByKind":
         """Return these effects and one more."""

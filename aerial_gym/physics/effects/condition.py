@@ -94,7 +94,7 @@ class Condition:
         return ceiling - self.hub_altitude
 
     @cached_property
-    def rotor_drag(self) -> Tensor:
+    def rotor_drag_torque(self) -> Tensor:
         """Drag torques against the spin of the rotors [N m], (E, R); those of reversed rotors are negative."""
         return rotor_torque(self.vehicle, self.rotor_speed)
 
@@ -110,15 +110,17 @@ class Condition:
 
     def with_thrust(self, thrust: Tensor) -> "Condition":
         """Return the condition with other thrusts [N], (E, R); cached quantities of the motion are kept."""
-        return self._same_motion(replace(self, rotor_thrust=thrust))
+        return self._with_cached_motion(replace(self, rotor_thrust=thrust))
 
     def of_vehicle(self, vehicle: Vehicle, thrust: Tensor) -> "Condition":
         """Return the condition of a vehicle of the same centre of mass and hubs, with its thrusts [N], (E, R)."""
         return (
-            self if vehicle is self.vehicle else self._same_motion(replace(self, vehicle=vehicle, rotor_thrust=thrust))
+            self
+            if vehicle is self.vehicle
+            else self._with_cached_motion(replace(self, vehicle=vehicle, rotor_thrust=thrust))
         )
 
-    def _same_motion(self, other: "Condition") -> "Condition":
+    def _with_cached_motion(self, other: "Condition") -> "Condition":
         """Return another condition of the same motion, with the quantities of the motion that are cached here."""
         for name in _FROM_MOTION & vars(self).keys():
             vars(other)[name] = vars(self)[name]

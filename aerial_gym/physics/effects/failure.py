@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Moment
+from aerial_gym.physics.effects.base import SubstepStart
 from aerial_gym.physics.effects.parameter import Parameter
 
 LATEST = 1e5
@@ -22,6 +22,6 @@ TIME = Parameter(
 )
 
 
-def substep_middle(moment: Moment, like: Tensor) -> Tensor:
+def substep_middle(moment: SubstepStart, like: Tensor) -> Tensor:
     """Return the middle of the coming substep [s], (E,), because failures begin at the boundary nearest to their time."""
     return (moment.since.to(like.dtype) + 0.5) * moment.dt

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.random import normal_draws
-from aerial_gym.physics.effects.base import Moment
+from aerial_gym.physics.effects.base import SubstepStart
 from aerial_gym.physics.effects.kinds.wind import WindEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
@@ -39,7 +39,7 @@ class Gusts(WindEffect):
         del robot
         return 0.0, 1.0
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the wind of this substep, (E, 3)."""
         share = moment.dt / values[:, 1:2]
         begins = (moment.since == 0).unsqueeze(-1)

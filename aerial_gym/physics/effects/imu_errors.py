@@ -37,8 +37,8 @@ def imu_errors(effects: Sequence[tuple[ImuEffect, Tensor]]) -> Tensor:
             measured = effect.measure(*measured, params)
         force.append(measured[0])
         ang_vel.append(measured[1])
-    return torch.cat([rows for outputs in (force, ang_vel) for rows in _from_offset(outputs)], dim=1)
+    return torch.cat([rows for outputs in (force, ang_vel) for rows in _subtract_offset(outputs)], dim=1)
 
 
-def _from_offset(outputs: list[Tensor]) -> list[Tensor]:
+def _subtract_offset(outputs: list[Tensor]) -> list[Tensor]:
     return [outputs[0], *(rows - outputs[0] for rows in outputs[1:])]

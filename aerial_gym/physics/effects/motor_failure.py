@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.failure import TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
@@ -47,7 +47,7 @@ class MotorFailure(CommandEffect):
         del robot
         return 1.0, 1.0, 0.0
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
         middle = substep_middle(moment, values)
         return torch.where(middle.unsqueeze(-1) < values[:, 2:3], 1.0, values[:, 1:2])
@@ -56,6 +56,6 @@ class MotorFailure(CommandEffect):
         """Return the commands with that of one rotor times the factor."""
         return command * (1.0 + rotor_mask(vehicle, params[:, 0]) * (params[:, 3:] - 1.0))
 
-    def replay_memory(self, voltage: Tensor) -> Tensor:
+    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""
         return torch.ones_like(voltage).unsqueeze(-1)

@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.random import uniform_draws
-from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -45,7 +45,7 @@ class RandomForce(WrenchEffect):
         del robot
         return 0.0, 0.0, 0.0, 0.002
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the force of this substep, (E, 3)."""
         share = moment.dt / values[:, 3]
         since = moment.since.to(values.dtype)

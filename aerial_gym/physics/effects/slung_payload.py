@@ -21,7 +21,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import dot
-from aerial_gym.physics.effects.kinds.load import LoadEffect, Suspension
+from aerial_gym.physics.effects.kinds.load import LoadEffect, SuspensionMotion
 from aerial_gym.physics.effects.parameter import Parameter
 
 FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
@@ -76,7 +76,7 @@ class SlungPayload(LoadEffect):
         mass = robot.body.mass
         return [(LIGHTEST * mass, mass), (0.1, 20.0), (0.0, STRONGEST * mass)]
 
-    def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+    def pull(self, suspension: SuspensionMotion, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
         """Return F and n''."""
         mass, length, damping = (params[:, k : k + 1] for k in range(3))
         direction, rate = load[:, :3], load[:, 3:]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
+from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.failure import NEVER, TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
@@ -37,7 +37,7 @@ class StuckRotor(CommandEffect):
         del robot
         return 1.0, NEVER
 
-    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the flag of a stuck rotor in this substep, and its speed, (E, 2)."""
         stuck = substep_middle(moment, values) >= values[:, 1]
         now = (rotor_mask(moment.vehicle, values[:, 0]) * moment.rotor_speed).sum(-1)
@@ -49,6 +49,6 @@ class StuckRotor(CommandEffect):
         kept = rotor_mask(vehicle, params[:, 0]) * params[:, 2:3] > 0.0
         return torch.where(kept, params[:, 3:], command)
 
-    def replay_memory(self, voltage: Tensor) -> Tensor:
+    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 2)."""
         return torch.zeros_like(voltage).unsqueeze(-1).expand(-1, 2)

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightTrack:
+class RotorSpeedsOfFlight:
     """Rows of one flight at equal time steps."""
 
     vehicle: Vehicle  # With the effects on its parameters applied, one environment

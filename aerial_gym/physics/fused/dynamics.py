@@ -10,7 +10,7 @@ import warp as wp
 from aerial_gym.math.warp_functions import attitude_rate, small_turn, unit_quat
 from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect
 from aerial_gym.physics.fused.formulas import Constants, make_accelerations, make_coast
-from aerial_gym.physics.fused.packing import values_type
+from aerial_gym.physics.fused.packing import effect_values_type
 from aerial_gym.physics.fused.rotors import make_follow, make_stage_rates
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.model import Model
@@ -35,7 +35,7 @@ def make_stepper(model: Model, integrator: str, constants: Constants) -> wp.Func
         types.vehicle,
         types.vector,
         types.succession if late else types.vector,
-        values_type(model),
+        effect_values_type(model),
         make_accelerations(model, constants),
         bool(model.effects[LoadEffect]),
     )

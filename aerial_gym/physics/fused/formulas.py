@@ -20,18 +20,18 @@ from aerial_gym.physics.effects import (
     Condition,
     DelayEffect,
     LoadEffect,
-    Moment,
-    Suspension,
+    SubstepStart,
+    SuspensionMotion,
     WindEffect,
 )
-from aerial_gym.physics.fused.packing import model_types, values_type
-from aerial_gym.physics.fused.row_model import Acts, own_values, row_effects, row_model, vehicle_rows
+from aerial_gym.physics.fused.packing import effect_values_type, rotor_types_of_model
+from aerial_gym.physics.fused.row_model import Acts, places_of_effect_values, row_effects, row_model, vehicle_rows
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
-from aerial_gym.physics.integrators import MassState, coast, free_wrench
+from aerial_gym.physics.integrators import MassState, coast, wrench_of_coast
 from aerial_gym.physics.model import Model
 
 Constants = Mapping[str, Tensor]
-"""Known numbers of the vehicle (``row_model.structure_constants``)."""
+"""Known numbers of the vehicle (``row_model.constant_entries_of_vehicle``)."""
 
 _MOTION = {"position": wp.vec3, "attitude": wp.quat, "lin_vel": wp.vec3, "ang_vel": wp.vec3}
 """Motion of the centre of mass, and its types."""
@@ -42,7 +42,7 @@ def make_accelerations(model: Model, constants: Constants) -> wp.Function:
 
     Arguments: plant, values, gravity, motion, rotor speeds and accelerations, load.
     """
-    types = model_types(model)
+    types = rotor_types_of_model(model)
 
     def accelerations(
         plant: SimpleNamespace, values: Tensor, gravity: Tensor, position: Tensor, attitude: Tensor, lin_vel: Tensor,
@@ -57,7 +57,7 @@ def make_accelerations(model: Model, constants: Constants) -> wp.Function:
         rate = torch.cat((load[:, 3:], swing), dim=1) if swing.shape[1] else torch.zeros_like(load)
         return acc, ang_acc, rate
 
-    arguments = {"plant": types.vehicle, "values": values_type(model), "gravity": float, **_MOTION}
+    arguments = {"plant": types.vehicle, "values": effect_values_type(model), "gravity": float, **_MOTION}
     arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector, "load": wp.spatial_vector}
     returns = wp.vec3, wp.vec3, wp.spatial_vector
     return trace_to_warp("accelerations", arguments, accelerations, returns, constants=constants, shared=["gravity"])
@@ -71,15 +71,15 @@ def make_loads(model: Model, constants: Constants, acts: Acts = None) -> wp.Func
     Args:
         acts: Condition for an effect to act; all act if not given.
     """
-    types = model_types(model)
+    types = rotor_types_of_model(model)
 
     def loads(
         plant: SimpleNamespace, values: Tensor, rotor_speed: Tensor, rotor_acc: Tensor, **motion: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         condition, acting = _breakdown(row_model(model, plant, values, acts=acts), motion, rotor_speed, rotor_acc)
-        return acting.whole_thrust, condition.rotor_drag, _sum_wrenches(acting)
+        return acting.whole_thrust, condition.rotor_drag_torque, _sum_wrenches(acting)
 
-    arguments = {"plant": types.vehicle, "values": values_type(model), **_MOTION}
+    arguments = {"plant": types.vehicle, "values": effect_values_type(model), **_MOTION}
     arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector}
     returns = types.vector, types.vector, wp.spatial_vector
     return trace_to_warp("loads", arguments, loads, returns, constants=constants)
@@ -94,7 +94,7 @@ def make_hub_loads(model: Model, constants: Constants, rotors: Sequence[int], or
         rotors: Indices of the rotors of the link.
         origin: Origin of the link from that of the body in the reference pose [m], (3,).
     """
-    types = model_types(model)
+    types = rotor_types_of_model(model)
 
     def some(rows: Tensor) -> Tensor:
         return torch.stack([rows[:, rotor] for rotor in rotors], dim=1)
@@ -115,7 +115,7 @@ def make_hub_loads(model: Model, constants: Constants, rotors: Sequence[int], or
         columns = dict(enumerate(thrusts.unbind(1))) | dict(zip(rotors, acting.whole_thrust.unbind(1), strict=True))
         return torch.stack(list(columns.values()), dim=1), _sum_wrenches(acting)
 
-    arguments = {"plant": types.vehicle, "values": values_type(model), "thrusts": types.vector, **_MOTION}
+    arguments = {"plant": types.vehicle, "values": effect_values_type(model), "thrusts": types.vector, **_MOTION}
     arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector}
     returns = types.vector, wp.spatial_vector
     return trace_to_warp("hub_loads", arguments, hub_loads, returns, constants=constants)
@@ -146,7 +146,9 @@ def make_wind(model: Model, acts: Acts = None) -> wp.Function:
             velocity = velocity + effect.wind(position, own)
         return velocity
 
-    return trace_to_warp("wind", {"position": wp.vec3, "values": values_type(model)}, wind, [wp.vec3], constants={})
+    return trace_to_warp(
+        "wind", {"position": wp.vec3, "values": effect_values_type(model)}, wind, [wp.vec3], constants={}
+    )
 
 
 def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Function]:
@@ -154,7 +156,7 @@ def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Func
 
     Arguments: plant, values, motion; of the first also the time [s].
     """
-    arguments = {"plant": model_types(model).vehicle, "values": values_type(model), **_MOTION}
+    arguments = {"plant": rotor_types_of_model(model).vehicle, "values": effect_values_type(model), **_MOTION}
 
     def state(own: Model, motion: tuple[Tensor, ...]) -> MassState:
         position, attitude, lin_vel, ang_vel = motion
@@ -170,7 +172,7 @@ def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Func
 
     def free(plant: SimpleNamespace, values: Tensor, **motion: Tensor) -> tuple[Tensor, Tensor]:
         own = row_model(model, plant, values)
-        force, torque = free_wrench(own, state(own, tuple(motion.values())))
+        force, torque = wrench_of_coast(own, state(own, tuple(motion.values())))
         acc = quat_rotate(motion["attitude"], force / own.vehicle.mass.unsqueeze(-1))
         return acc, rigid_body.multiply_rows(own.inertia_inverse, torque)
 
@@ -182,11 +184,11 @@ def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Func
 
 def make_remember(model: Model) -> wp.Function:
     """Return all ``Effect.remember`` as one function (plant, moment, values) -> values with the new memory."""
-    types, kind = model_types(model), values_type(model)
+    types, kind = rotor_types_of_model(model), effect_values_type(model)
 
     def remember(plant: SimpleNamespace, now: SimpleNamespace, values: Tensor) -> Tensor:
-        moment = Moment(**vars(now), vehicle=vehicle_rows(model, plant))
-        places = own_values(model)
+        moment = SubstepStart(**vars(now), vehicle=vehicle_rows(model, plant))
+        places = places_of_effect_values(model)
         memory = [own.effect.remember(moment, own.rows(values)) for own in places]
         return torch.cat((values[:, : places[-1].params.stop], *memory), dim=1)
 
@@ -196,7 +198,7 @@ def make_remember(model: Model) -> wp.Function:
 
 def make_lead(model: Model) -> wp.Function:
     """Return all ``CommandEffect.command`` as one function (plant, values, command) -> command."""
-    types = model_types(model)
+    types = rotor_types_of_model(model)
 
     def lead(plant: SimpleNamespace, values: Tensor, command: Tensor) -> Tensor:
         vehicle = vehicle_rows(model, plant)
@@ -204,7 +206,7 @@ def make_lead(model: Model) -> wp.Function:
             command = effect.command(command, vehicle, own)
         return command
 
-    arguments = {"plant": types.vehicle, "values": values_type(model), "command": types.vector}
+    arguments = {"plant": types.vehicle, "values": effect_values_type(model), "command": types.vector}
     return trace_to_warp("lead", arguments, lead, [types.vector], constants={})
 
 
@@ -215,7 +217,7 @@ def make_delay(model: Model) -> wp.Function:
         ((effect, own),) = row_effects(model, values)[DelayEffect]
         return effect.delay(own)
 
-    return trace_to_warp("delay", {"values": values_type(model)}, delay, [float], constants={})
+    return trace_to_warp("delay", {"values": effect_values_type(model)}, delay, [float], constants={})
 
 
 def make_pull(effect: LoadEffect, suspension: Any, load: Any, vector: Any, params: Any) -> wp.Function:
@@ -223,14 +225,14 @@ def make_pull(effect: LoadEffect, suspension: Any, load: Any, vector: Any, param
 
     Args:
         effect: The load.
-        suspension: The ``wp.struct`` with the fields of ``Suspension``.
+        suspension: The ``wp.struct`` with the fields of ``SuspensionMotion``.
         load: Type of direction and rate of the link.
         vector: Type of the results.
         params: Type of the parameters.
     """
 
     def pull(at: SimpleNamespace, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        return effect.pull(Suspension(**vars(at)), load, params)
+        return effect.pull(SuspensionMotion(**vars(at)), load, params)
 
     arguments = {"at": suspension, "load": load, "params": params}
     return trace_to_warp("pull", arguments, pull, [vector, vector], constants={}, shared=["at.gravity"])

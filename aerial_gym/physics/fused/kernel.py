@@ -15,10 +15,16 @@ from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
+from aerial_gym.physics.fused.packing import (
+    Packing,
+    collect_numbers,
+    effect_values_type,
+    num_parameters_and_memory,
+    rotor_types_of_model,
+)
 from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band
-from aerial_gym.physics.fused.row_model import structure_constants
+from aerial_gym.physics.fused.row_model import constant_entries_of_vehicle
 from aerial_gym.physics.model import Model
 
 
@@ -59,11 +65,11 @@ def make_kernel(
         com_offset: Whether any centre of mass differs from the body origin.
         differentiable: Whether Warp generates the adjoint.
     """
-    num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    general, types = not model.vehicle.plain, model_types(model)
+    num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_parameters_and_memory(model)
+    general, types = not model.vehicle.plain, rotor_types_of_model(model)
     stop = make_dead_band(num_rotors) if general else None
-    constants = {} if differentiable else structure_constants(collect_numbers(model, law, 1.0).vehicle)
-    vector, action_type, params_type = types.vector, vector_type(law.num_actions), values_type(model)
+    constants = {} if differentiable else constant_entries_of_vehicle(collect_numbers(model, law, 1.0).vehicle)
+    vector, action_type, params_type = types.vector, vector_type(law.num_actions), effect_values_type(model)
     prepare, prepared_type = preparation(law), vector_type(law.num_prepared)
     remembers, num_loads = bool(model.effects.names_with_memory), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0

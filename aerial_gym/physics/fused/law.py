@@ -89,12 +89,12 @@ class _Reads:
         """Return the function from position and entry of an input of a trace to its code."""
         count = len(traced.inputs)
 
-        def read(position: int, entry: int) -> str:
+        def code_of_entry(position: int, entry: int) -> str:
             if position < count:
-                return traced.read(position, entry)
+                return traced.code_of_entry(position, entry)
             return self.code(traced.trace.sources[position - count], entry)
 
-        return read
+        return code_of_entry
 
     def fields(self) -> tuple[LawField, ...]:
         """Return the fields of the struct."""

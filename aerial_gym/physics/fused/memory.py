@@ -11,7 +11,7 @@ from aerial_gym.math.draws import RandomArrays, episode_stream, substream
 from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import DelayEffect
 from aerial_gym.physics.fused.formulas import make_delay, make_lead, make_remember
-from aerial_gym.physics.fused.packing import model_types, values_type
+from aerial_gym.physics.fused.packing import effect_values_type, rotor_types_of_model
 from aerial_gym.physics.fused.types import LawArrays, RotorTypes
 from aerial_gym.physics.model import Model
 
@@ -58,7 +58,7 @@ def memory_type(*, effects: bool, law: bool) -> Any:
 
 def make_begin(model: Model) -> wp.Function:
     """Return the function from values and command to those of a substep; with a delay, to two commands."""
-    types, values, num_rotors = model_types(model), values_type(model), model.vehicle.num_rotors
+    types, values, num_rotors = rotor_types_of_model(model), effect_values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
     remember, lead, any_delay = make_remember(model), make_lead(model), bool(model.effects[DelayEffect])
     delayed = _make_delayed(model, lead) if any_delay else None
@@ -93,7 +93,7 @@ def make_begin(model: Model) -> wp.Function:
 
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     """Return the function to the delayed commands of the substep."""
-    types, values, num_rotors = model_types(model), values_type(model), model.vehicle.num_rotors
+    types, values, num_rotors = rotor_types_of_model(model), effect_values_type(model), model.vehicle.num_rotors
     delay_of, arrive = make_delay(model), _make_arrive(types, num_rotors, lead, values)
     moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 

@@ -41,7 +41,7 @@ class StructField:
         rows = self.compute(*self.sources).flatten(1)
         return rows if entries is None else torch.stack([rows[:, i] for i in entries], dim=1)
 
-    def row(self) -> list[float]:
+    def common_values(self) -> list[float]:
         """Return the numbers that all environments share."""
         return self.compute(*(source[:1] for source in self.sources)).flatten().tolist()
 
@@ -91,7 +91,7 @@ def _vehicle_fields(model: Model, stage: float) -> list[StructField]:
         ]
     if isinstance(model.ground_height, Tensor):
         fields.append(StructField("ground_height", (model.ground_height,), _same))
-    if model.effects.forces or model.articulation is not None:
+    if model.effects.step_effects or model.articulation is not None:
         fields += [
             StructField("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
             StructField("rotor_radius", (v.rotor_radius,), _same),
@@ -127,7 +127,7 @@ class Numbers:
 
 def collect_numbers(model: Model, law: FusedLaw, stage: float) -> Numbers:
     """Return all numbers; ``stage`` as for the fields of the vehicle."""
-    effects = [params for _, params in model.effects.forces]
+    effects = [params for _, params in model.effects.step_effects]
     return Numbers(_vehicle_fields(model, stage), _law_fields(law, True), _law_fields(law, False), effects)
 
 
@@ -152,15 +152,15 @@ class Packing:
     def fits(self, numbers: Numbers) -> bool:
         """Return whether the packed entries of each field still determine it."""
         return (
-            self.entries.keys() <= find_entries(numbers.vehicle).keys()
-            and self.twins <= find_twins(numbers.vehicle).keys()
+            self.entries.keys() <= find_independent_entries(numbers.vehicle).keys()
+            and self.twins <= find_equal_fields(numbers.vehicle).keys()
         )
 
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return the rows of all numbers that differ between environments, or of all numbers with ``all_packed``."""
-    first, few = 0, {} if all_packed else find_entries(numbers.vehicle)
-    twins = {} if all_packed else find_twins(numbers.vehicle)
+    first, few = 0, {} if all_packed else find_independent_entries(numbers.vehicle)
+    twins = {} if all_packed else find_equal_fields(numbers.vehicle)
 
     def place(
         fields: list[StructField], few: Mapping[str, tuple[int, ...]], twins: Mapping[str, str]
@@ -172,7 +172,7 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
                 rows[field.name] = rows[twins[field.name]]
             elif all_packed or not field.is_common:
                 rows[field.name] = first
-                first += len(few.get(field.name, field.row()))
+                first += len(few.get(field.name, field.common_values()))
         return rows
 
     vehicle = place(numbers.vehicle, few, twins)
@@ -186,7 +186,7 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     return Packing(vehicle, few, written, followed, law, vehicle_end, law_start, first, last)
 
 
-def find_entries(vehicle: list[StructField]) -> dict[str, tuple[int, ...]]:
+def find_independent_entries(vehicle: list[StructField]) -> dict[str, tuple[int, ...]]:
     """Return the independent entries of fields: half of the inertia, and the squares of purely quadratic maps.
 
     Randomisation multiplies the map of a rotor by a factor, so zeros stay zero.
@@ -194,11 +194,11 @@ def find_entries(vehicle: list[StructField]) -> dict[str, tuple[int, ...]]:
     result = {"inertia": SYMMETRIC, "inertia_inverse": SYMMETRIC}
     for field in vehicle:
         if field.name in ("thrust_map", "torque_map") and is_pure_square(field):
-            result[field.name] = tuple(range(2, len(field.row()), 3))
+            result[field.name] = tuple(range(2, len(field.common_values()), 3))
     return result
 
 
-def find_twins(vehicle: list[StructField]) -> dict[str, str]:
+def find_equal_fields(vehicle: list[StructField]) -> dict[str, str]:
     """Return fields with the same sources and formula as an earlier field, each with the name of that field."""
     first: dict[tuple[object, ...], str] = {}
     result = {field.name: first.setdefault((field.compute, *map(id, field.sources)), field.name) for field in vehicle}
@@ -257,22 +257,22 @@ def _struct(struct_type: Any, fields: list[StructField], packed: Mapping[str, in
     struct = struct_type()
     for field in fields:
         if field.name not in packed:
-            value, numbers = getattr(struct, field.name), field.row()
+            value, numbers = getattr(struct, field.name), field.common_values()
             setattr(struct, field.name, numbers[0] if isinstance(value, (int, float)) else type(value)(*numbers))
     return struct
 
 
-def model_types(model: Model) -> RotorTypes:
+def rotor_types_of_model(model: Model) -> RotorTypes:
     """Return the types for the rotors of a model."""
     return rotor_types(model.vehicle.num_rotors, not model.vehicle.plain)
 
 
-def num_values(model: Model) -> tuple[int, int]:
+def num_parameters_and_memory(model: Model) -> tuple[int, int]:
     """Return the numbers of parameters and of remembered numbers of all effects."""
     places = model.effects.places(model.vehicle.num_rotors)
     return (places[-1].params.stop, places[-1].memory.stop) if places else (0, 0)
 
 
-def values_type(model: Model) -> Any:
+def effect_values_type(model: Model) -> Any:
     """Return the type of the vector of values of all effects."""
-    return vector_type(max(sum(num_values(model)), 1))
+    return vector_type(max(sum(num_parameters_and_memory(model)), 1))

@@ -69,7 +69,7 @@ def vehicle_rows(model: Model, plant: SimpleNamespace) -> Vehicle:
 
 
 @dataclass(frozen=True)
-class OwnValues:
+class EffectValues:
     """Parameters and memory of one effect among those of all effects."""
 
     effect: Effect
@@ -81,18 +81,18 @@ class OwnValues:
         return torch.cat((values[:, self.params], values[:, self.memory]), dim=1)
 
 
-def own_values(model: Model) -> list[OwnValues]:
+def places_of_effect_values(model: Model) -> list[EffectValues]:
     """Return the places of the effects of a step among the values of all: first all parameters, then all memory."""
     places = model.effects.places(model.vehicle.num_rotors)
     first = places[-1].params.stop if places else 0
-    return [OwnValues(p.effect, p.params, slice(first + p.memory.start, first + p.memory.stop)) for p in places]
+    return [EffectValues(p.effect, p.params, slice(first + p.memory.start, first + p.memory.stop)) for p in places]
 
 
 def row_effects(model: Model, values: Tensor, acts: Acts = None) -> EffectsByKind:
     """Return the effects of a step with traced parameters and memory; memory that moves with the body is left out."""
     return EffectsByKind(
         (own.effect, values[:, own.params] if own.effect.moves_with_body else own.rows(values))
-        for own in own_values(model)
+        for own in places_of_effect_values(model)
         if acts is None or acts(own.effect)
     )
 
@@ -114,7 +114,7 @@ def row_model(
     return cast(Model, rows)
 
 
-def structure_constants(fields: "Sequence[StructField]") -> dict[str, Tensor]:
+def constant_entries_of_vehicle(fields: "Sequence[StructField]") -> dict[str, Tensor]:
     """Return the entries of the vehicle's fields that are 0, 1 or -1 in all environments; others are not a number.
 
     Robots that differ in other numbers share a kernel.
@@ -122,6 +122,6 @@ def structure_constants(fields: "Sequence[StructField]") -> dict[str, Tensor]:
     result = {}
     for field in fields:
         if field.is_common and not field.name.startswith("decay"):
-            row = torch.tensor(field.row())
+            row = torch.tensor(field.common_values())
             result[f"plant.{field.name}"] = torch.where((row == 0.0) | (row.abs() == 1.0), row, torch.nan)
     return result

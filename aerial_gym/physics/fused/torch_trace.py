@@ -75,7 +75,7 @@ def trace_to_warp(
         CapabilityError: If it cannot be traced; the text states the cause and its place in the source.
     """
     traced = trace_arguments(name, arguments, function, constants=constants, shared=shared)
-    lines = function_lines(traced.trace, traced.read, constructors(returns))
+    lines = function_lines(traced.trace, traced.code_of_entry, constructors(returns))
     return compile_traced(name, arguments, returns, lines, traced.trace, differentiable=differentiable)
 
 
@@ -86,7 +86,7 @@ class ArgumentsTrace:
     trace: Trace
     inputs: list[Input]
 
-    def read(self, position: int, entry: int) -> str:
+    def code_of_entry(self, position: int, entry: int) -> str:
         """Return the code of an entry of an argument; bits of random states are computed in 64 bits, as in torch."""
         path, shape, dtype = self.inputs[position]
         code = path + _subscript(shape, entry)
@@ -132,17 +132,19 @@ def trace_arguments(
             inputs,
         )
     except UntraceableError as error:
-        raise CapabilityError(f"{_owner(error) or name}: {error}, at {_place(error)}. {WAY_OUT}") from error
+        raise CapabilityError(
+            f"{_name_of_failed_object(error) or name}: {error}, at {_line_of_error(error)}. {WAY_OUT}"
+        ) from error
 
 
-def _place(error: BaseException) -> str:
+def _line_of_error(error: BaseException) -> str:
     """Return file and line of the innermost code outside torch and the tracer that raised an error."""
     frames = traceback.extract_tb((error.__cause__ or error).__traceback__)
     outside = [frame for frame in frames if not any(part in frame.filename for part in _TRACER)]
     return f"{outside[-1].filename}:{outside[-1].lineno} ({outside[-1].line})"
 
 
-def _owner(error: BaseException) -> str:
+def _name_of_failed_object(error: BaseException) -> str:
     """Return the name of the innermost object with a name, such as an effect, whose method raised an error; else nothing."""
     frames = traceback.walk_tb((error.__cause__ or error).__traceback__)
     owners = [frame.f_locals.get("self") for frame, _ in frames]

@@ -20,7 +20,7 @@ class RotorTypes:
     rows: Any  # Three numbers per rotor, (R, 3)
     vehicle: Any  # `wp.struct` of the vehicle in the equations of motion
     succession: Any  # `wp.struct` of two commands in one step: `rotor_lag.Succession` for one environment
-    moment: Any  # `wp.struct` of the start of a substep: `effects.Moment` for one environment
+    moment: Any  # `wp.struct` of the start of a substep: `effects.SubstepStart` for one environment
 
 
 @wp.struct

@@ -28,17 +28,17 @@ from aerial_gym.physics.integrators import (
     Stepper,
     advance_load,
     coast,
-    free_wrench,
-    step_wrench,
+    speeds_and_wrench_of_step,
     to_body_state,
     to_mass_state,
+    wrench_of_coast,
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, import_optional
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.rollouts import RolloutBodies, RolloutTrees
 from aerial_gym.physics.mujoco.warp_engine import WarpBodies, WarpTrees
-from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, hull_force, pull_of_load
+from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, force_without_fluid, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.torch_backend import TorchBackend
@@ -110,19 +110,19 @@ class MujocoBackend(TorchBackend):
 
     def _mujoco_step(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
         """Return the motion after MuJoCo's step; in a fluid only its velocities count, and a load is unchanged."""
-        rotor_speed, (force, torque) = step_wrench(model, state, rotor_command, dt)
+        rotor_speed, (force, torque) = speeds_and_wrench_of_step(model, state, rotor_command, dt)
         load, fluid = state.load, bool(model.effects[FluidEffect])
         if model.effects[LoadEffect]:
             acc = com_acceleration(model, state.attitude, force)
             ang_acc = angular_acceleration(model, state.ang_vel, torque)
             pull, turn, swing = pull_of_load(model, state.attitude, state.ang_vel, load, acc, ang_acc)
-            pull = hull_force(model, state.attitude, pull)
+            pull = force_without_fluid(model, state.attitude, pull)
             force, torque = force + quat_rotate_inverse(state.attitude, pull), torque + turn
             load = (
                 torch.cat((load[:, :3], load[:, 3:] + dt * swing), dim=-1) if fluid else advance_load(load, swing, dt)
             )
         if fluid:
-            free_force, free_torque = free_wrench(model, state)
+            free_force, free_torque = wrench_of_coast(model, state)
             force, torque = force - free_force, torque - free_torque
         self._start, self._free_vel = state, state.lin_vel + dt * com_acceleration(model, state.attitude, force)
         moved = self._update_bodies(model, dt).move(state, force, torque)

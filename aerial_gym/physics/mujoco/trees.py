@@ -24,7 +24,7 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
 from aerial_gym.physics.articulated.link_damping import LinkDamping
 from aerial_gym.physics.articulated.link_fluid import LinkFluid
-from aerial_gym.physics.articulated.steppers import advance_state, with_drive
+from aerial_gym.physics.articulated.steppers import advance_state, step_within_limits
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
@@ -135,7 +135,7 @@ class MujocoTrees(ABC):
             self._check_link_damping(links, damping)
             wrench = wrench + damping.start_wrench(links)
         step = partial(self._step, links, state, gravity, wrench)
-        return with_drive(step, laws, drive, friction, state, dt, applied=applied)
+        return step_within_limits(step, laws, drive, friction, state, dt, applied=applied)
 
     def _initial_state(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
         """Return MuJoCo's initial state, (E, nq + nv), and M mocap bodies: positions, then attitudes wxyz, (E, 7 M)."""
@@ -149,7 +149,7 @@ class MujocoTrees(ABC):
             places.append(state.position.double())
             turns.append(_wxyz(state.attitude).double())
         if self._solids is not None:
-            place, attitude, lin_vel, ang_vel = self._solids.part_motion()
+            place, attitude, lin_vel, ang_vel = self._solids.motion_of_parts()
             if self._solids.moves:
                 start[:, self._part_poses] = torch.cat((place, _wxyz(attitude)), dim=-1).flatten(1)
                 start[:, self._part_twists] = torch.cat((lin_vel, ang_vel), dim=-1).flatten(1)

@@ -81,7 +81,7 @@ def check_robot(
     if tail is None:
         hover = allocation.inverse[0, :, 2] * held
         wrench, ratio = matrix @ hover, allocation.largest_thrust() / weight
-        authority, limiting = allocation.wrench_authority(held), allocation.critical_rotors(held).tolist()
+        authority, limiting = allocation.wrench_authority(held), allocation.rotor_at_limit_by_axis(held).tolist()
     else:
         asked = tail.unknowns_of_lift(held)
         hover, matrix = torch.from_numpy(tail.rotor_thrusts(asked)), torch.from_numpy(tail.columns)

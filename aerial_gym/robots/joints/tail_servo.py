@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.control.gains import loop_shape
+from aerial_gym.control.gains import frequency_and_damping
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import wrap_angle, yaw_from_quat
 from aerial_gym.physics.rotor_maps import rotor_loads, rotor_state_for_thrust
@@ -50,7 +50,9 @@ def derive_tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_G
     trim = atan(mount.spin * torque / (thrust * arm))
     low, high = joint.drive.command_range
     turn = arm * thrust / robot.body.inertia[2][2]
-    quickest, damping = loop_shape(joint.drive.damping / joint.drive.stiffness + dt, robot.control.phase_margin)
+    quickest, damping = frequency_and_damping(
+        joint.drive.damping / joint.drive.stiffness + dt, robot.control.phase_margin
+    )
     frequency = min(quickest, (turn * sin(min(high - trim, trim - low))) ** 0.5)
     return TailServo(trim=trim, heading=frequency**2 / turn, rate=2.0 * damping * frequency / turn, limits=(low, high))
 

@@ -278,7 +278,7 @@ def correct_robot(declared: LoopSetup, params: ModelParams, accepted: Sequence[s
     learned = robot if params.learned is None else replace(robot, learned_residual=params.learned.cfg)
     if not accepted:
         return learned
-    effects = {name: dict(values) for name, values in robot.effects.items() if not EFFECTS.get(name).predicts}
+    effects = {name: dict(values) for name, values in robot.effects.items() if not EFFECTS.get(name).is_in_prediction}
     effects |= {
         name: {p.name: float(v) for p, v in zip(EFFECTS.get(name).parameters, values, strict=True)}
         for name, values in params.effects.items()

@@ -158,7 +158,7 @@ def effects_left_open(
     Each effect is fitted alone, together with the named effects and the tolerances.
     """
     declared, final = models
-    names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
+    names = [name for name in EFFECTS if EFFECTS.get(name).is_candidate_of_selection]
     skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
     known, weight, frozen = selection.effects, selection.weights.weight, selection.fit.frozen

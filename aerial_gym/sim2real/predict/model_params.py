@@ -30,7 +30,7 @@ class ModelParams:
 
 def params_from_robot(robot: RobotCfg) -> ModelParams:
     """Return the declared model as a rigid vehicle, without random effects."""
-    kept = {name: values for name, values in robot.effects.items() if EFFECTS.get(name).predicts}
+    kept = {name: values for name, values in robot.effects.items() if EFFECTS.get(name).is_in_prediction}
     return ModelParams(
         effects={name: np.array(EFFECTS.get(name).parse_params(values)) for name, values in kept.items()},
         learned=None if robot.learned_residual is None else LearnedResidual(robot.learned_residual),

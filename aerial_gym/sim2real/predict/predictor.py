@@ -115,6 +115,6 @@ class Predictor:
         vehicle = build_model(off.vehicle, expand_effects(ModelParams(effects=on_vehicle), 1)).vehicle
         deviation = None if params.deviation is None else torch.from_numpy(params.deviation)
         logged = b"" if deviation is None else sensor_errors(self.tolerances, deviation).key
-        numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
+        numbers = [rows.numpy().tobytes() for rows in vehicle.tensors_by_name().values()]
         others_key = params_key(ModelParams(effects=remaining))
         return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)

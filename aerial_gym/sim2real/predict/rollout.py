@@ -26,9 +26,9 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
-from aerial_gym.physics.memory import Memory, make_memory, place_memory
+from aerial_gym.physics.memory import Memory, make_memory, replace_memory
 from aerial_gym.physics.model import EffectParams
-from aerial_gym.physics.rotor_lag import Ramp
+from aerial_gym.physics.rotor_lag import LinearRotorSpeeds
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
@@ -297,18 +297,18 @@ class WindowBatch:
         """Return the initial memory of effects; None if no effect has any."""
         if not self._model.effects.names_with_memory:
             return None
-        memory = place_memory(self._model, make_memory(self._model, dt), self._memory_from_replay())
+        memory = replace_memory(self._model, make_memory(self._model, dt), self._memory_from_replay())
         if not self._model.effects[LoadEffect]:
             return memory
         name = self._model.effects[LoadEffect][0][0].name
         if self._load is not None:
-            return place_memory(self._model, memory, {name: torch.from_numpy(self._load)})
+            return replace_memory(self._model, memory, {name: torch.from_numpy(self._load)})
         flown = np.unique(self._flight)
         times = [self._row[self._flight == index] / self._rate for index in flown]
         load = torch.empty(self._row.size, 6, dtype=torch.float64)
         order = torch.from_numpy(np.argsort(self._flight, kind="stable"))
         load[order] = LoadReplay([self._flights[index] for index in flown], times).link_states(self._model)
-        return place_memory(self._model, memory, {name: load})
+        return replace_memory(self._model, memory, {name: load})
 
     def _memory_from_replay(self) -> dict[str, Tensor]:
         """Return the initial memory of effects on rotors and body, (W, M), by effect, replayed from the log's start."""
@@ -336,13 +336,13 @@ class WindowBatch:
             return torch.from_numpy(led)
         return true_rotor_speed(torch.from_numpy(speed), [(effect, params[:1]) for effect, params in self._sensors])
 
-    def _rotor_input(self, step: int, state: BodyState) -> Tensor | Ramp:
+    def _rotor_input(self, step: int, state: BodyState) -> Tensor | LinearRotorSpeeds:
         """Return the rotor input of a step: the mean command, or a linear ramp to the measured speed at its end."""
         first = self._row + step * self._stride
         if self._commanded:
             return self._rows_of_quantity("rotor_command", first[:, None] + np.arange(self._stride)).mean(dim=1)
         end = true_rotor_speed(self._rows_of_quantity("rotor_speed", first + self._stride), self._sensors)
-        return Ramp(rate=(end - state.rotor_speed) * (self._rate / self._stride))
+        return LinearRotorSpeeds(rate=(end - state.rotor_speed) * (self._rate / self._stride))
 
     def _rows_of_quantity(self, name: str, rows: Indices) -> Tensor:
         """Return a quantity at rows (W,) or (W, any) of each window's flight; beyond its end the last value."""

@@ -173,7 +173,7 @@ def test_environments_with_bodies_of_their_own_fly_as_in_torch_and_as_alone() ->
         with torch_threads(2):
             ends.append(fly(backend, model, law, state, action))
     assert_same(*ends)
-    rows = {name: rows[4:5].clone() for name, rows in model.vehicle.rows().items()}
+    rows = {name: rows[4:5].clone() for name, rows in model.vehicle.tensors_by_name().items()}
     alone = build_model(replace(model.vehicle, **rows))
     declared = vehicle_from_config(robot, num_envs=1, dtype=F64)
     own_law = make_controller(law_cfg, declared, 9.81, dt=DT)
@@ -219,7 +219,7 @@ def test_reset_by_mask_forgets_rows_of_the_mask_alone(effect: str) -> None:
         for _ in range(2):
             backend.step(state, random_actions(law, model, 4), DT, 20)
             if reset:
-                backend.reset(torch.tensor([True, False, True, False]))
+                backend.reset_memory(torch.tensor([True, False, True, False]))
         ends[name, reset] = state
     assert_same(ends["torch", True], ends["mujoco", True])
     for name, values in vars(ends["mujoco", True]).items():

@@ -11,7 +11,7 @@ from aerial_gym.physics.articulated import steppers
 from aerial_gym.physics.articulated.complementarity import EffortLimits, _find_zero
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE, Drive, Effort, dry_friction
-from aerial_gym.physics.articulated.steppers import with_drive
+from aerial_gym.physics.articulated.steppers import step_within_limits
 from aerial_gym.physics.articulated.tree import TreeState
 from tests.physics.articulated.effort_rig import (
     DT,
@@ -78,9 +78,9 @@ def test_no_limit_is_exceeded_however_few_rounds_a_solution_has(rounds: int, ste
         def stepper(tree, links, laws, state, dt, *, gravity, drive, friction, wrench, applied):
             def own(acts: Effort, swings: TreeState) -> TreeState:
                 result = equations(tree, links, swings, gravity=gravity, wrench=wrench)
-                return steppers._implicit(tree, state, result, acts, dt)
+                return steppers._implicit_step(tree, state, result, acts, dt)
 
-            return with_drive(own, laws, drive, friction, state, dt, rounds=rounds, applied=applied)
+            return step_within_limits(own, laws, drive, friction, state, dt, rounds=rounds, applied=applied)
 
         for _ in range(3):
             applied = no_efforts(bent)
@@ -113,7 +113,7 @@ def test_two_drives_whose_limits_depend_on_each_other_are_solved_in_closed_form(
     def lawful(at: torch.Tensor) -> torch.Tensor:
         return (gain * (rate - at)).clamp(-limit, limit)
 
-    end, cycled, at = with_drive(own, (), drive, None, start, DT), start.joint_vel, start.joint_vel
+    end, cycled, at = step_within_limits(own, (), drive, None, start, DT), start.joint_vel, start.joint_vel
     residual = free + (matrix @ lawful(end.joint_vel).unsqueeze(-1)).squeeze(-1) - end.joint_vel
     assert residual.abs().max() < 1e-10
     ends = EffortLimits.at_end((drive,), none, DT)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import MountCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot_thrust
+from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot_rotor_thrusts
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.warp_functions import vector_type
@@ -98,7 +98,7 @@ def has_margin(allocation: Allocation, wrench: Tensor) -> Tensor:
 def test_each_priority_is_the_best_that_linear_programs_find(name: str, size: float) -> None:
     allocation = make_allocation(VEHICLES[name], 40)
     wanted = wrenches(VEHICLES[name], 40, size)
-    result = allot_thrust(allocation.inverse, wanted, allocation.low, allocation.high)
+    result = allot_rotor_thrusts(allocation.inverse, wanted, allocation.low, allocation.high)
     at_limits = ~has_margin(allocation, wanted)
     expected = np.stack([best_by_linear_programs(allocation, row) for row in wanted[at_limits].numpy()])
     assert len(expected) > 10
@@ -115,7 +115,7 @@ def test_a_wrench_within_the_limits_is_the_pseudo_inverse_bit_for_bit(name: str)
     wanted = (allocation_matrix(vehicle, 9.81) @ thrust.unsqueeze(-1)).squeeze(-1)
     plain, fits = allocation.thrust(wanted), has_margin(allocation, wanted)
     assert fits.sum() > 50
-    assert torch.equal(allot_thrust(allocation.inverse, wanted, low, high)[fits], plain[fits])
+    assert torch.equal(allot_rotor_thrusts(allocation.inverse, wanted, low, high)[fits], plain[fits])
 
 
 def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
@@ -140,13 +140,13 @@ def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
     wanted = wrenches(ROBOTS.get("tinyprop"), 8, 1.0).requires_grad_()
 
     def thrust(wrench: Tensor) -> Tensor:
-        return allot_thrust(allocation.inverse, wrench, allocation.low, allocation.high)
+        return allot_rotor_thrusts(allocation.inverse, wrench, allocation.low, allocation.high)
 
     assert torch.autograd.gradcheck(thrust, (wanted,), atol=1e-6)
 
 
 def argument_types(num_rotors: int) -> dict[str, Any]:
-    """Return the Warp types of the arguments of ``allot_thrust``."""
+    """Return the Warp types of the arguments of ``allot_rotor_thrusts``."""
     vector = vector_type(num_rotors)
     matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
     return {"inverse": matrix, "wrench": vector_type(6), "low": vector, "high": vector}
@@ -161,7 +161,7 @@ def test_warp_gives_the_same_thrusts(name: str, by_hand: bool, monkeypatch: pyte
     start_warp()
     kinds = argument_types(robot.num_rotors)
     matrix, wrench_type, vector, _ = kinds.values()
-    allotted = trace_to_warp("allot", kinds, allot_thrust, (vector,))
+    allotted = trace_to_warp("allot", kinds, allot_rotor_thrusts, (vector,))
 
     @wp.kernel(module="unique", enable_backward=False)
     def spread(inverse: matrix, low: vector, high: vector, wanted: wp.array[wrench_type], thrust_out: wp.array[vector]):
@@ -179,7 +179,7 @@ def test_warp_gives_the_same_thrusts(name: str, by_hand: bool, monkeypatch: pyte
         spread, dim=200, inputs=[*numbers, wp.from_torch(wanted.float(), dtype=wrench_type)],
         outputs=[wp.from_torch(result, dtype=vector)], device="cpu",
     )  # fmt: skip
-    expected = torch.clamp(allot_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
+    expected = torch.clamp(allot_rotor_thrusts(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
     size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
     torch.testing.assert_close(result.double(), expected, atol=float(size) * 4e-6, rtol=0)
 
@@ -199,7 +199,7 @@ def test_gradients_in_warp_are_those_of_torch() -> None:
     start_warp()
     kinds = argument_types(6)
     matrix, wrench_type, vector, _ = kinds.values()
-    allotted = trace_to_warp("allot", kinds, allot_thrust, (vector,), differentiable=True)
+    allotted = trace_to_warp("allot", kinds, allot_rotor_thrusts, (vector,), differentiable=True)
 
     @wp.kernel(module="unique", enable_backward=True, module_options={"optimization_level": 0})  # compiles in a third
     def weigh(
@@ -211,7 +211,7 @@ def test_gradients_in_warp_are_those_of_torch() -> None:
 
     exact, wanted = make_allocation(robot, 60), wrenches(robot, 60, 1.0).requires_grad_()
     weight = torch.linspace(-1.0, 2.0, 6, dtype=F64)
-    thrust = allot_thrust(exact.inverse, wanted, exact.low, exact.high)
+    thrust = allot_rotor_thrusts(exact.inverse, wanted, exact.low, exact.high)
     (expected,) = torch.autograd.grad((thrust @ weight).sum(), wanted)
     numbers = [
         kind(*rows[0].flatten().tolist())

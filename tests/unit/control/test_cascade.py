@@ -205,7 +205,7 @@ def fly(
     for k, action in enumerate(actions):
         backend.step(state, action, DT, 10)
         if k == 5:
-            backend.reset(torch.tensor([True, False, False, True, True, False])[rows])
+            backend.reset_memory(torch.tensor([True, False, False, True, True, False])[rows])
             ends.append(BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()}))
     return [*ends, state]
 
@@ -300,7 +300,7 @@ def test_a_masked_reset_begins_anew_and_leaves_others_bit_for_bit(backend: type)
         state, action = flight_start(4)
         used.step(state, action, DT, 33)
         ends.append((state, action))
-    reset.reset(mask)
+    reset.reset_memory(mask)
     fresh = backend()
     fresh.allocate(build_model(vehicle), make_controller(BUSY, vehicle, 9.81, dt=DT), integrator="euler")
     ends.append((BodyState(**{k: v.clone() for k, v in vars(ends[0][0]).items()}), ends[0][1]))

@@ -89,13 +89,13 @@ def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) ->
     rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": factor})).rest(DT)
     expected = -GRAVITY * (1.0 / factor - 1.0) / position_gain(QUAD)
     assert rest.converged.all()
-    assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, expected], abs=1e-6)
+    assert rest.offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, expected], abs=1e-6)
 
 
 def test_a_law_that_knows_the_actual_thrust_rests_at_its_setpoint() -> None:
     robot = replace(QUAD, control=replace(QUAD.control, effectiveness="actual"))
     loop = make_loop(with_effects(robot, thrust_coefficient={"scale": 0.8}))
-    assert loop.rest(DT).offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert loop.rest(DT).offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
     assert loop.hover(DT).holds
 
 
@@ -103,7 +103,7 @@ def test_a_payload_lowers_the_rest() -> None:
     """``m (g + k e) = (m + M) g``: ``e = M g / (m k)`` below."""
     rest = make_loop(with_effects(QUAD, payload_mass={"dm": 0.02})).rest(DT)
     expected = -0.02 * GRAVITY / (QUAD.body.mass * position_gain(QUAD))
-    assert float(rest.offset[0, 2]) == pytest.approx(expected, abs=1e-6)
+    assert float(rest.offset_from_start[0, 2]) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_velocity_law_drifts() -> None:
@@ -120,7 +120,7 @@ def test_a_velocity_law_drifts() -> None:
 def test_an_integrator_brings_the_rest_to_the_setpoint() -> None:
     rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").rest(DT)
     assert rest.converged.all()
-    assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+    assert rest.offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
 
 
 def test_more_thrust_than_there_is_has_no_rest() -> None:
@@ -136,7 +136,7 @@ def test_random_wind_and_later_failures_are_left_out_and_failures_from_the_start
     for robot in (gusts, later):
         assert make_loop(robot).radius(DT) == pytest.approx(calm, abs=1e-9)
     failed = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.98, "time": 0.0})
-    assert float(make_loop(failed).rest(DT).offset[0].norm()) > 0.01
+    assert float(make_loop(failed).rest(DT).offset_from_start[0].norm()) > 0.01
 
 
 def test_slew_limited_rotors_are_flown() -> None:

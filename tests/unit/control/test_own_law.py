@@ -63,7 +63,7 @@ def test_its_integral_carries_an_unknown_load(own_law: str) -> None:
     declared = vehicle_from_config(ROBOT, num_envs=1)
     law, backend = make_controller(CONTROLLERS.get(own_law), declared, 9.81, dt=DT), WarpBackend()
     backend.allocate(
-        build_model(replace(declared, mass=declared.share(1.2 * declared.mass[0]))), law, integrator="euler"
+        build_model(replace(declared, mass=declared.rows_for_all_envs(1.2 * declared.mass[0]))), law, integrator="euler"
     )
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float32)
     backend.step(state, torch.tensor([[0.5, 0.0, 0.0, 0.0]]), DT, 4000)
@@ -144,7 +144,7 @@ def test_an_own_law_states_its_action_at_hover(own_law: str, caplog: pytest.LogC
 def hover_height(law: str) -> float:
     """Return the height [m] at which the vehicle rests above its setpoint."""
     loop = ClosedLoop(ROBOT, CONTROLLERS.get(law), gravity=9.81, integrator="rk4", names=("quad", law))
-    return float(loop.rest(DT).offset[0, 2])
+    return float(loop.rest(DT).offset_from_start[0, 2])
 
 
 def test_an_unknown_law_is_refused_with_the_known_ones(own_law: str) -> None:
@@ -162,7 +162,7 @@ class GainLaw:
     calls = 0
 
     def __init__(self, vehicle: Vehicle, gain: float) -> None:
-        self.gain = vehicle.share([[gain]])  # (E, 1, 1)
+        self.gain = vehicle.rows_for_all_envs([[gain]])  # (E, 1, 1)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         self.calls += 1
@@ -176,7 +176,7 @@ def test_a_changed_model_traces_the_law_again_only_if_its_structure_changed(gain
     law, state = GainLaw(vehicle, gain), state_at_rest(2, 4, device=torch.device("cpu"), dtype=torch.float32)
     backend.allocate(build_model(vehicle), law, integrator="euler")
     law.gain[0].fill_(0.25)
-    backend.set_model(build_model(replace(vehicle, mass=vehicle.share(2.0 * vehicle.mass[0]))))
+    backend.set_model(build_model(replace(vehicle, mass=vehicle.rows_for_all_envs(2.0 * vehicle.mass[0]))))
     assert law.calls == traces
     backend.step(state, torch.full((2, 1), 0.8), DT, 1000)
     torch.testing.assert_close(state.rotor_speed, torch.full((2, 4), 500.0), rtol=1e-5, atol=0.0)

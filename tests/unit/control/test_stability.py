@@ -115,7 +115,7 @@ def test_frequencies_that_the_rotor_lag_forbids_are_refused_with_the_largest_tim
         check_closed_loop(robot, law, gravity=9.81, dt=0.05, integrator="euler", names=("fast", "att"))
     largest = float(str(e.value).split("6 dB is ")[1].split(" s")[0])
     loop = ClosedLoop(robot, law, gravity=9.81, integrator="euler", names=("fast", "att"))
-    assert max(loop.margins(0.99 * largest)) < 1.0 < max(loop.margins(1.01 * largest))
+    assert max(loop.radii_at_loop_gains(0.99 * largest)) < 1.0 < max(loop.radii_at_loop_gains(1.01 * largest))
     assert loop.radius(1.01 * largest) < 1.0
     assert loop.is_stable(largest / 0.9)
 

@@ -16,7 +16,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.controllers import LeeController
-from aerial_gym.control.gains import loop_shape
+from aerial_gym.control.gains import frequency_and_damping
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position
 from aerial_gym.errors import ConfigError
@@ -67,7 +67,9 @@ def test_poles_and_bandwidth_are_met_with_lag_and_dead_time_in_every_environment
     for result, bandwidth, damping in ((attitude, asked[0], 0.7), (position, asked[1], 0.8)):
         assert float(residual(result, damping).abs().max()) < 1e-12
         s = torch.complex(torch.zeros(4, 3, dtype=F64), bandwidth.expand(4, 3))
-        torch.testing.assert_close(result.closed(s).abs(), torch.full((4, 3), sqrt(0.5), dtype=F64), rtol=1e-9, atol=0)
+        torch.testing.assert_close(
+            result.closed_loop_response(s).abs(), torch.full((4, 3), sqrt(0.5), dtype=F64), rtol=1e-9, atol=0
+        )
     assert len(set(attitude.proportional[:, 0].tolist())) == 3  # inertia is not in it, lag is
 
 
@@ -88,7 +90,7 @@ def test_the_sampled_loop_has_the_placed_poles() -> None:
             replace(quick, control=ControlCfg(**numbers)),
             CONTROLLERS.get("lee_position_control"), gravity=9.81, integrator="rk4", names=("x500", "lee_position_control"),
         )  # fmt: skip
-        poles = torch.log(loop.modes(dt)) / dt
+        poles = torch.log(loop.discrete_poles(dt)) / dt
         yaw, sideways, up = (attitude, 2, 0.7), (position, 0, 0.8), (position, 2, 0.8)
         for result, axis, damping in (yaw, sideways, up):
             placed = complex(result.frequency[0, axis]) * complex(-damping, sqrt(1.0 - damping**2))
@@ -148,7 +150,7 @@ def lee_controller(robot: RobotCfg, *, dt: float = 0.01, control: ControlCfg | N
 def test_the_loop_has_its_phase_margin_at_its_crossover_and_no_gain_has_more(margin: float) -> None:
     """Of ``(2 z w s + w²) / (s² (T s + 1))``: |L| = 1 and the phase are worked out here, on a grid of frequencies."""
     lag = 0.07
-    frequency, damping = loop_shape(lag, margin)
+    frequency, damping = frequency_and_damping(lag, margin)
 
     def phase_margin(scale: float) -> float:
         s = 1j * np.geomspace(1e-2, 1e3, 400_001)

@@ -38,7 +38,7 @@ def test_every_code_has_a_template_and_a_sample() -> None:
 
 def test_every_effect_that_flights_can_show_has_its_own_sentence() -> None:
     random = {"gusts", "motor_failure", "stuck_rotor", "brown_out"}
-    assert EFFECT_TEMPLATES.keys() == {name for name in EFFECTS if EFFECTS.get(name).is_selectable} | random
+    assert EFFECT_TEMPLATES.keys() == {name for name in EFFECTS if EFFECTS.get(name).is_candidate_of_selection} | random
 
 
 def test_every_code_is_used() -> None:

@@ -43,7 +43,7 @@ def make_passive_efforts(articulation: Articulation) -> list[wp.Function]:
 
     def one_joint(k: int) -> wp.Function:
         own = replace(traced.trace, outputs=[([numbers[k]], (), kind) for numbers, _, kind in traced.trace.outputs])
-        lines = function_lines(own, traced.read, ["", ""])
+        lines = function_lines(own, traced.code_of_entry, ["", ""])
         return compile_traced("passive_effort", arguments, [float, float], lines, own, differentiable=False)
 
     return [one_joint(k) for k in range(articulation.num_joints)]
@@ -156,6 +156,6 @@ def make_limited(articulation: Articulation) -> LimitFunctions:
 def _end_laws(articulation: Articulation, asked: Tensor, dt: Any) -> EffortLimits:
     """Return the laws of drives and dry friction at the end of a step; ``asked`` (E, D) replaces the demand of drives."""
     drive = articulation.drive(asked.new_zeros(len(asked), articulation.num_driven))
-    laws = [law for law in (drive, articulation.resistance) if law is not None]
+    laws = [law for law in (drive, articulation.dry_friction_law) if law is not None]
     demand = [asked if law is drive else torch.zeros_like(asked) for law in laws]
     return replace(EffortLimits.at_end(laws, asked, dt), demand=torch.stack(demand, dim=1))

@@ -24,10 +24,16 @@ from aerial_gym.physics.fused.formulas import make_loads, make_wind
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
+from aerial_gym.physics.fused.packing import (
+    Packing,
+    collect_numbers,
+    effect_values_type,
+    num_parameters_and_memory,
+    rotor_types_of_model,
+)
 from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
-from aerial_gym.physics.fused.row_model import structure_constants, vehicle_rows
+from aerial_gym.physics.fused.row_model import constant_entries_of_vehicle, vehicle_rows
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.model import Model
 
@@ -60,7 +66,7 @@ def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Func
 
 def make_base(model: Model) -> wp.Function:
     """Return the function of the base's inertia: (vehicle, angular velocity, velocity) -> ``Inertia``."""
-    articulation, vehicle_type = model.articulation, model_types(model).vehicle
+    articulation, vehicle_type = model.articulation, rotor_types_of_model(model).vehicle
     assert articulation is not None
 
     def base_numbers(plant: SimpleNamespace) -> tuple[Tensor, Tensor, Tensor]:
@@ -92,11 +98,11 @@ def make_jointed_kernel(
     """
     articulation = model.articulation
     assert articulation is not None
-    num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
+    num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_parameters_and_memory(model)
     in_air = bool(effect_links(model) or hub_links(model))
-    general, types = not model.vehicle.plain, model_types(model)
-    joints = joint_types(articulation, values_type(model) if in_air else None, types.vector)
-    vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
+    general, types = not model.vehicle.plain, rotor_types_of_model(model)
+    joints = joint_types(articulation, effect_values_type(model) if in_air else None, types.vector)
+    vector, params_type, joint_vector = types.vector, effect_values_type(model), joints.vector
     action_type = vector_type(law.num_actions + articulation.num_driven)
     drive_type = vector_type(max(articulation.num_driven, 1))
     prepare, command_of, law_type = preparation(law), law.command, law.struct
@@ -108,7 +114,7 @@ def make_jointed_kernel(
     stop = make_dead_band(num_rotors) if general else None
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
-    constants = structure_constants(collect_numbers(model, law, 1.0).vehicle)
+    constants = constant_entries_of_vehicle(collect_numbers(model, law, 1.0).vehicle)
     loads = make_loads(model, constants, lambda effect: not effect.at_hubs)
     any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
     air, hubs = make_on_links(model, joints), make_hubs(model, joints)

@@ -15,7 +15,7 @@ from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.articulated.link_damping import damping_at_end
 from aerial_gym.physics.articulated.link_fluid import fluid_wrench
 from aerial_gym.physics.effects import Effect, LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.physics.fused.packing import values_type
+from aerial_gym.physics.fused.packing import effect_values_type
 from aerial_gym.physics.fused.row_model import row_effects
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.model import Model
@@ -91,7 +91,7 @@ def make_link_formula(model: Model, link: int) -> wp.Function:
 
     six = wp.spatial_vector
     arguments = {"start": six, "now": six, "change": six, "wind": wp.vec3, "up": wp.vec3}
-    arguments |= {"values": values_type(model), "dt": float}
+    arguments |= {"values": effect_values_type(model), "dt": float}
     return trace_to_warp("link_formula", arguments, formula, [six, six], constants={}, shared=["dt"])
 
 

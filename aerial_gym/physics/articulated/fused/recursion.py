@@ -36,7 +36,7 @@ class JointTypes:
 
 
 def joint_types(articulation: Articulation, params_type: Any, rotor_vector: Any) -> JointTypes:
-    """Return the types for a vehicle's joints; ``params_type`` as for ``make_held_type``."""
+    """Return the types for a vehicle's joints; ``params_type`` as for ``make_type_of_step_constants``."""
     num_joints = articulation.num_joints
     vector, rows = vector_type(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
@@ -47,12 +47,12 @@ def joint_types(articulation: Articulation, params_type: Any, rotor_vector: Any)
         "lever": rows,  # origin of the link from that of its parent [m]
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    held = make_held_type(vector, dashpots_type(articulation), params_type, rotor_vector)
+    held = make_type_of_step_constants(vector, dashpots_type(articulation), params_type, rotor_vector)
     return JointTypes(vector, struct, held)
 
 
 @cache
-def make_held_type(vector: Any, dashpots: Any, params_type: Any, rotor_vector: Any) -> Any:
+def make_type_of_step_constants(vector: Any, dashpots: Any, params_type: Any, rotor_vector: Any) -> Any:
     """Return the ``wp.struct`` of quantities that are constant over a step.
 
     It has the effort of drives and dry friction at the final rate 0, its decrease with this rate, and the positions of
@@ -97,12 +97,12 @@ def make_recursion(
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
     for k in reversed(range(articulation.num_joints)):  # children have larger indices
-        into[k] = links[k](_children(articulation, k + 1, into, inward, True))
+        into[k] = links[k](_function_of_joints(articulation, k + 1, into, inward, True))
         revolute = articulation.tree.joints[k].kind == "revolute"
-        out[k] = _make_outward(k, revolute, joints, _children(articulation, k + 1, out, back, False))
-    way_in = _children(articulation, 0, into, inward, True)
-    way_back = _children(articulation, 0, out, back, False)
-    base_rotors = make_rotors(articulation, 0, types, joints, hubs.get(0))
+        out[k] = _make_outward(k, revolute, joints, _function_of_joints(articulation, k + 1, out, back, False))
+    way_in = _function_of_joints(articulation, 0, into, inward, True)
+    way_back = _function_of_joints(articulation, 0, out, back, False)
+    base_rotors = make_rotor_inertia(articulation, 0, types, joints, hubs.get(0))
 
     @wp.func
     def sweep_inward(
@@ -126,7 +126,7 @@ def make_recursion(
     return sweep_inward, sweep_outward
 
 
-def _children(
+def _function_of_joints(
     articulation: Articulation, link: int, functions: dict[int, wp.Function], leaf: wp.Function, way_in: bool
 ) -> wp.Function:
     """Return the functions of all joints on a link as one, or ``nothing`` without joints, which avoids additions of zero."""
@@ -231,7 +231,7 @@ def _make_link(
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
     carries = bool(articulation.tree.children(k + 1))
-    rotors = make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
+    rotors = make_rotor_inertia(articulation, k + 1, types, joints, hubs.get(k + 1))
     bounded = k in articulation.driven or float(articulation.friction[0, k]) > 0.0
 
     def wrap_children(carried: wp.Function) -> wp.Function:
@@ -324,7 +324,7 @@ def _make_link(
     return wrap_children
 
 
-def make_rotors(
+def make_rotor_inertia(
     articulation: Articulation, link: int, types: RotorTypes, joints: JointTypes, hubs: wp.Function | None
 ) -> wp.Function:
     """Return the function that adds the rotors of a link to its inertia.

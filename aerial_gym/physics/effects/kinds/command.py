@@ -37,5 +37,5 @@ class CommandEffect(Effect):
         """Return the speeds [rad/s], (E, R), that the rotors approach under commanded speeds (E, R)."""
 
     @abstractmethod
-    def replay_memory(self, voltage: Tensor) -> Tensor:
+    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
         """Return its memory along a flight, (T, M), from the logged battery voltage [V], (T,)."""

@@ -25,7 +25,7 @@ class FluidEffect(Effect):
         """Return the mass of the fluid along each body axis [kg], (E, 3), from parameters (E, P)."""
 
     @abstractmethod
-    def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
+    def wrench_with_fluid(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
         """Return the wrench without weight that gives the body alone the acceleration of body and fluid, (E, 6), body axes.
 
         Args:

@@ -9,7 +9,7 @@ from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
 
 
 @dataclass(frozen=True, kw_only=True)
-class Suspension:
+class SuspensionMotion:
     """Motion of the body origin, on which a load hangs, without the load."""
 
     acceleration: Tensor  # Acceleration of the origin, gravity included [m/s²], world, (E, 3)
@@ -32,5 +32,5 @@ class LoadEffect(Effect):
     memory = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
 
     @abstractmethod
-    def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+    def pull(self, suspension: SuspensionMotion, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
         """Return the load's force on the origin [N], world, (E, 3), and n'' [1/s²], (E, 3); ``load`` is (n, n'), (E, 6)."""

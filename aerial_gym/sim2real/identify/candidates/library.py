@@ -188,7 +188,7 @@ def linearisation_points(
 ) -> list[tuple[str, ModelParams]]:
     """Return each candidate with the model of its linearisation, the present one for accepted effects."""
     candidates = []
-    for name in (name for name in EFFECTS if EFFECTS.get(name).is_selectable):
+    for name in (name for name in EFFECTS if EFFECTS.get(name).is_candidate_of_selection):
         if name in accepted:
             candidates.append((name, present))
         if name in skipped and name not in accepted:

@@ -9,7 +9,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import Effect, ImuEffect, VehicleEffect, WindEffect
 from aerial_gym.physics.effects.one_rotor import nominal_lag
-from aerial_gym.physics.model import check_joints, check_rotors
+from aerial_gym.physics.model import check_effect_on_joints, check_effect_on_rotors
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
@@ -35,8 +35,8 @@ def finding_on_untestable_effect(
     if reason := reason or _finding_on_low_command_rate(effect, robot, train):
         return reason
     try:
-        check_rotors(effect, robot.rotor_traits)
-        check_joints(effect, bends=robot.joints is not None)
+        check_effect_on_rotors(effect, robot.rotor_traits)
+        check_effect_on_joints(effect, bends=robot.joints is not None)
         effect.check(robot)
     except ConfigError as error:
         return Finding("effect_refused", name, {"error": str(error)})

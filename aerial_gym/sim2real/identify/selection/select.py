@@ -109,7 +109,7 @@ def select_effects(
     ``UnknownNameError``.
     """
     named = default_effects() if candidates is None else tuple(candidates)
-    sought = [name for name in named if EFFECTS.get(name).is_selectable]
+    sought = [name for name in named if EFFECTS.get(name).is_candidate_of_selection]
     if candidates is not None and len(sought) < len(named):
         wrong = next(name for name in named if name not in sought)
         if not EFFECTS.get(wrong).on_rigid:

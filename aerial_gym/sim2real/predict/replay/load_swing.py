@@ -21,7 +21,7 @@ from aerial_gym.physics.fused.formulas import make_pull
 
 @wp.struct
 class _Suspension:
-    """``effects.Suspension`` in double precision."""
+    """``effects.SuspensionMotion`` in double precision."""
 
     acceleration: wp.vec3d  # gravity included [m/s²], world
     mobility: wp.mat33d  # acceleration per force [1/kg], world

@@ -19,7 +19,7 @@ from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, RotorSensorEffect
 from aerial_gym.physics.effects.by_kind import EffectsByKind
-from aerial_gym.physics.effects.track import FlightTrack
+from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.arrays import Array
@@ -75,7 +75,7 @@ def _target_speed(flight: Flight, model: Model, command: Tensor) -> Tensor:
                 "effect out of the robot file"
             )
         voltage = torch.full(command.shape[:1], torch.nan) if flight.battery is None else torch.tensor(flight.battery)
-        memory = effect.replay_memory(voltage)
+        memory = effect.memory_from_voltage(voltage)
         command = effect.command(command, model.vehicle, torch.cat((params.expand(len(memory), -1), memory), dim=-1))
     return command
 
@@ -158,24 +158,26 @@ def true_rotor_speed(measured: Tensor, sensors: Sequence[tuple[RotorSensorEffect
 
 def effects_with_memory(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
     """Yield effects, with parameters, whose memory ``Effect.replay`` computes: not of commands, loads or random wind."""
-    for effect, params in effects.forces:
+    for effect, params in effects.step_effects:
         if effect.replayed and effect.remembers:
             yield effect, params
 
 
 def make_flight_track(
     flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0
-) -> FlightTrack:
+) -> RotorSpeedsOfFlight:
     """Return the track that drives memory along a flight; arguments as the fields of ``Track``."""
     stands = flight.on_ground is not None and bool(flight.on_ground[0])
-    return FlightTrack(vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled)
+    return RotorSpeedsOfFlight(
+        vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled
+    )
 
 
 def replay_memory(
     model: Model,
     flights: Sequence[Flight],
     speeds: Sequence[Array | None] | None,
-    answers: EffectCache[FlightTrack],
+    answers: EffectCache[RotorSpeedsOfFlight],
     *,
     settled: float,
 ) -> dict[str, list[Tensor]]:
@@ -187,7 +189,7 @@ def replay_memory(
     effects = list(effects_with_memory(model.effects))
     if not effects:
         return {}
-    vehicle, tracks = vehicle_of_row(model.vehicle, 0), list[FlightTrack]()
+    vehicle, tracks = vehicle_of_row(model.vehicle, 0), list[RotorSpeedsOfFlight]()
     sensors = [(effect, params[:1]) for effect, params in model.effects[RotorSensorEffect]]
     for flight, led in zip(flights, speeds or [None] * len(flights), strict=True):
         speed = led if flight.rotor_speed is None else flight.rotor_speed

@@ -7,7 +7,7 @@ from itertools import pairwise
 import torch
 
 from aerial_gym.physics import Vehicle
-from aerial_gym.physics.model import Model, in_steady_wind
+from aerial_gym.physics.model import Model, add_steady_wind
 from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
@@ -45,4 +45,4 @@ def add_known_wind(model: Model, flights: Sequence[Flight], flight: Indices) -> 
     if all(f.wind is None for f in flights):
         return model
     known = torch.tensor([f.wind or (0.0, 0.0, 0.0) for f in flights], dtype=torch.float64)
-    return in_steady_wind(model, known[torch.from_numpy(flight)])
+    return add_steady_wind(model, known[torch.from_numpy(flight)])

@@ -19,22 +19,22 @@ from aerial_gym.physics.effects import (
     ImuEffect,
     LoadEffect,
     RotorSensorEffect,
-    Suspension,
+    SuspensionMotion,
     WindEffect,
     WrenchEffect,
 )
 from aerial_gym.physics.effects.learned_residual import network_inputs
-from aerial_gym.physics.effects.track import FlightTrack
+from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import (
     MOVES_OF_VEHICLE,
     adapt_condition,
+    add_fluid_contributions,
+    append_memory_to_params,
     condition_at_origin,
     force_breakdown,
     origin_suspension,
     suspension_pull,
-    with_fluid,
-    with_memory,
 )
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -73,7 +73,7 @@ class _LoadQuery:
 
     key: tuple[object, ...]
     speeds: list[Array | None] | None
-    suspension: Suspension
+    suspension: SuspensionMotion
     missed: list[Array] | None  # Specific force residual [m/s²], world, (rows, 3) per flight, if measured
 
 
@@ -84,7 +84,7 @@ class FlightBatch:
         self.data, self.tolerances, self._declared = data, tolerances, declared
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights, data.row_times)
-        self._forces, self._memories = EffectCache[Condition](), EffectCache[FlightTrack]()
+        self._forces, self._memories = EffectCache[Condition](), EffectCache[RotorSpeedsOfFlight]()
         self._in_band = BandResponse(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
@@ -140,7 +140,7 @@ class FlightBatch:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
         flown = self._model_in_every_row(asked)
         remembered = self._effect_memory(flown, asked)
-        model, hubs = with_memory(flown, remembered), None
+        model, hubs = append_memory_to_params(flown, remembered), None
         if any(effect.needs_com for effect, _ in model.effects):
             condition = self._effect_condition(flown, asked)
         else:
@@ -149,7 +149,7 @@ class FlightBatch:
             if not at_hubs and model.vehicle.com.any():
                 condition = self._effect_condition(flown, asked)
         acting = force_breakdown(model, condition, self._forces, apart=True, hubs=hubs)
-        acting = with_fluid(model, condition, acting)
+        acting = add_fluid_contributions(model, condition, acting)
         if model.effects[LoadEffect]:
             hanging = self._load_query(flown, condition, remembered, asked)
             acting.wrenches.append(("load", self._load_wrench(flown, asked, hanging)))
@@ -175,7 +175,7 @@ class FlightBatch:
         self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _ModelQuery
     ) -> _LoadQuery:
         """Return the motion of the load's suspension, reused unless another part of the model has changed."""
-        rows = (*asked.model.vehicle.rows().values(), asked.deviation)
+        rows = (*asked.model.vehicle.tensors_by_name().values(), asked.deviation)
         other_params = [params for effect, params in asked.model.effects if not isinstance(effect, LoadEffect)]
         names = [effect.name for effect, _ in asked.model.effects]
         key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *other_params)))

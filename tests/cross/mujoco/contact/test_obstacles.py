@@ -161,7 +161,7 @@ def test_parts_move_as_their_poses_do() -> None:
         moved = state.clone()
         moved[..., :3] += t * state[..., 7:10]
         moved[..., 3:7] = quat_multiply(quat_exp(t * state[..., 10:]), state[..., 3:7])
-        return Solids(table=table, part=part, carrier=carrier, state=moved).part_motion()
+        return Solids(table=table, part=part, carrier=carrier, state=moved).motion_of_parts()
 
     position, attitude, lin_vel, ang_vel = at_time(0.0)
     before, after = at_time(-0.5 * h), at_time(0.5 * h)

@@ -15,7 +15,7 @@ from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.control.betaflight.loop import (
     RELAXED_FROM,
     actual_rate,
-    integral_share,
+    anti_windup_factor,
     mix_signals,
     throttle_attenuation,
 )
@@ -71,7 +71,7 @@ def test_a_largest_rate_below_that_about_the_centre_has_no_effect() -> None:
 def test_relax_and_windup_multiply_on_yaw() -> None:
     """A change of half the rate of full relaxation, and half of the range above the start of the windup."""
     change, used = torch.full((1, 3), 0.5 * RELAXED_FROM, dtype=F64), torch.full((1, 1), 0.9, dtype=F64)
-    assert integral_share(change, used, 0.8)[0].tolist() == pytest.approx([0.5, 0.5, 0.25])
+    assert anti_windup_factor(change, used, 0.8)[0].tolist() == pytest.approx([0.5, 0.5, 0.25])
 
 
 def test_actual_rates_are_those_of_the_public_calculators() -> None:
@@ -172,9 +172,9 @@ def test_a_yaw_integral_gain_counts_two_and_a_half_times() -> None:
 def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> None:
     empty = torch.zeros(1, 3, dtype=F64)
     for used, share in ((0.5, 1.0), (0.85, 1.0), (0.925, 0.5), (1.0, 0.0), (1.3, 0.0)):
-        result = integral_share(empty, torch.full((1, 1), used, dtype=F64), 0.85)
+        result = anti_windup_factor(empty, torch.full((1, 1), used, dtype=F64), 0.85)
         torch.testing.assert_close(result, torch.tensor([[1.0, 1.0, share]], dtype=F64))
-        assert bool((integral_share(empty, torch.full((1, 1), used, dtype=F64), 1.0) == 1.0).all())
+        assert bool((anti_windup_factor(empty, torch.full((1, 1), used, dtype=F64), 1.0) == 1.0).all())
     law = make_law(replace(PLAIN, i_roll=8000.0, iterm_limit=100.0))
     _, memory = run(law, [[0.0, 1.0, 0.0, 0.0]] * 200)
     assert float(memory.numbers[0, 0]) == pytest.approx(0.1)

@@ -15,7 +15,7 @@ from aerial_gym.control.crazyflie import brescianini
 from aerial_gym.control.crazyflie.controller import BrescianiniController, CrazyflieLeeController, MellingerController
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
 from aerial_gym.control.gains import derive_inclination
-from aerial_gym.control.reduced_attitude import up_axis
+from aerial_gym.control.reduced_attitude import unit_z
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_rotate
 from aerial_gym.physics import (
@@ -168,7 +168,7 @@ def test_what_is_far_below_does_not_flip_it() -> None:
 def test_brescianini_leans_within_the_inclination_for_a_far_lower_setpoint() -> None:
     """2 m down at 1 / (0.3 s)² is more than any weight: without the limit it would turn over to thrust downwards."""
     law = make_law(BRESCIANINI, TUNED)
-    leant = [quat_rotate(s.attitude, up_axis(s.position))[0, 2] for s in fly(law, TUNED, 1.5, [0.5, 0.0, -2.0, 0.0])]
+    leant = [quat_rotate(s.attitude, unit_z(s.position))[0, 2] for s in fly(law, TUNED, 1.5, [0.5, 0.0, -2.0, 0.0])]
     largest = derive_inclination(law.allocation.vehicle, law.allocation, 9.81)
     assert 0.3 < acos(float(min(leant))) < largest + 0.05
 

@@ -18,7 +18,7 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.filters.biquad import apply_filter, butterworth, notch
 from aerial_gym.control.px4.controller import Px4Controller
-from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
+from aerial_gym.control.px4.parameters import signal_of_thrust_share, unit_wrench
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics import (
@@ -81,7 +81,7 @@ def test_normalised_commands_are_those_of_px4s_mixer() -> None:
 @pytest.mark.parametrize("factor", [0.0, 0.3, 1.0])
 def test_the_thrust_curve_is_undone(factor: float) -> None:
     share = torch.linspace(0.0, 1.0, 11, dtype=F64)
-    signal = thrust_curve(share, factor)
+    signal = signal_of_thrust_share(share, factor)
     torch.testing.assert_close(factor * signal**2 + (1.0 - factor) * signal, share, atol=1e-15, rtol=0)
 
 

@@ -24,7 +24,7 @@ def test_effects_of_a_kind_keep_their_order() -> None:
 
 
 def test_forces_come_by_kind_and_the_load_last() -> None:
-    forces = some().forces
+    forces = some().step_effects
     assert [effect.name for effect, _ in forces] == ["constant_wind", "rotor_drag", "quadratic_drag", "slung_payload"]
     assert [float(params[0, 0]) for _, params in forces] == [2.0, 1.0, 3.0, 0.0]
     assert LoadEffect.order == max(effect.order or 0 for effect in map(EFFECTS.get, EFFECTS))

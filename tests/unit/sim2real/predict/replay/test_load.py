@@ -19,7 +19,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.memory import make_memory, place_memory
+from aerial_gym.physics.memory import make_memory, replace_memory
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -166,8 +166,8 @@ def test_a_load_in_accelerations_is_that_of_the_simulator() -> None:
     rate = torch.randn(8, 3, dtype=F64, generator=generator)
     load = torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
     result = accelerations(model, state, load=load)
-    dt, law = 1e-5, SpeedControl()
-    memory = place_memory(model, make_memory(model, dt), {"slung_payload": load})
+    dt, law = 1e-5, _HoldLaw()
+    memory = replace_memory(model, make_memory(model, dt), {"slung_payload": load})
     after, _ = advance_remembering(model, INTEGRATORS["rk4"], law, state, state.rotor_speed, dt, 1, memory)
     turning = (after.ang_vel - state.ang_vel) / dt
     torch.testing.assert_close(result.ang_acc, turning, atol=2e-2, rtol=1e-3)

@@ -11,11 +11,11 @@ from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import BodyState, accelerations, build_model, condition_in, vehicle_from_config
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.physics.rigid_body import (
+    add_fluid_contributions,
     condition_at_origin,
     force_breakdown,
     origin_suspension,
     suspension_pull,
-    with_fluid,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -68,7 +68,7 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
         x = 0.3 * swing.sin()
         link = torch.stack([x, 0.0 * swing, -(1.0 - x**2).sqrt()] + [0.1 * swing] * 3, 1)
     whole = accelerations(model, state, load=link, condition=condition)
-    acting = with_fluid(model, condition, force_breakdown(model, condition))
+    acting = add_fluid_contributions(model, condition, force_breakdown(model, condition))
     if link is not None:
         alone = accelerations(replace(model, effects=model.effects.exclude(LoadEffect)), state, condition=condition)
         gravity = model.gravity * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
