@@ -26,7 +26,7 @@ from aerial_gym.physics import (
     build_model,
 )
 from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
-from aerial_gym.physics.memory import begin_substep, end_substep, forget, link_state_of_load, make_memory
+from aerial_gym.physics.memory import begin_substep, end_substep, link_state_of_load, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation

@@ -110,7 +110,7 @@ def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspe
         opened = open_raw_log(raw, mapping)
     except DataError as error:
         refusals.append(str(error))
-    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals)
+    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals, chosen)
     notes, armed = raw.notes if opened is None else opened.notes, _spans_of_arming(raw)
     return LogInspection(raw=raw, flights=tuple(flights), refusals=tuple(refusals), notes=notes, armed=armed)
 

@@ -66,3 +66,39 @@ def test_a_csv_file_has_one_topic(table: pd.DataFrame, tmp_path: Path) -> None:
     other = inspect_log(write(table.rename(columns={"t": "stamp"}), tmp_path / "c.csv"))
     assert (other.flights, len(other.refusals)) == ((), 1)
     assert other.raw.metadata["columns"].startswith("stamp, p_x")
+
+
+def test_a_number_selects_one_flight(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write_ulog(tmp_path / "a.ulg", topics(table))
+    assert [one.path for one in inspect_log(f"{path}#1").flights] == [str(path)]
+    with pytest.raises(DataError, match="holds 1 flights"):
+        inspect_log(f"{path}#2")
+    with pytest.raises(DataError, match="leave out #2"):
+        inspect_log(f"{write(table, tmp_path / 'a.csv')}#2")
+
+
+@pytest.mark.parametrize(
+    ("head", "word"), [(b"\x1f\x8b\x08\0", "gzip"), (b"PK\x03\x04\0", "zip"), (b"ab\0c", "log-formats")]
+)
+def test_packed_and_unknown_files_are_refused(head: bytes, word: str, tmp_path: Path) -> None:
+    (tmp_path / "a.ulg").write_bytes(head + bytes(100))
+    with pytest.raises(DataError, match=word):
+        inspect_log(tmp_path / "a.ulg")
+    with pytest.raises(DataError, match="folder"):
+        inspect_log(tmp_path)
+
+
+def test_a_binary_log_is_converted_before_it_is_watched(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write_ulog(tmp_path / "a.ulg", topics(table))
+    for name in (path, Path(f"{path}#1")):
+        with pytest.raises(DataError, match="log convert"):
+            next(file_lines(name, follow=False))
+
+
+def test_unequal_numbers_of_speeds_and_commands_are_refused() -> None:
+    log = FlightLog(
+        path="a", time=np.arange(3.0), attitude=np.zeros((3, 4)), rotor_speed=np.ones((3, 1)),
+        rotor_command=np.ones((3, 4)), relative_commands=True,
+    )  # fmt: skip
+    with pytest.raises(DataError, match="1 rotor speeds and 4 commands"):
+        scale_relative_commands(log, robot_by_name("tinyprop"))

@@ -166,7 +166,7 @@ def test_a_load_in_accelerations_is_that_of_the_simulator() -> None:
     rate = torch.randn(8, 3, dtype=F64, generator=generator)
     load = torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
     result = accelerations(model, state, load=load)
-    dt, law = 1e-5, _HoldLaw()
+    dt, law = 1e-5, SpeedControl()
     memory = replace_memory(model, make_memory(model, dt), {"slung_payload": load})
     after, _ = advance_remembering(model, INTEGRATORS["rk4"], law, state, state.rotor_speed, dt, 1, memory)
     turning = (after.ang_vel - state.ang_vel) / dt

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from aerial_gym.physics import EFFECTS, vehicle_from_config
-from aerial_gym.physics.effects import Condition, Parameter, SubstepStart, WrenchEffect
-from aerial_gym.physics.effects.track import RotorSpeedsOfFlight, relax
+from aerial_gym.physics.effects.track import relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
 from aerial_gym.sim2real.predict.replay.rotors import make_flight_track
@@ -184,49 +183,3 @@ def test_rollouts_take_the_errors_of_rotor_sensors_out_of_the_thrust() -> None:
     effects = {"joint_creep": np.array([0.8, 20.0, 0.4]), "rotor_speed_scale": np.array([1.1])}
     errors = roll_out(ROBOT, [flight], ModelParams(effects=effects), horizons=(0.5,))
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(0.8 * 0.6 * ARM * THRUST)) * 0.5, rtol=1e-6)
-
-
-class Wake(WrenchEffect):
-    """A push along body x that follows the mean speed of the rotors, late by 1 s; it remembers that speed [rad/s]."""
-
-    name = "wake_of_this_test"
-    summary = "a push that comes late"
-    parameters = (Parameter(name="gain", unit="N s/rad", low=-1.0, high=1.0, scale=1e-4, meaning="force per speed"),)
-    excitation = "changes of thrust"
-    confused_with = ()
-    memory = (0.0,)
-
-    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
-        mean = moment.rotor_speed.mean(dim=1, keepdim=True)
-        return mean + (values[:, 1:] - mean) * float(np.exp(-moment.dt))
-
-    def replay(self, track: RotorSpeedsOfFlight, params: Tensor) -> Tensor:
-        rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()
-        return torch.from_numpy(relax(rest, rest[0], tau=1.0, step=track.step))
-
-    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
-        push = torch.zeros_like(params[:, :1].expand(-1, 6))
-        push[:, 0] = params[:, 0] * params[:, 1]
-        return push
-
-
-def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither predictor nor rollout knows it: speeds that rise by a tenth at 2 s push ``k w (1 + 0.1 (1 - exp(-(t - 2))))``."""
-    monkeypatch.setitem(EFFECTS._entries, Wake.name, Wake())
-    flight, gain = hover("a", 5.0), 1e-3
-    still = float(flight.rotor_speed[0].mean())
-    more = np.where(flight.time >= 2.0, 1.1, 1.0)
-    flight = replace(flight, rotor_speed=flight.rotor_speed * more[:, None])
-    params = ModelParams(effects={Wake.name: np.array([gain])})
-
-    def push(time: Array) -> Array:
-        return gain * still * (1.0 + 0.1 * -np.expm1(-np.maximum(time - 2.0, 0.0)))
-
-    predictor = make_predictor([flight])
-    result, bare = (predictor.predict(p)[0][:, 0] for p in (params, ModelParams()))
-    np.testing.assert_allclose(result - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
-    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
-    rows = np.array([100, 200, 260])
-    run = WindowBatch(vehicle, expand_effects(params, 3), [flight], np.zeros(3, dtype=int), rows)
-    ((_, state, _),) = run.simulate_steps(run.state_of_flight(0), {run.num_steps(0.1)})
-    np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)
