@@ -36,7 +36,7 @@ def _absent_keys(*names: str, remark: str) -> dict[str, TensorKey]:
     return dict.fromkeys(names, TensorKey(native="-", remark=remark))
 
 
-def _flat_key(key: str, columns: int, remark: str) -> TensorKey:
+def _key_of_joined_rows(key: str, columns: int, remark: str) -> TensorKey:
     """Return a key with the rows of all environments below one another, (rows, columns)."""
     native = f'gtd["{key}"].view(-1, {columns})'
     return TensorKey(native=native, remark=remark, read=lambda env: env.gtd[key].view(-1, columns))
@@ -66,11 +66,11 @@ _COPY = "write_to_sim() takes what a script writes there"
 
 KEYS: dict[str, TensorKey] = {
     **_same_keys("vec_root_tensor", remark=f"rows of the robot are copies; {_COPY}"),
-    "unfolded_env_asset_state_tensor": _flat_key("vec_root_tensor", 13, "a view of vec_root_tensor"),
+    "unfolded_env_asset_state_tensor": _key_of_joined_rows("vec_root_tensor", 13, "a view of vec_root_tensor"),
     **_absent_keys(
         "unfolded_env_asset_state_tensor_const", remark="clone vec_root_tensor after the first reset"
     ),
-    "rigid_body_state_tensor": _flat_key("vec_root_tensor", 13, "robot and obstacles are one body each"),
+    "rigid_body_state_tensor": _key_of_joined_rows("vec_root_tensor", 13, "robot and obstacles are one body each"),
     **_same_keys("robot_state_tensor", remark=f"a copy; {_COPY}"),
     **_same_keys("env_asset_state_tensor", "robot_position", "robot_orientation", "robot_linvel", "robot_angvel"),
     **_same_keys(
@@ -96,7 +96,7 @@ KEYS: dict[str, TensorKey] = {
     **_absent_keys("obstacle_body_angvel", remark="never filled there; rotate obstacle_angvel by obstacle_orientation"),
     **_absent_keys("obstacle_euler_angles", remark="never filled there; get_euler_xyz_tensor(obstacle_orientation)"),
     **_same_keys("dof_state_tensor", remark="a copy of dof_position and dof_velocity; only of robots with joints"),
-    "unfolded_dof_state_tensor": _flat_key("dof_state_tensor", 2, "only of robots with joints"),
+    "unfolded_dof_state_tensor": _key_of_joined_rows("dof_state_tensor", 2, "only of robots with joints"),
     **_absent_keys(
         "dof_position_setpoint_tensor", "dof_velocity_setpoint_tensor", "dof_effort_tensor",
         remark="commands of drives are the last entries of the action, in the mode that the robot file gives each",

@@ -39,7 +39,7 @@ class EffectScene:
 def declare_effect_scene(
     gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], *, obstacles: bool, gradients: bool
 ) -> EffectScene:
-    """Declare the surroundings that the effects read; ``obstacles`` adds surfaces other than the ground, without gradients."""
+    """Declare the tensors that the effects read: another vehicle's position and, with ``obstacles``, the height below."""
     other = surface = None
     if any("other_position" in effect.needs for effect, _ in effects):
         other = gtd.declare(TensorSpec(

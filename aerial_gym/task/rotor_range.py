@@ -89,10 +89,10 @@ def quadrotor_to_rotors_matrix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]
         )
     shares = thrusts / most.unsqueeze(1)
     shares = shares / torch.cat((shares[:, :1].abs().amax(0), shares[:, 1:].square().mean(0).sqrt()))
-    return _as_rows(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
+    return _to_tuples(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
 
 
-def _as_rows(matrix: Tensor) -> tuple[tuple[float, ...], ...]:
+def _to_tuples(matrix: Tensor) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in matrix.tolist())
 
 

@@ -45,7 +45,7 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
     vehicle: Vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
     declared = vehicle_from_config(robot, num_envs=copies * num_envs, dtype=dtype)
     if adjust is not None:
-        rows = adjust(vehicle).rows().items()
+        rows = adjust(vehicle).tensors_by_name().items()
         vehicle = replace(declared, **{name: tensor.repeat(copies, *[1] * (tensor.dim() - 1)) for name, tensor in rows})
     else:
         vehicle = declared

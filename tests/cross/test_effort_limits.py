@@ -135,7 +135,7 @@ def fly(robot: RobotCfg, monkeypatch: pytest.MonkeyPatch) -> dict[str, Residuals
         seen.append(result)
         return own(tree, state, result, acts, dt)
 
-    monkeypatch.setattr(steppers, "_implicit", record_step)
+    monkeypatch.setattr(steppers, "_implicit_step", record_step)
     exact, single, fused = (
         RobotFlight(robot, backend, dtype)
         for backend, dtype in ((TorchBackend(), torch.float64), (TorchBackend(), torch.float32), (WarpBackend(), torch.float32))

@@ -218,9 +218,9 @@ def test_ground_without_obstacles_is_seen_and_counted(device) -> None:
 
 def test_the_ground_has_the_color_and_the_fields_of_its_configuration() -> None:
     board = CheckerCfg(size=0.5)
-    ground = replace(OPEN_AIR, ground_height=1.5, ground_color=(0.1, 0.2, 0.3), ground_checker=board).ground
+    ground = replace(OPEN_AIR, ground_height=1.5, ground_color=(0.1, 0.2, 0.3), ground_checker=board).ground_part
     assert (ground.shape.color, ground.shape.checker, ground.position[2]) == ((0.1, 0.2, 0.3), board, 1.5)
-    assert OPEN_AIR.ground is None
+    assert OPEN_AIR.ground_part is None
 
 
 def test_the_lamps_of_a_hall_are_those_of_its_scene(device) -> None:

@@ -72,7 +72,7 @@ def outer_loop(
     return torch.cat((gains.mass * collective, _limit_rates(rates, gains)), dim=-1)
 
 
-def inner_loop(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
+def rate_torque(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
     """Return the torque ``J (w_d - w) / tau`` [N m], body, (E, 3), for measured and wanted body rates [rad/s], (E, 3)."""
     return (gains.inertia * (gains.rate * (wanted - ang_vel)).unsqueeze(1)).sum(-1)
 

@@ -164,5 +164,5 @@ class BrescianiniController(_Crazyflie):
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for thrust and body rates."""
-        torque = brescianini.inner_loop(state.ang_vel, setpoint[:, 1:], self.gains)
+        torque = brescianini.rate_torque(state.ang_vel, setpoint[:, 1:], self.gains)
         return self.allocation.speed_for_wrench(thrust_wrench(setpoint[:, 0], torque)), memory

@@ -113,7 +113,7 @@ class _StepEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class ComplementarityProblem:
-    """Bounded laws of joints, and the step in which they act."""
+    """Efforts of limited drives and dry friction at the end of a step as one problem, with the state at its start."""
 
     laws: EffortLimits  # Drives and dry friction, K of them
     friction: Sequence[bool]  # Whether each law is dry friction

@@ -51,6 +51,6 @@ def check_motion_inertias(tree: Tree, links: Links, reference: Tensor, held: Ten
 
 
 def _square_of_size(links: Links, places: LinkPoses) -> Tensor:
-    """Return the square of a vehicle's size [m²]: of its farthest point, or the mean square from link inertias."""
+    """Return a vehicle's size squared [m²]: that of its farthest point, plus the inertia of its links over the mass."""
     farthest = torch.cat((places.com, places.origin), dim=1).square().sum(-1).max()
     return farthest + links.inertia[0].diagonal(dim1=-2, dim2=-1).sum() / links.total_mass[0, 0]

@@ -166,7 +166,7 @@ def brescianini_pair(vectors: dict[str, Tensor]) -> Pair:
         state, target = _follow(step)
         if k % 5 == 0:
             wish = brescianini.outer_loop(state, target, own, gravity=GRAVITY)
-        result.append(torch.cat((wish[:, :1], brescianini.inner_loop(state.ang_vel, wish[:, 1:], own)), dim=-1))
+        result.append(torch.cat((wish[:, :1], brescianini.rate_torque(state.ang_vel, wish[:, 1:], own)), dim=-1))
     return torch.stack(result), vectors["brescianini"].transpose(0, 1)
 
 

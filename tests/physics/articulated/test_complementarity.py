@@ -33,7 +33,7 @@ LIMIT = 1e-5
 
 @pytest.fixture
 def step_recorder(monkeypatch: pytest.MonkeyPatch) -> StepRecorder:
-    return StepRecorder(monkeypatch, steppers, "_implicit")
+    return StepRecorder(monkeypatch, steppers, "_implicit_step")
 
 
 @pytest.mark.parametrize(
