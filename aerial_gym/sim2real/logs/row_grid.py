@@ -41,12 +41,15 @@ def _resample(stream: Stream, rows: Array) -> Array:
     own = np.clip(np.searchsorted(time, rows), None, time.size - 1)
     if np.array_equal(time[own], rows) and np.array_equal(np.diff(own), np.ones(rows.size - 1)):
         return values[own]
+    step = float(np.median(np.diff(rows)))
+    first, last = np.searchsorted(time, (rows[0] - 2.0 * step, rows[-1] + 2.0 * step))
+    part = slice(max(first - 2, 0), last + 2)  # a long log has many flights
+    time, values = time[part], values[part]
     if stream.quantity == "attitude":
         inside = np.clip(rows, time[0], time[-1])
         return Slerp(time, Rotation.from_quat(values))(inside).as_quat()
     if stream.quantity == "rotor_command" and stream.rate >= SLOWEST_COMMANDS_HZ:
         return values[np.clip(np.searchsorted(time, rows, side="right") - 1, 0, None)]
-    step = float(np.median(np.diff(rows)))
     return np.stack([_average_over_rows(rows, time, column, step) for column in values.T], axis=1)
 
 

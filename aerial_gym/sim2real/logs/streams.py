@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -39,12 +40,12 @@ class Stream:
         """Return the steps without a wrapped counter, which all topics share."""
         return tuple(step for step in self.steps if not step.counter)
 
-    @property
+    @cached_property
     def sample_step(self) -> float:
         """Return the median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Return the usual number of samples per second [Hz]."""
         steps = np.diff(self.time)
