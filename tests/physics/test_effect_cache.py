@@ -85,7 +85,11 @@ def test_accelerations_do_not_depend_on_earlier_calls() -> None:
 def test_a_condition_follows_from_nothing_else_of_the_vehicle() -> None:
     model = make_model({})
     vehicle, seen = model.vehicle, make_condition(model)
-    names = ("position", "air_velocity", "rotor_thrust", "lever", "axis", "hub_velocity", "hub_altitude", "wake_room")
+    names = (
+        "position", "air_velocity", "rotor_thrust", "lever", "axis", "hub_velocity", "hub_altitude", "wake_room",
+        "rotor_drag_torque",
+    )  # fmt: skip
+    assert all(getattr(seen, name).shape[0] for name in names)  # now cached
     for field, rows in vehicle.tensors_by_name().items():
         other = replace(vehicle, **{field: rows + 0.1 * (1.0 + rows.abs())})
         moved = make_condition(replace(model, vehicle=other))

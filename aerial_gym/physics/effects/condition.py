@@ -114,11 +114,9 @@ class Condition:
 
     def of_vehicle(self, vehicle: Vehicle, thrust: Tensor) -> "Condition":
         """Return the condition of a vehicle of the same centre of mass and hubs, with its thrusts [N], (E, R)."""
-        return (
-            self
-            if vehicle is self.vehicle
-            else self._with_cached_motion(replace(self, vehicle=vehicle, rotor_thrust=thrust))
-        )
+        if vehicle is self.vehicle:
+            return self
+        return self._with_cached_motion(replace(self, vehicle=vehicle, rotor_thrust=thrust))
 
     def _with_cached_motion(self, other: "Condition") -> "Condition":
         """Return another condition of the same motion, with the quantities of the motion that are cached here."""
@@ -127,7 +125,8 @@ class Condition:
         return other
 
 
-_FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)} - {"rotor_drag"}
+_FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)}
+_FROM_MOTION.remove("rotor_drag_torque")
 
 
 def velocity_of_turning(ang_vel: Tensor, lever: Tensor) -> Tensor:
