@@ -68,7 +68,6 @@ class IsaacGymFinder(MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the spec of a stand-in, None for any other module."""
-        del path, target
         if fullname.partition(".")[0] != "isaacgym":
             return None
         return spec_from_loader(fullname, IsaacGymLoader(), is_package=True)

@@ -41,7 +41,6 @@ class SimBuilder:
             UnknownNameError: If a name is not registered; the message lists the registered ones.
             ConfigError: If a configuration class has a field that is unknown or means nothing here.
         """
-        del args, use_warp, headless
         env_class = env_config_registry.config_class(env_name)
         default_envs, reset_on_collision = num_envs_and_crash_reset(env_class)
         robot_class = robot_registry.config_class(robot_name)

@@ -123,7 +123,6 @@ class ThrustsByPriority:
         self, shapes: Sequence[tuple[int, ...]], constants: Mapping[tuple[int, int], float], differentiable: bool
     ) -> Any:
         """Return the Warp function."""
-        del constants
         return make_thrusts_by_priority(shapes[0][0], idle=self.idle, differentiable=differentiable)
 
 

@@ -71,7 +71,6 @@ class ThrustController:
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the rotor speeds for the clamped thrusts."""
-        del state
         return self.allocation.speed(action)
 
 
@@ -89,7 +88,6 @@ class RotorSpeedController:
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the clamped action."""
-        del state
         return torch.clamp(action, self._vehicle.speed_low, self._vehicle.speed_high)
 
 

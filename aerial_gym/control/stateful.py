@@ -39,7 +39,6 @@ class StatefulController(ABC):
             memory: Its numbers, ``needs.outer`` of them, (E, M); zeros after a reset.
             begins: Whether this is the first run after a reset, bool (E, 1).
         """
-        del state, begins
         return action, memory
 
     @abstractmethod

@@ -76,7 +76,6 @@ class Trajectory:
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
         """Write row ``k + 1``; raise ``CapabilityError`` if the backend did not call ``begin`` in this step."""
-        del before
         if k == 0 and not self._began:
             raise CapabilityError(
                 "Trajectory: the start of the step is unknown. A backend calls begin(state) before substep 0"

@@ -204,7 +204,6 @@ class TorchBackend:
 
     def tree_stepper(self, model: Model, dt: float) -> "Callable[..., TreeState]":
         """Return the integrator of an articulated vehicle's links for substeps of ``dt`` [s], like ``implicit_euler``."""
-        del model, dt
         from aerial_gym.physics.articulated.steppers import implicit_euler
 
         return implicit_euler

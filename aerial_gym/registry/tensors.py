@@ -45,7 +45,6 @@ class WriteGuardTensor(Tensor):
         cls, func: Any, types: Sequence[type], args: Sequence[Any] = (), kwargs: Mapping[str, Any] | None = None
     ) -> Any:
         """Run an operation on the plain tensors, and guard results that share their memory."""
-        del types
         kwargs = kwargs or {}
         written = _write_targets(func, args, kwargs)
         for each in written:
@@ -84,7 +83,6 @@ class WriteGuardTensor(Tensor):
 
     @data.setter
     def data(self, value: Tensor) -> NoReturn:
-        del value
         raise AttributeError(KEPT)
 
     def __repr__(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]

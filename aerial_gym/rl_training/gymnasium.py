@@ -51,7 +51,6 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Restart every episode, with a new seed if given; return observations (E, O) and an empty info."""
-        del options
         observation, _ = self.task.reset(seed=seed)
         return self._output_array(observation["observations"]), {}
 
@@ -104,5 +103,4 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
 
     def close_extras(self, **kwargs: object) -> None:
         """Release the simulation; called by ``close``."""
-        del kwargs
         self.task.close()

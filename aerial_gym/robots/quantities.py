@@ -62,7 +62,6 @@ def _set_mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
 
 
 def _scale_inertia(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    del cfg
     return replace(vehicle, inertia=scale_second_moments(vehicle.inertia, draw))
 
 
@@ -75,7 +74,6 @@ def _set_fields(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, dra
 
 
 def _scale_maps(maps: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    del cfg
     return vehicle.with_scaled_maps(**dict.fromkeys(maps, draw))
 
 
@@ -92,7 +90,6 @@ def _set_battery(column: int, vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor)
 
 def _set_charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     """Begin on the line from full to empty at a share c of the charge: ``E0' = E1 + c (E0 - E1)``, ``Q' = c Q``."""
-    del cfg
     nominal, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
     columns = (nominal, empty + draw * (full - empty), empty, resistance, draw * capacity, efficiency)
     return replace(vehicle, battery=torch.stack(columns, dim=-1))

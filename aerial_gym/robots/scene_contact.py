@@ -247,7 +247,6 @@ class SceneContact:
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
         """Move the obstacles and apply contact to robots; launched on torch's current stream, not waited for."""
-        del k
         if state is not self._state:
             raise ShapeError("SceneContact: pushes the robots of another state. Make one for this state")
         for kept, name in zip(self._first, _FIRST_MOTION, strict=True):

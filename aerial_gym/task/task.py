@@ -391,7 +391,6 @@ class Task:
         return StepKernel(next_buffers, "the buffers for the next step", reads=reads, writes=writes, graph=values.graph)
 
     def _declare_step_time(self, values: Values, reader: str) -> Tensor:
-        del reader
         return values.declare(STEP_TIME, unit="s", meaning="time of a step", rows=False).fill_(self.env.dt)
 
     def state_tensors(self) -> dict[str, Tensor]:

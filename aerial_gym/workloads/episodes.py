@@ -47,7 +47,6 @@ class Episodes:
 
     def check(self, *, started: bool) -> None:
         """Run further steps, and raise ``WorkloadError`` unless the task behaves as expected."""
-        del started
         crashed = []
         for _ in range(CHECKED_STEPS):
             observation, reward, terminated, _, _ = self._task.step(self.actions)

@@ -124,7 +124,6 @@ class Effect(ABC):
 
         The forces of the substep use this memory as a constant: an operator splitting of first order.
         """
-        del moment
         return values[:, len(self.parameters) :]
 
     def replay(self, track: RotorSpeedsOfFlight, params: Tensor) -> Tensor:
@@ -135,12 +134,10 @@ class Effect(ABC):
         Raises:
             CapabilityError: If the effect has no replay.
         """
-        del track, params
         raise CapabilityError(f"effect {self.name}: remembers, but cannot be followed along a flight: it has no replay")
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return the parameters with which the robot behaves as declared; zeros by default."""
-        del robot
         return (0.0,) * len(self.parameters)
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
@@ -152,7 +149,6 @@ class Effect(ABC):
 
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
         """Return the lowest and highest value of each parameter that is physically possible for a robot."""
-        del robot
         return [(parameter.low, parameter.high) for parameter in self.parameters]
 
     def bind_robot(self, robot: RobotCfg) -> "Effect":
@@ -161,17 +157,14 @@ class Effect(ABC):
         Raises:
             ConfigError: If the robot has no such part.
         """
-        del robot
         return self
 
     def to(self, dtype: torch.dtype) -> "Effect":
         """Return the effect for another float type; itself if it holds no tensors."""
-        del dtype
         return self
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` if the robot file lacks a number that the effect needs."""
-        del robot
 
     def parse_params(self, values: Mapping[str, float]) -> tuple[float, ...]:
         """Return the parameters in order; raise ``ConfigError`` if one is unknown, missing or out of bounds."""

@@ -50,7 +50,6 @@ class BrownOut(CommandEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return factor 1 for zero duration."""
-        del robot
         return 1.0, 0.0, 0.0
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
@@ -60,7 +59,6 @@ class BrownOut(CommandEffect):
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commands times the factor."""
-        del vehicle
         return command * params[:, 3:]
 
     def memory_from_voltage(self, voltage: Tensor) -> Tensor:

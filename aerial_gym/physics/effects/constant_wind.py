@@ -28,5 +28,4 @@ class ConstantWind(WindEffect):
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the parameters: the same wind at every position."""
-        del position
         return params

@@ -34,7 +34,6 @@ class Downwash(WrenchEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no force."""
-        del robot
         return 0.0, 0.3
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:

@@ -36,7 +36,6 @@ class Gusts(WindEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no wind."""
-        del robot
         return 0.0, 1.0
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
@@ -49,5 +48,4 @@ class Gusts(WindEffect):
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the wind in memory, (E, 3)."""
-        del position
         return params[:, 2:]

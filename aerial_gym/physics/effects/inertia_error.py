@@ -31,7 +31,6 @@ class InertiaError(VehicleEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: inertia as declared."""
-        del robot
         return 1.0, 1.0, 1.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

@@ -18,5 +18,4 @@ class JointCreep(ArmJoint):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return rigid arms."""
-        del robot
         return 0.0, 3.0, HINGE

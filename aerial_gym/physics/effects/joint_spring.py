@@ -18,5 +18,4 @@ class JointSpring(ArmJoint):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return rigid arms."""
-        del robot
         return 0.0, 0.02, HINGE

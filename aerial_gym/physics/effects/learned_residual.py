@@ -75,7 +75,6 @@ class LearnedResidual(WrenchEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return share 0."""
-        del robot
         return (0.0,)
 
     def distance(self, felt: Tensor) -> Tensor:

@@ -44,7 +44,6 @@ class MotorFailure(CommandEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return factor 1 for the first rotor from the start."""
-        del robot
         return 1.0, 1.0, 0.0
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:

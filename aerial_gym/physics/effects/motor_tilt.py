@@ -35,7 +35,6 @@ class MotorTilt(VehicleEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return zero rotation of the first rotor."""
-        del robot
         return 1.0, 0.0, 0.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

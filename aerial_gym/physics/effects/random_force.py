@@ -42,7 +42,6 @@ class RandomForce(WrenchEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no force."""
-        del robot
         return 0.0, 0.0, 0.0, 0.002
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:

@@ -25,7 +25,6 @@ class RotorSpeedScale(RotorSensorEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: speeds as measured."""
-        del robot
         return (1.0,)
 
     def measure(self, rotor_speed: Tensor, params: Tensor) -> Tensor:

@@ -59,7 +59,6 @@ class SlungPayload(LoadEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no mass."""
-        del robot
         return 0.0, 1.0, 0.0
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:

@@ -34,7 +34,6 @@ class StuckRotor(CommandEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return a start time beyond every episode."""
-        del robot
         return 1.0, NEVER
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:

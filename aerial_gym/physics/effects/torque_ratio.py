@@ -28,7 +28,6 @@ class TorqueRatio(VehicleEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: torque as declared."""
-        del robot
         return (1.0,)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

@@ -30,7 +30,6 @@ class WeakMotor(VehicleEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1 for the first rotor: thrust as declared."""
-        del robot
         return 1.0, 1.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

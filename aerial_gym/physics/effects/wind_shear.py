@@ -32,7 +32,6 @@ class WindShear(WindEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no wind at 2 m, which would grow by the power 1/7."""
-        del robot
         return 0.0, 0.0, 2.0, 1.0 / 7.0
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:

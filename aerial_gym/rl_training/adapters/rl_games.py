@@ -78,7 +78,7 @@ class KeeperAgent(A2CAgent):
 
     @device_name.setter
     def device_name(self, name: str) -> None:
-        del name
+        """Ignore the library's choice."""
 
     def train_epoch(self) -> tuple[Any, ...]:
         """Train one epoch; ranks other than 0 report its end, as the library does not."""
@@ -104,7 +104,6 @@ class KeeperAgent(A2CAgent):
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
         """Resume from the checkpoint of the keeper, with its adapted learning rate."""
-        del fn, set_epoch
         self.keeper.restore(self._load_library_state)
 
     def _load_library_state(self, state: dict[str, Any]) -> None:
@@ -127,7 +126,6 @@ class _Observer(AlgoObserver):
             algo.save_checkpoint()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
-        del frame, total_time
         algo = self.algo
         assert algo is not None
         known = algo.game_rewards.current_size > 0

@@ -67,7 +67,6 @@ class TaskBatchedEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Tensor], dict]:
         """Restart all episodes, at random ages. The library's ``seed`` is the index of its worker; the task has its own."""
-        del seed, options
         observation, _ = self._task.reset()
         self._task.stagger()
         return {"obs": observation["observations"]}, {}
@@ -90,7 +89,6 @@ class _KeeperLearner(Learner):
 
     def load_from_checkpoint(self, policy_id: int, load_progress: bool = True) -> None:
         """Resume from the checkpoint of the keeper, if any."""
-        del policy_id, load_progress
         if self.keeper.resumes:
             self.keeper.restore(self._load_state)
 
@@ -146,7 +144,6 @@ class _Observer(AlgoObserver):
         self._run = run
 
     def on_training_step(self, runner: _Runner, training_iteration_since_resume: int) -> None:
-        del training_iteration_since_resume
         if 0 not in runner.env_steps:
             return
         returns, lengths = (runner.policy_avg_stats.get(key, [()])[0] for key in ("reward", "len"))

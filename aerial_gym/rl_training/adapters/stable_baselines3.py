@@ -68,7 +68,6 @@ class Sb3Env(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of all environments."""
-        del indices
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
@@ -77,7 +76,6 @@ class Sb3Env(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Return False for each environment."""
-        del wrapper_class
         return [False] * len(self._environment_indices(indices))
 
     def _environment_indices(self, indices: int | Sequence[int] | None) -> list[int]:

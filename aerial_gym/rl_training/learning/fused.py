@@ -157,7 +157,6 @@ class FusedPpo(Ppo):
     def _draw_action_and_command(
         self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        del begins
         mean, action, command = self._network_outputs(
             self._input_vector(self.network.actor.body.network_inputs(seen), 0), 0, noise
         )

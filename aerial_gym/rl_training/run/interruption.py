@@ -37,7 +37,6 @@ class Interruption:
             raise KeyboardInterrupt
 
     def _note_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
         self.asked = True
         if not (self._waits or self._ranks.joined):
             raise KeyboardInterrupt

@@ -67,7 +67,6 @@ class ApgTrainer(NativeTrainer):
         from aerial_gym.rl_training.trainers.native import NativeTraining
         from aerial_gym.task import task_registry
 
-        del ranks
         smooth = f"smooth_{cfg.task}"
         if smooth in task_registry.names():
             _log.warning("trainer apg: the reward of %s is flat far from its target. Train with %s", cfg.task, smooth)
@@ -96,7 +95,6 @@ class DistillTrainer(NativeTrainer):
         from aerial_gym.rl_training.policies.load import check_fits, load_policy, make_network
         from aerial_gym.rl_training.trainers.native import NativeTraining
 
-        del ranks
         assert cfg.teacher is not None
         teacher, teacher_cfg = load_policy(cfg.teacher, device=task.device)
         check_fits(teacher, task, teacher_cfg.task)

@@ -65,11 +65,9 @@ class Trainer(ABC):
 
     def check(self, cfg: TrainingCfg) -> None:
         """Raise the error of settings that cannot be trained, before anything is written."""
-        del cfg
 
     def prepare(self, device: "torch.device") -> None:
         """Import the library and compile kernels, before the task is built."""
-        del device
 
     @abstractmethod
     def run(
@@ -141,7 +139,6 @@ class LibraryTrainer(Trainer):
 
     def prepare(self, device: "torch.device") -> None:
         """Import the library."""
-        del device
         import_module(self.adapter)
 
     def run(self, *arguments: Any, **named: Any) -> bool:
@@ -160,7 +157,6 @@ class LibraryTrainer(Trainer):
         """Return the policy with the weights in the library's network."""
         from aerial_gym.rl_training.policies.load import policy_from_weights
 
-        del payload
         layers = cfg.learner.hidden_layers
         try:
             weights = self.weights(model, len(layers))

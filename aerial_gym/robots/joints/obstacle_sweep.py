@@ -139,14 +139,12 @@ class LinkObstacleSweep:
     @torch.no_grad()
     def begin(self, state: BodyState) -> None:
         """Store the link poses before the substep."""
-        del state
         self._places.refresh()
         self._first.copy_(self._links)
 
     @torch.no_grad()
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
         """Sweep all links and move the obstacles; launched on torch's current stream, not waited for."""
-        del k, before, state
         self._places.refresh()
         with on_torch_stream(self._stream):
             for sweep in self._sweeps:

@@ -33,7 +33,6 @@ class Command:
     def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the buffers that depend on this instant, after the physics and before rewards and ends. It must not read its
         own results, as it may be called more than once."""
-        del values
         return {}
 
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -45,11 +44,9 @@ class Command:
 
     def place(self, mask: Tensor) -> None:
         """Move the robots of ``mask``, bool (E,), after their reset; launched separately, like ``draw``."""
-        del mask
 
     def draw(self, mask: Tensor) -> None:
         """Draw the command of new episodes of ``mask``, bool (E,), in separate launches."""
-        del mask
 
     def _target(self, *, moving: bool = False) -> Tensor:
         """Declare and return the target [m], (E, 3); for moving targets also ``target_velocity`` [m/s]."""

@@ -139,14 +139,12 @@ def nearest(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
 @OBSERVATIONS.term(named={"cells": CELLS})
 def log_nearest_in_cells(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
     """Return the natural logarithm of ``nearest_in_cells``, (E, rows columns), which resolves near and far alike."""
-    del rows, columns
     return cells.clamp_min(LEAST_SHARE).log()
 
 
 @OBSERVATIONS.term(named={"cells": CELLS})
 def inverse_nearest(cells: Tensor, largest_distance: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
     """Return the inverse of the smallest distance in each of some cells [1/m], (E, rows columns)."""
-    del rows, columns
     return 1.0 / (cells.clamp_min(LEAST_SHARE) * largest_distance)
 
 
