@@ -23,7 +23,7 @@ class ActuationDelay(DelayEffect):
 
     name = "actuation_delay"
     summary = "dead time between the commands and the rotors"
-    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST, scale=0.01, meaning="dead time"),)
+    parameters = (Parameter("delay", "s", 0.0, LONGEST, 0.01, "dead time"),)
     excitation = "quick changes of the rotor commands, best with measured rotor speeds"
     confused_with = ("motor_time_constant", "motor_asymmetry")
     rotors = ANY_ROTOR

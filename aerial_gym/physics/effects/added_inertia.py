@@ -21,10 +21,7 @@ class AddedInertia(VehicleEffect):
     name = "added_inertia"
     summary = "water that rotates with a hull: added inertia about each body axis"
     acts_on = "inertia"
-    parameters = tuple(
-        Parameter(name=axis, unit="kg m²", low=0.0, high=1e4, scale=0.1, meaning=f"added inertia about body {axis}")
-        for axis in "xyz"
-    )
+    parameters = tuple(Parameter(axis, "kg m²", 0.0, 1e4, 0.1, f"added inertia about body {axis}") for axis in "xyz")
     excitation = "angular accelerations about each body axis"
     confused_with = ("inertia_error",)
     rotors = ANY_ROTOR

@@ -23,10 +23,7 @@ class AddedMass(FluidEffect):
 
     name = "added_mass"
     summary = "water that is accelerated with a hull: added mass along each body axis, and the moment of Munk"
-    parameters = tuple(
-        Parameter(name=axis, unit="kg", low=0.0, high=1e4, scale=1.0, meaning=f"added mass along body {axis}")
-        for axis in "xyz"
-    )
+    parameters = tuple(Parameter(axis, "kg", 0.0, 1e4, 1.0, f"added mass along body {axis}") for axis in "xyz")
     excitation = "accelerations along each body axis"
     confused_with = ("payload_mass", "thrust_coefficient")
     instead = ("link_added_mass",)

@@ -50,22 +50,19 @@ COMPLIANCE, TAU, PLACE, ANGLES = 0, 1, 2, 3
 """Indices of the parameters; the angles of the arms [rad] follow."""
 
 
-def joint_parameters(*, fastest: float, slowest: float, tau_scale: float) -> tuple[Parameter, ...]:
-    """Return the parameters of an element with a time constant from ``fastest`` to ``slowest`` [s]."""
+def joint_parameters(*, fastest: float, slowest: float, tau_scale: float, tau: float) -> tuple[Parameter, ...]:
+    """Return the parameters of an element with a time constant from ``fastest`` to ``slowest`` [s], initially ``tau``."""
     return (
+        Parameter("compliance", "rad/(N m)", 0.0, 20.0, 0.1, "angle per moment at the hinge"),
+        Parameter("tau", "s", fastest, slowest, tau_scale, "after which 63 % are reached", neutral=tau),
         Parameter(
-            name="compliance", unit="rad/(N m)", low=0.0, high=20.0, scale=0.1, meaning="angle per moment at the hinge"
-        ),
-        Parameter(
-            name="tau", unit="s", low=fastest, high=slowest, scale=tau_scale, meaning="after which 63 % are reached"
-        ),
-        Parameter(
-            name="hinge",
-            unit="-",
-            low=0.0,
-            high=0.9,
-            scale=0.1,
-            meaning="where arms bend: share of the way from the body's vertical axis to the hub",
+            "hinge",
+            "-",
+            0.0,
+            0.9,
+            0.1,
+            "where arms bend: share of the way from the body's vertical axis to the hub",
+            neutral=HINGE,
             kind="convention",
         ),
     )

@@ -20,11 +20,7 @@ class AxialInflow(RotorEffect):
 
     name = "axial_inflow"
     summary = "thrust that falls with the velocity along the rotor axis"
-    parameters = (
-        Parameter(
-            name="ka", unit="N s²/(m rad)", low=0.0, high=0.1, scale=1e-5, meaning="thrust per speed and velocity"
-        ),
-    )
+    parameters = (Parameter("ka", "N s²/(m rad)", 0.0, 0.1, 1e-5, "thrust per speed and velocity"),)
     excitation = "climb and descent; roll and pitch rates tell it from a drag along z"
     confused_with = ("rotor_drag", "quadratic_drag", "thrust_coefficient")
     rotors = ("reversible", "slew", "dead_band")

@@ -80,6 +80,7 @@ class Effect(ABC):
     """Values of its memory per rotor right after a reset; all rotors of the first number come first."""
     needs: ClassVar[tuple[Literal["position", "lin_vel", "ceiling_height", "other_position"], ...]] = ()
     """Quantities that a flight or the scene must provide."""
+    needs_radius: ClassVar[bool] = False  # Whether it depends on the radius of the rotors
     follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
     """Quantities that its force depends on: an imperfect law leaves a residual that follows them."""
     told_by_torques: ClassVar[bool] = False
@@ -137,8 +138,8 @@ class Effect(ABC):
         raise CapabilityError(f"effect {self.name}: remembers, but cannot be followed along a flight: it has no replay")
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return the parameters with which the robot behaves as declared; zeros by default."""
-        return (0.0,) * len(self.parameters)
+        """Return the parameters with which the robot behaves as declared."""
+        return tuple(parameter.neutral for parameter in self.parameters)
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
         """Return the initial parameters of fits: the neutral ones, for each rotor if it acts on one rotor."""
@@ -165,6 +166,8 @@ class Effect(ABC):
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` if the robot file lacks a number that the effect needs."""
+        if self.needs_radius and any(rotor.radius is None for rotor in robot.rotor_types):
+            raise ConfigError(f"effect {self.name}: the robot file must give rotor.radius [m], of every rotor type")
 
     def parse_params(self, values: Mapping[str, float]) -> tuple[float, ...]:
         """Return the parameters in order; raise ``ConfigError`` if one is unknown, missing or out of bounds."""

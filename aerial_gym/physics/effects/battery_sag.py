@@ -41,9 +41,7 @@ class BatterySag(CommandEffect):
 
     name = "battery_sag"
     summary = "rotor speeds that fall with the voltage of the battery"
-    parameters = (
-        Parameter(name="gain", unit="-", low=0.0, high=2.0, scale=0.2, meaning="relative speed per relative voltage"),
-    )
+    parameters = (Parameter("gain", "-", 0.0, 2.0, 0.2, "relative speed per relative voltage"),)
     excitation = "a long flight, or hard and gentle thrust, with the voltage and commands in the log"
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
     rotors = ("reversible", "slew", "dead_band")

@@ -100,46 +100,26 @@ class BladeElement(WrenchEffect):
     name = "blade_element"
     summary = "blades in their inflow: thrust, H-force, torque and flapping in climb, descent and sideways flow"
     parameters = (
+        Parameter("share", "-", 0.0, 2.0, 0.3, "share of the model; 1 is full strength"),
+        Parameter("solidity", "-", 0.01, 0.6, 0.03, "area of the blades per area of the disc", kind="convention"),
+        Parameter("lift_slope", "1/rad", 1.0, 7.0, 0.5, "of a section", kind="convention"),
+        Parameter("twist", "rad", -1.0, 0.0, 0.1, "pitch at the tip less that at the axis", kind="convention"),
         Parameter(
-            name="share", unit="-", low=0.0, high=2.0, scale=0.3, meaning="share of the model; 1 is full strength"
-        ),
-        Parameter(
-            name="solidity",
-            unit="-",
-            low=0.01,
-            high=0.6,
-            scale=0.03,
-            meaning="area of the blades per area of the disc",
+            "lock",
+            "-",
+            0.01,
+            20.0,
+            0.2,
+            "Lock number: rho a c R⁴ over the inertia of a blade in flapping",
             kind="convention",
         ),
         Parameter(
-            name="lift_slope", unit="1/rad", low=1.0, high=7.0, scale=0.5, meaning="of a section", kind="convention"
-        ),
-        Parameter(
-            name="twist",
-            unit="rad",
-            low=-1.0,
-            high=0.0,
-            scale=0.1,
-            meaning="pitch at the tip less that at the axis",
-            kind="convention",
-        ),
-        Parameter(
-            name="lock",
-            unit="-",
-            low=0.01,
-            high=20.0,
-            scale=0.2,
-            meaning="Lock number: rho a c R⁴ over the inertia of a blade in flapping",
-            kind="convention",
-        ),
-        Parameter(
-            name="flap_frequency",
-            unit="rad/s",
-            low=0.0,
-            high=1e5,
-            scale=100.0,
-            meaning="of the first bending of a blade at rest; 0: a free hinge",
+            "flap_frequency",
+            "rad/s",
+            0.0,
+            1e5,
+            100.0,
+            "of the first bending of a blade at rest; 0: a free hinge",
             kind="convention",
         ),
     )
@@ -148,6 +128,7 @@ class BladeElement(WrenchEffect):
     confused_with = ("axial_inflow", "translational_lift", "h_force_flapping", "rotor_drag")
     rotors = ("reversible", "slew", "dead_band")
     follows = ("velocity",)
+    needs_radius = True
     by_default = False
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
@@ -156,12 +137,9 @@ class BladeElement(WrenchEffect):
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless radii are known and drag torques exceed those of an ideal rotor."""
+        super().check(robot)
         share = robot.body.mass * STANDARD_GRAVITY / robot.num_rotors
         for rotor in robot.rotor_types:
-            if rotor.radius is None:
-                raise ConfigError(
-                    "effect blade_element: the robot file must give rotor.radius [m], of every rotor type"
-                )
             speed = rotor_state_for_thrust(rotor, share)
             thrust, torque = rotor_loads(rotor, speed)
             ideal = thrust * (thrust / (2.0 * AIR_DENSITY * pi * rotor.radius**2)) ** 0.5 / speed

@@ -9,7 +9,6 @@ Source: motor speed proportional to voltage, as in ``battery_sag``: Drela (2007)
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.failure import LATEST, TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
@@ -23,34 +22,15 @@ class BrownOut(CommandEffect):
     name = "brown_out"
     summary = "for a while all rotors reach a part of their commands, or nothing"
     parameters = (
-        Parameter(
-            name="scale",
-            unit="-",
-            low=0.0,
-            high=2.0,
-            scale=0.3,
-            meaning="speed, in force mode thrust, per command, while it lasts",
-        ),
+        Parameter("scale", "-", 0.0, 2.0, 0.3, "speed, in force mode thrust, per command, while it lasts", neutral=1.0),
         TIME,
-        Parameter(
-            name="duration",
-            unit="s",
-            low=0.0,
-            high=LATEST,
-            scale=0.1,
-            meaning="until the supply recovers",
-            kind="convention",
-        ),
+        Parameter("duration", "s", 0.0, LATEST, 0.1, "until the supply recovers", kind="convention"),
     )
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("battery_sag", "thrust_coefficient")
     rotors = ANY_ROTOR
     memory = (1.0,)  # Factor on the commands
     random = True
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return factor 1 for zero duration."""
-        return 1.0, 0.0, 0.0
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
@@ -60,7 +40,3 @@ class BrownOut(CommandEffect):
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commands times the factor."""
         return command * params[:, 3:]
-
-    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
-        """Return no failure, (T, 1)."""
-        return torch.ones_like(voltage).unsqueeze(-1)

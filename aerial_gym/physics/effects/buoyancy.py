@@ -21,18 +21,8 @@ class Buoyancy(WrenchEffect):
     name = "buoyancy"
     summary = "upward force of displaced water, at the centre of buoyancy"
     parameters = (
-        Parameter(name="force", unit="N", low=0.0, high=1e5, scale=1.0, meaning="weight of the displaced water"),
-        *(
-            Parameter(
-                name=axis,
-                unit="m",
-                low=-5.0,
-                high=5.0,
-                scale=0.01,
-                meaning=f"centre of buoyancy from the body origin, {axis}",
-            )
-            for axis in "xyz"
-        ),
+        Parameter("force", "N", 0.0, 1e5, 1.0, "weight of the displaced water"),
+        *(Parameter(axis, "m", -5.0, 5.0, 0.01, f"centre of buoyancy from the body origin, {axis}") for axis in "xyz"),
     )
     excitation = "attitudes that differ"
     confused_with = ("payload_mass", "com_offset", "thrust_coefficient")

@@ -11,8 +11,6 @@ flight: ``T / T' = 1 - (1 / a_1) (R / (h + a_2))²`` near a ceiling; here a_2 = 
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.rotor import RotorEffect
@@ -27,17 +25,13 @@ class CeilingEffect(RotorEffect):
 
     name = "ceiling_effect"
     summary = "gain of thrust near the ceiling"
-    parameters = (Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength, as of ground_effect"),)
+    parameters = (Parameter("k", "-", 0.0, 3.5, 1.0, "strength, as of ground_effect"),)
     excitation = "flight within two rotor diameters of the ceiling, and away from it; its height"
     confused_with = ("thrust_coefficient", "battery_sag", "ground_effect")
     rotors = ANY_ROTOR
+    needs_radius = True
     follows = ("position",)
     needs = ("position", "ceiling_height")
-
-    def check(self, robot: RobotCfg) -> None:
-        """Raise ``ConfigError`` unless the radius of the rotors is known."""
-        if any(rotor.radius is None for rotor in robot.rotor_types):
-            raise ConfigError("effect ceiling_effect: the robot file must give rotor.radius [m], of every rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - s / h²) - 1) = T s / (h² - s)`` with ``s = k (R / 4)²``."""

@@ -22,10 +22,7 @@ class ComOffset(VehicleEffect):
     name = "com_offset"
     summary = "the centre of mass is shifted from its declared place"
     acts_on = "inertia"
-    parameters = tuple(
-        Parameter(name=axis, unit="m", low=-0.5, high=0.5, scale=0.005, meaning=f"shift along body {axis}")
-        for axis in "xyz"
-    )
+    parameters = tuple(Parameter(axis, "m", -0.5, 0.5, 0.005, f"shift along body {axis}") for axis in "xyz")
     excitation = "x and y: any thrust; z: angular acceleration or rate together with the accelerometer"
     confused_with = ("weak_motor", "motor_tilt", "imu_bias")
     told_by_torques = True

@@ -16,10 +16,7 @@ class ConstantWind(WindEffect):
     name = "constant_wind"
     summary = "steady uniform wind; acts through the drag effects"
     parameters = tuple(
-        Parameter(
-            name=axis, unit="m/s", low=-40.0, high=40.0, scale=1.0, meaning=f"velocity of the air along world {axis}"
-        )
-        for axis in "xyz"
+        Parameter(axis, "m/s", -40.0, 40.0, 1.0, f"velocity of the air along world {axis}") for axis in "xyz"
     )
     excitation = (
         "a known drag, and headings or attitudes that differ (else a tilted or biased accelerometer looks alike)"

@@ -10,7 +10,6 @@ measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The de
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
@@ -23,18 +22,14 @@ class Downwash(WrenchEffect):
     name = "downwash"
     summary = "downward force in the wake of a vehicle above"
     parameters = (
-        Parameter(name="force", unit="N", low=0.0, high=100.0, scale=0.5, meaning="right below the other vehicle"),
-        Parameter(name="sigma", unit="m", low=0.01, high=10.0, scale=0.2, meaning="horizontal width"),
+        Parameter("force", "N", 0.0, 100.0, 0.5, "right below the other vehicle"),
+        Parameter("sigma", "m", 0.01, 10.0, 0.2, "horizontal width", neutral=0.3),
     )
     excitation = "passes below another vehicle whose position is in the log"
     confused_with = ("gusts", "thrust_coefficient", "ground_effect")
     rotors = ANY_ROTOR
     follows = ("position",)
     needs = ("position", "other_position")
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return no force."""
-        return 0.0, 0.3
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6)."""

@@ -11,15 +11,7 @@ LATEST = 1e5
 NEVER = 1e4
 """Start time beyond every episode [s]."""
 
-TIME = Parameter(
-    name="time",
-    unit="s",
-    low=0.0,
-    high=LATEST,
-    scale=0.1,
-    meaning="from the reset to the failure",
-    kind="convention",
-)
+TIME = Parameter("time", "s", 0.0, LATEST, 0.1, "from the reset to the failure", kind="convention")
 
 
 def substep_middle(moment: SubstepStart, like: Tensor) -> Tensor:

@@ -13,8 +13,6 @@ points down derived: such a rotor is the mirror image of one over the ground.
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.rotor import RotorEffect
@@ -32,21 +30,15 @@ class GroundEffect(RotorEffect):
 
     name = "ground_effect"
     summary = "gain of thrust near the ground"
-    parameters = (
-        Parameter(name="k", unit="-", low=0.0, high=30.0, scale=3.0, meaning="strength; 1 is a rotor by itself"),
-    )
+    parameters = (Parameter("k", "-", 0.0, 30.0, 3.0, "strength; 1 is a rotor by itself"),)
     excitation = (
         "flight within two rotor diameters of the ground, and away from it; heights above the ground in the log"
     )
     confused_with = ("thrust_coefficient", "battery_sag", "axial_inflow")
     rotors = ANY_ROTOR
+    needs_radius = True
     follows = ("position",)
     needs = ("position",)
-
-    def check(self, robot: RobotCfg) -> None:
-        """Raise ``ConfigError`` unless the radius of the rotors is known."""
-        if any(rotor.radius is None for rotor in robot.rotor_types):
-            raise ConfigError("effect ground_effect: the robot file must give rotor.radius [m], of every rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - s / h²) - 1) = T s / (h² - s)`` with ``s = k (R / 4)²``."""

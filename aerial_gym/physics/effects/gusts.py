@@ -10,7 +10,6 @@ turbulence it is the longitudinal Dryden spectrum, MIL-F-8785C, section 3.7.
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.random import normal_draws
 from aerial_gym.physics.effects.base import SubstepStart
 from aerial_gym.physics.effects.kinds.wind import WindEffect
@@ -26,17 +25,13 @@ class Gusts(WindEffect):
     name = "gusts"
     summary = "random wind with a correlation time; acts through the drag effects"
     parameters = (
-        Parameter(name="std", unit="m/s", low=0.0, high=20.0, scale=1.0, meaning="standard deviation of each axis"),
-        Parameter(name="corr_time", unit="s", low=0.01, high=100.0, scale=1.0, meaning="correlation time T"),
+        Parameter("std", "m/s", 0.0, 20.0, 1.0, "standard deviation of each axis"),
+        Parameter("corr_time", "s", 0.01, 100.0, 1.0, "correlation time T", neutral=1.0),
     )
     excitation = "a known drag, and flights much longer than the correlation time"
     confused_with = ("constant_wind", "downwash")
     memory = (0.0, 0.0, 0.0)  # Wind [m/s], world
     random = True
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return no wind."""
-        return 0.0, 1.0
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the wind of this substep, (E, 3)."""

@@ -23,12 +23,8 @@ class HForceFlapping(LinearWrenchEffect):
     name = "h_force_flapping"
     summary = "in-plane force and hub moment of rotors in sideways flow"
     parameters = (
-        Parameter(
-            name="kh", unit="N s²/(m rad)", low=0.0, high=0.1, scale=1e-5, meaning="force per speed and velocity"
-        ),
-        Parameter(
-            name="kf", unit="N s²/rad", low=-0.1, high=0.1, scale=1e-6, meaning="hub moment per speed and velocity"
-        ),
+        Parameter("kh", "N s²/(m rad)", 0.0, 0.1, 1e-5, "force per speed and velocity"),
+        Parameter("kf", "N s²/rad", -0.1, 0.1, 1e-6, "hub moment per speed and velocity"),
     )
     excitation = "sideways velocity in both directions; the moment also needs the rotor speeds one by one"
     at_hubs = True

@@ -27,7 +27,7 @@ class HullDrag(LinearWrenchEffect):
     name = "hull_drag"
     summary = "damping of a hull in water: linear and quadratic, along and about each body axis"
     parameters = tuple(
-        Parameter(name=f"{letter}{axis}", unit=unit, low=0.0, high=1e4, scale=scale, meaning=f"{meaning} {axis}")
+        Parameter(f"{letter}{axis}", unit, 0.0, 1e4, scale, f"{meaning} {axis}")
         for letter, (unit, scale, meaning) in _MEANING.items()
         for axis in "xyz"
     )

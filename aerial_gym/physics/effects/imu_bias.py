@@ -16,16 +16,8 @@ class ImuBias(ImuEffect):
     name = "imu_bias"
     summary = "constant errors of accelerometer and gyroscope"
     parameters = (
-        *(
-            Parameter(
-                name=f"a{axis}", unit="m/s²", low=-5.0, high=5.0, scale=0.1, meaning=f"accelerometer, body {axis}"
-            )
-            for axis in "xyz"
-        ),
-        *(
-            Parameter(name=f"g{axis}", unit="rad/s", low=-1.0, high=1.0, scale=0.01, meaning=f"gyroscope, body {axis}")
-            for axis in "xyz"
-        ),
+        *(Parameter(f"a{axis}", "m/s²", -5.0, 5.0, 0.1, f"accelerometer, body {axis}") for axis in "xyz"),
+        *(Parameter(f"g{axis}", "rad/s", -1.0, 1.0, 0.01, f"gyroscope, body {axis}") for axis in "xyz"),
     )
     excitation = "attitude and velocity beside the inertial sensors; attitudes that differ"
     confused_with = ("imu_misalignment", "constant_wind", "com_offset", "motor_tilt")

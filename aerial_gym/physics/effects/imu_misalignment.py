@@ -17,7 +17,7 @@ class ImuMisalignment(ImuEffect):
     name = "imu_misalignment"
     summary = "inertial sensors that are rotated against the body"
     parameters = tuple(
-        Parameter(name=name, unit="rad", low=-0.8, high=0.8, scale=0.02, meaning=f"turn about {axis}")
+        Parameter(name, "rad", -0.8, 0.8, 0.02, f"turn about {axis}")
         for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
     )
     excitation = (

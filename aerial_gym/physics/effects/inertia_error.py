@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -22,16 +21,11 @@ class InertiaError(VehicleEffect):
     summary = "moments of inertia that differ from the declared ones"
     acts_on = "inertia"
     parameters = tuple(
-        Parameter(name=f"s{axis}", unit="-", low=0.1, high=10.0, scale=0.1, meaning=f"true per declared, body {axis}")
-        for axis in "xyz"
+        Parameter(f"s{axis}", "-", 0.1, 10.0, 0.1, f"true per declared, body {axis}", neutral=1.0) for axis in "xyz"
     )
     excitation = "angular accelerations about each body axis"
     confused_with = ("torque_ratio", "thrust_coefficient", "rotor_inertia")
     rotors = ANY_ROTOR
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1: inertia as declared."""
-        return 1.0, 1.0, 1.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the inertia scaled."""

@@ -3,8 +3,7 @@
 One Kelvin-Voigt element in each arm, ``tau h' = compliance f l a_z - h``, in ``arm_joint``.
 """
 
-from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.arm_joint import HINGE, ArmJoint, joint_parameters
+from aerial_gym.physics.effects.arm_joint import ArmJoint, joint_parameters
 
 
 class JointSpring(ArmJoint):
@@ -12,10 +11,6 @@ class JointSpring(ArmJoint):
 
     name = "joint_spring"
     summary = "rotor arms bend up under their thrust, within tenths of a second"
-    parameters = joint_parameters(fastest=0.001, slowest=0.3, tau_scale=0.02)
+    parameters = joint_parameters(fastest=0.001, slowest=0.3, tau_scale=0.02, tau=0.02)
     excitation = "differences in thrust between rotors, at high and at low thrust"
     confused_with = ("joint_creep", "com_offset", "motor_tilt", "imu_misalignment")
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return rigid arms."""
-        return 0.0, 0.02, HINGE

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.learned_residual import LearnedResidualCfg
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import times
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
@@ -41,16 +40,7 @@ class LearnedResidual(WrenchEffect):
 
     name = "learned_residual"
     summary = "force and torque learned from flights, where no named effect fits"
-    parameters = (
-        Parameter(
-            name="share",
-            unit="-",
-            low=0.0,
-            high=1.0,
-            scale=0.1,
-            meaning="share of the network's output; 1 in robot files",
-        ),
-    )
+    parameters = (Parameter("share", "-", 0.0, 1.0, 0.1, "share of the network's output; 1 in robot files"),)
     excitation = "any motion; beyond what was flown it fades to zero"
     confused_with = ()
     rotors = ("reversible", "slew", "dead_band")
@@ -72,10 +62,6 @@ class LearnedResidual(WrenchEffect):
     def to(self, dtype: torch.dtype) -> "LearnedResidual":
         """Return the same network in another float type."""
         return LearnedResidual(self.cfg, dtype=dtype, device=self._low.device)
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return share 0."""
-        return (0.0,)
 
     def distance(self, felt: Tensor) -> Tensor:
         """Return the squared Mahalanobis distance q of inputs (E, 7), (E, 1): above 1 outside the training data."""

@@ -37,26 +37,9 @@ class LinkAddedMass(LinkParameters, LinkFluidEffect):
         "water that each link of a vehicle with joints accelerates: added mass and inertia along each axis of the link"
     )
     columns: ClassVar[tuple[Parameter, ...]] = (
+        *(Parameter(name, "kg", 0.0, 1e4, 0.1, f"added mass along {name[1]} of each link") for name in _MASSES),
         *(
-            Parameter(
-                name=name,
-                unit="kg",
-                low=0.0,
-                high=1e4,
-                scale=0.1,
-                meaning=f"added mass along {name[1]} of each link",
-            )
-            for name in _MASSES
-        ),
-        *(
-            Parameter(
-                name=name,
-                unit="kg m²",
-                low=0.0,
-                high=1e4,
-                scale=1e-3,
-                meaning=f"added inertia about {name[1]} of each link",
-            )
+            Parameter(name, "kg m²", 0.0, 1e4, 1e-3, f"added inertia about {name[1]} of each link")
             for name in _INERTIAS
         ),
     )

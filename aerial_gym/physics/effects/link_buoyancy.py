@@ -25,18 +25,9 @@ class LinkBuoyancy(LinkParameters, LinkWrenchEffect):
     name = "link_buoyancy"
     summary = "upward force of the water that each link of a vehicle with joints displaces, at its centre of buoyancy"
     columns: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            name="force", unit="N", low=0.0, high=1e5, scale=0.1, meaning="weight of the water that each link displaces"
-        ),
+        Parameter("force", "N", 0.0, 1e5, 0.1, "weight of the water that each link displaces"),
         *(
-            Parameter(
-                name=axis,
-                unit="m",
-                low=-5.0,
-                high=5.0,
-                scale=0.01,
-                meaning=f"centre of buoyancy of each link from its centre of mass, {axis}",
-            )
+            Parameter(axis, "m", -5.0, 5.0, 0.01, f"centre of buoyancy of each link from its centre of mass, {axis}")
             for axis in "xyz"
         ),
     )

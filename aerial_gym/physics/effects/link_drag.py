@@ -33,9 +33,7 @@ class LinkDrag(LinkParameters, LinkEffect):
     name = "link_drag"
     summary = "drag of each link of a vehicle with joints: linear and quadratic, along and about each axis of the link"
     columns: ClassVar[tuple[Parameter, ...]] = tuple(
-        Parameter(
-            name=f"{letter}{axis}", unit=unit, low=0.0, high=1e4, scale=scale, meaning=f"{words} {axis} of each link"
-        )
+        Parameter(f"{letter}{axis}", unit, 0.0, 1e4, scale, f"{words} {axis} of each link")
         for letter, (unit, scale, words) in _LETTERS.items()
         for axis in "xyz"
     )

@@ -23,8 +23,8 @@ class MotorAsymmetry(VehicleEffect):
     summary = "different first-order lags of rising and falling rotor speeds, in place of the declared ones"
     acts_on = "actuation"
     parameters = (
-        Parameter(name="tau_up", unit="s", low=1e-3, high=1.0, scale=0.01, meaning="time constant of rise"),
-        Parameter(name="tau_down", unit="s", low=1e-3, high=1.0, scale=0.01, meaning="time constant of fall"),
+        Parameter("tau_up", "s", 1e-3, 1.0, 0.01, "time constant of rise"),
+        Parameter("tau_down", "s", 1e-3, 1.0, 0.01, "time constant of fall"),
     )
     excitation = "quick changes of the rotor commands, up and down"
     contains = ("motor_time_constant",)

@@ -10,7 +10,6 @@ control systems, section 2; with the lag it models a motor that runs down, not a
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.failure import TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
@@ -26,14 +25,7 @@ class MotorFailure(CommandEffect):
     summary = "from a given time on one rotor follows a part of its command, or stops"
     parameters = (
         ROTOR,
-        Parameter(
-            name="scale",
-            unit="-",
-            low=0.0,
-            high=2.0,
-            scale=0.3,
-            meaning="speed, in force mode thrust, per command, after it",
-        ),
+        Parameter("scale", "-", 0.0, 2.0, 0.3, "speed, in force mode thrust, per command, after it", neutral=1.0),
         TIME,
     )
     excitation = "an episode that goes on after it; a log does not say when its reset was"
@@ -41,10 +33,6 @@ class MotorFailure(CommandEffect):
     rotors = ANY_ROTOR
     memory = (1.0,)  # Factor on the command of the rotor
     random = True
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return factor 1 for the first rotor from the start."""
-        return 1.0, 1.0, 0.0
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
@@ -54,7 +42,3 @@ class MotorFailure(CommandEffect):
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commands with that of one rotor times the factor."""
         return command * (1.0 + rotor_mask(vehicle, params[:, 0]) * (params[:, 3:] - 1.0))
-
-    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
-        """Return no failure, (T, 1)."""
-        return torch.ones_like(voltage).unsqueeze(-1)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
@@ -25,17 +24,13 @@ class MotorTilt(VehicleEffect):
     acts_on = "rotor"
     parameters = (
         ROTOR,
-        Parameter(name="roll", unit="rad", low=-1.0, high=1.0, scale=0.03, meaning="turn about body x"),
-        Parameter(name="pitch", unit="rad", low=-1.0, high=1.0, scale=0.03, meaning="then about body y"),
+        Parameter("roll", "rad", -1.0, 1.0, 0.03, "turn about body x"),
+        Parameter("pitch", "rad", -1.0, 1.0, 0.03, "then about body y"),
     )
     excitation = "thrust of that rotor that varies; yaw tells it from a shifted centre of mass"
     confused_with = ("com_offset", "weak_motor", "imu_misalignment", "torque_ratio")
     told_by_torques = True
     rotors = ANY_ROTOR
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return zero rotation of the first rotor."""
-        return 1.0, 0.0, 0.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with one axis rotated."""

@@ -22,9 +22,7 @@ class MotorTimeConstant(VehicleEffect):
     name = "motor_time_constant"
     summary = "the true first-order lag of the rotor speeds, in place of the declared one"
     acts_on = "actuation"
-    parameters = (
-        Parameter(name="tau", unit="s", low=1e-3, high=1.0, scale=0.01, meaning="time constant of rise and fall"),
-    )
+    parameters = (Parameter("tau", "s", 1e-3, 1.0, 0.01, "time constant of rise and fall"),)
     excitation = "quick changes of the rotor commands"
     confused_with = ("motor_asymmetry", "actuation_delay", "battery_sag")
     rotors = ANY_ROTOR

@@ -11,9 +11,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 MOST_ROTORS = 64
 
-ROTOR = Parameter(
-    name="motor", unit="-", low=1, high=MOST_ROTORS, scale=1.0, meaning="which rotor, from 1 on", kind="rotor"
-)
+ROTOR = Parameter("motor", "-", 1, MOST_ROTORS, 1.0, "which rotor, from 1 on", neutral=1.0, kind="rotor")
 
 
 def nominal_lag(robot: RobotCfg) -> tuple[float, float]:

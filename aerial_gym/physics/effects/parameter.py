@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect."""
 
@@ -14,6 +14,6 @@ class Parameter:
     high: float  # Highest value that is physically possible
     scale: float  # A change that one would call moderate: the step of numerical derivatives and fits
     meaning: str  # One line
-
+    neutral: float = 0.0  # Value with which the robot behaves as declared
     kind: Literal["number", "rotor", "convention"] = "number"
     """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""

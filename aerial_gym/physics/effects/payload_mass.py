@@ -24,9 +24,7 @@ class PayloadMass(VehicleEffect):
     name = "payload_mass"
     summary = "mass that is not declared, at the centre of mass"
     acts_on = "inertia"
-    parameters = (
-        Parameter(name="dm", unit="kg", low=-10.0, high=50.0, scale=0.02, meaning="true minus declared mass"),
-    )
+    parameters = (Parameter("dm", "kg", -10.0, 50.0, 0.02, "true minus declared mass"),)
     excitation = "thrust together with angular accelerations or drag: in hover alone a weaker thrust looks the same"
     confused_with = ("thrust_coefficient", "battery_sag", "weak_motor")
     rotors = ANY_ROTOR

@@ -19,10 +19,7 @@ class QuadraticDrag(LinearWrenchEffect):
 
     name = "quadratic_drag"
     summary = "force against the velocity through the air, quadratic in speed, per body axis"
-    parameters = tuple(
-        Parameter(name=f"d{axis}", unit="N s²/m²", low=0.0, high=10.0, scale=0.05, meaning=f"drag along body {axis}")
-        for axis in "xyz"
-    )
+    parameters = tuple(Parameter(f"d{axis}", "N s²/m²", 0.0, 10.0, 0.05, f"drag along body {axis}") for axis in "xyz")
     excitation = "several different speeds through the air, some of them high, along each body axis"
     confused_with = ("rotor_drag", "constant_wind")
     rotors = ANY_ROTOR

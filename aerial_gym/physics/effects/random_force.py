@@ -10,7 +10,6 @@ disturbance it is that of github learnsyslab/lsy_drone_racing (envs/race_core.py
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.random import uniform_draws
 from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
@@ -28,21 +27,14 @@ class RandomForce(WrenchEffect):
     name = "random_force"
     summary = "random force, uniform in a box, drawn anew at even intervals"
     parameters = (
-        *(
-            Parameter(name=axis, unit="N", low=0.0, high=100.0, scale=0.1, meaning=f"largest force along world {axis}")
-            for axis in "xyz"
-        ),
-        Parameter(name="hold", unit="s", low=0.0001, high=100.0, scale=0.002, meaning="interval T between two draws"),
+        *(Parameter(axis, "N", 0.0, 100.0, 0.1, f"largest force along world {axis}") for axis in "xyz"),
+        Parameter("hold", "s", 0.0001, 100.0, 0.002, "interval T between two draws", neutral=0.002),
     )
     excitation = "flights much longer than the interval"
     confused_with = ("gusts",)
     rotors = ANY_ROTOR
     memory = (0.0, 0.0, 0.0)  # Force [N], world
     random = True
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return no force."""
-        return 0.0, 0.0, 0.0, 0.002
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the force of this substep, (E, 3)."""

@@ -19,10 +19,7 @@ class RotorDrag(LinearWrenchEffect):
 
     name = "rotor_drag"
     summary = "force against the velocity through the air, linear in it, per body axis"
-    parameters = tuple(
-        Parameter(name=f"d{axis}", unit="N s/m", low=0.0, high=10.0, scale=0.1, meaning=f"drag along body {axis}")
-        for axis in "xyz"
-    )
+    parameters = tuple(Parameter(f"d{axis}", "N s/m", 0.0, 10.0, 0.1, f"drag along body {axis}") for axis in "xyz")
     excitation = "velocity along each body axis, in both directions or at several speeds"
     confused_with = ("quadratic_drag", "constant_wind", "com_offset")
     rotors = ANY_ROTOR

@@ -19,9 +19,7 @@ class RotorInertia(LinearWrenchEffect):
 
     name = "rotor_inertia"
     summary = "reaction to rotor acceleration, and gyroscopic torque"
-    parameters = (
-        Parameter(name="jr", unit="kg m²", low=0.0, high=0.01, scale=1e-6, meaning="of one rotor about its axis"),
-    )
+    parameters = (Parameter("jr", "kg m²", 0.0, 0.01, 1e-6, "of one rotor about its axis"),)
     excitation = "quick yaw commands, or fast turns with unequal rotor speeds"
     at_hubs = True
     confused_with = ("torque_ratio", "inertia_error")

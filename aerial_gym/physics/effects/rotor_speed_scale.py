@@ -6,7 +6,6 @@ Source: Derived: a tachometer counts k times as many events per turn as assumed.
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.kinds.sensor import RotorSensorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
@@ -16,16 +15,10 @@ class RotorSpeedScale(RotorSensorEffect):
 
     name = "rotor_speed_scale"
     summary = "measured rotor speeds that are off by a factor"
-    parameters = (
-        Parameter(name="scale", unit="-", low=0.05, high=20.0, scale=0.05, meaning="measured per true speed"),
-    )
+    parameters = (Parameter("scale", "-", 0.05, 20.0, 0.05, "measured per true speed", neutral=1.0),)
     excitation = "measured speeds beside commands; without commands a thrust coefficient looks the same"
     confused_with = ("thrust_coefficient", "battery_sag")
     rotors = ("reversible", "slew", "dead_band")
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1: speeds as measured."""
-        return (1.0,)
 
     def measure(self, rotor_speed: Tensor, params: Tensor) -> Tensor:
         """Return ``k w``."""

@@ -43,23 +43,12 @@ class SlungPayload(LoadEffect):
     name = "slung_payload"
     summary = "point mass that swings below the body origin on a rigid link"
     parameters = (
-        Parameter(name="mass", unit="kg", low=0.0, high=50.0, scale=0.05, meaning="of the payload"),
-        Parameter(name="length", unit="m", low=0.01, high=100.0, scale=0.2, meaning="from the body origin"),
-        Parameter(
-            name="damping",
-            unit="N s/m",
-            low=0.0,
-            high=10.0,
-            scale=0.01,
-            meaning="force on the payload per velocity across the link",
-        ),
+        Parameter("mass", "kg", 0.0, 50.0, 0.05, "of the payload"),
+        Parameter("length", "m", 0.01, 100.0, 0.2, "from the body origin", neutral=1.0),
+        Parameter("damping", "N s/m", 0.0, 10.0, 0.01, "force on the payload per velocity across the link"),
     )
     excitation = "sideways accelerations, and flights of several swings"
     confused_with = ("payload_mass", "gusts", "com_offset", "thrust_coefficient")
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return no mass."""
-        return 0.0, 1.0, 0.0
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
         """Return starts with 5 % of the vehicle's mass on links of several lengths, with strong damping.

@@ -6,10 +6,11 @@ Source: lock in place, one of the failures of an actuator in Boskovic, Mehra (19
 control for accommodation of a large class of control effector failures, American Control Conference.
 """
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
 from aerial_gym.physics.effects.failure import NEVER, TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
@@ -22,19 +23,12 @@ class StuckRotor(CommandEffect):
 
     name = "stuck_rotor"
     summary = "from a given time on one rotor keeps its speed"
-    parameters = (
-        ROTOR,
-        TIME,
-    )
+    parameters = (ROTOR, replace(TIME, neutral=NEVER))
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("motor_failure",)
     rotors = ANY_ROTOR
     memory = (0.0, 0.0)  # Whether it is stuck, and at which speed
     random = True
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return a start time beyond every episode."""
-        return 1.0, NEVER
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the flag of a stuck rotor in this substep, and its speed, (E, 2)."""
@@ -47,7 +41,3 @@ class StuckRotor(CommandEffect):
         """Return the commands with that of the stuck rotor replaced by its speed."""
         kept = rotor_mask(vehicle, params[:, 0]) * params[:, 2:3] > 0.0
         return torch.where(kept, params[:, 3:], command)
-
-    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
-        """Return no failure, (T, 2)."""
-        return torch.zeros_like(voltage).unsqueeze(-1).expand(-1, 2)

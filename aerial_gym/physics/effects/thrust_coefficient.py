@@ -6,7 +6,6 @@ Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: t
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -19,16 +18,10 @@ class ThrustCoefficient(VehicleEffect):
     name = "thrust_coefficient"
     summary = "one factor on thrust and drag torque of all rotors"
     acts_on = "rotor"
-    parameters = (
-        Parameter(name="scale", unit="-", low=0.3, high=3.0, scale=0.05, meaning="true thrust per declared thrust"),
-    )
+    parameters = (Parameter("scale", "-", 0.3, 3.0, 0.05, "true thrust per declared thrust", neutral=1.0),)
     excitation = "thrust, as any flight has; a wrong mass looks the same in the force and differs only in the torque"
     confused_with = ("payload_mass", "weak_motor", "battery_sag")
     rotors = ANY_ROTOR
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1: thrust as declared."""
-        return (1.0,)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with scaled thrust and torque maps."""

@@ -6,7 +6,6 @@ Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: t
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -19,16 +18,10 @@ class TorqueRatio(VehicleEffect):
     name = "torque_ratio"
     summary = "one factor on the drag torque of all rotors"
     acts_on = "rotor"
-    parameters = (
-        Parameter(name="scale", unit="-", low=0.1, high=5.0, scale=0.1, meaning="true drag torque per declared one"),
-    )
+    parameters = (Parameter("scale", "-", 0.1, 5.0, 0.1, "true drag torque per declared one", neutral=1.0),)
     excitation = "yaw accelerations that the rotors cause"
     confused_with = ("inertia_error", "motor_tilt", "rotor_inertia")
     rotors = ANY_ROTOR
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1: torque as declared."""
-        return (1.0,)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with a scaled torque map."""

@@ -18,9 +18,7 @@ class TranslationalLift(RotorEffect):
 
     name = "translational_lift"
     summary = "thrust that grows with the square of the velocity in the rotor plane"
-    parameters = (
-        Parameter(name="kt", unit="N s²/m²", low=0.0, high=1.0, scale=0.005, meaning="thrust per velocity squared"),
-    )
+    parameters = (Parameter("kt", "N s²/m²", 0.0, 1.0, 0.005, "thrust per velocity squared"),)
     excitation = "several different sideways speeds, some of them high"
     confused_with = ("thrust_coefficient", "quadratic_drag", "payload_mass")
     rotors = ("force", "slew", "dead_band")

@@ -19,8 +19,6 @@ from math import pi
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.math.rows import dot
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
@@ -40,23 +38,15 @@ class VortexRing(RotorEffect):
 
     name = "vortex_ring"
     summary = "loss of thrust in a fast descent into the own wake"
-    parameters = (
-        Parameter(
-            name="k", unit="-", low=0.0, high=0.9, scale=0.1, meaning="relative loss per relative excess of the inflow"
-        ),
-    )
+    parameters = (Parameter("k", "-", 0.0, 0.9, 0.1, "relative loss per relative excess of the inflow"),)
     excitation = (
         "steady descents at several rates up to twice the induced velocity of hover, with little sideways speed"
     )
     confused_with = ("axial_inflow", "quadratic_drag", "thrust_coefficient")
     rotors = ANY_ROTOR
+    needs_radius = True
     follows = ("velocity",)
     by_default = False
-
-    def check(self, robot: RobotCfg) -> None:
-        """Raise ``ConfigError`` unless the radius of the rotors is known."""
-        if any(rotor.radius is None for rotor in robot.rotor_types):
-            raise ConfigError("effect vortex_ring: the robot file must give rotor.radius [m], of every rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``-k T (p(x) - 1) s(y)``."""

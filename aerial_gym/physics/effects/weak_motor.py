@@ -6,7 +6,6 @@ Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: b
 
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
@@ -22,15 +21,11 @@ class WeakMotor(VehicleEffect):
     acts_on = "rotor"
     parameters = (
         ROTOR,
-        Parameter(name="scale", unit="-", low=0.1, high=2.0, scale=0.05, meaning="true thrust per declared thrust"),
+        Parameter("scale", "-", 0.1, 2.0, 0.05, "true thrust per declared thrust", neutral=1.0),
     )
     excitation = "thrust that varies, and yaw: in hover alone a shifted centre of mass looks the same"
     confused_with = ("com_offset", "thrust_coefficient", "motor_tilt", "payload_mass")
     rotors = ANY_ROTOR
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return 1 for the first rotor: thrust as declared."""
-        return 1.0, 1.0
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the maps of one rotor scaled."""

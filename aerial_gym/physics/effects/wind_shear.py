@@ -7,7 +7,6 @@ Source: Stull (1988), An Introduction to Boundary Layer Meteorology, section 9.7
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.kinds.wind import WindEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
@@ -18,21 +17,15 @@ class WindShear(WindEffect):
     name = "wind_shear"
     summary = "steady wind that grows with height; acts through the drag effects"
     parameters = (
-        Parameter(name="x", unit="m/s", low=-40.0, high=40.0, scale=1.0, meaning="along world x at z_ref"),
-        Parameter(name="y", unit="m/s", low=-40.0, high=40.0, scale=1.0, meaning="along world y at z_ref"),
-        Parameter(
-            name="z_ref", unit="m", low=0.1, high=100.0, scale=1.0, meaning="height of reference", kind="convention"
-        ),
-        Parameter(name="exponent", unit="-", low=0.01, high=2.0, scale=0.2, meaning="power of the height"),
+        Parameter("x", "m/s", -40.0, 40.0, 1.0, "along world x at z_ref"),
+        Parameter("y", "m/s", -40.0, 40.0, 1.0, "along world y at z_ref"),
+        Parameter("z_ref", "m", 0.1, 100.0, 1.0, "height of reference", neutral=2.0, kind="convention"),
+        Parameter("exponent", "-", 0.01, 2.0, 0.2, "power of the height", neutral=1.0 / 7.0),
     )
     excitation = "a known drag, and heights that differ by a factor of two or more"
     confused_with = ("constant_wind", "rotor_drag", "imu_bias")
     contains = ("constant_wind",)
     needs = ("position",)
-
-    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return no wind at 2 m, which would grow by the power 1/7."""
-        return 0.0, 0.0, 2.0, 1.0 / 7.0
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the velocity of the air, (E, 3)."""

@@ -36,6 +36,6 @@ class CommandEffect(Effect):
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the speeds [rad/s], (E, R), that the rotors approach under commanded speeds (E, R)."""
 
-    @abstractmethod
     def memory_from_voltage(self, voltage: Tensor) -> Tensor:
-        """Return its memory along a flight, (T, M), from the logged battery voltage [V], (T,)."""
+        """Return its memory along a flight, (T, M), from the logged battery voltage [V], (T,); that of a reset by default."""
+        return voltage.new_tensor(self.memory).expand(len(voltage), -1)
