@@ -33,8 +33,8 @@ crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazy
 mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
 crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py
 betaflight: control.betaflight.loop: unit/control/betaflight/test_controller.py
-link drag: physics.effects.link_drag: cross/mujoco/test_link_drag.py physics/articulated/test_link_drag.py
-link buoyancy: physics.effects.buoyancy: physics/articulated/test_link_buoyancy.py physics/test_water.py
+link drag: physics.effects.links: cross/mujoco/test_link_drag.py physics/articulated/test_link_drag.py
+link buoyancy: physics.effects.water: physics/articulated/test_link_buoyancy.py physics/test_water.py
 added mass: physics.kirchhoff: physics/test_water.py
 rotor lag: physics.rotor_lag: physics/test_rotor_modes.py physics/test_late_commands.py
 operations: interop.rows.operations: unit/interop/rows/test_operations.py

@@ -130,6 +130,13 @@ def unit_vector(a: Tensor) -> Tensor:
     return a / dot(a, a).clamp_min(1e-30).sqrt().unsqueeze(-1)
 
 
+def length_of_vectors(a: Tensor) -> Tensor:
+    """Return ``|a|``, (..., 1), for (..., K), with zero gradient at zero."""
+    square = (a * a).sum(-1, keepdim=True)
+    moving = square > 0.0
+    return torch.where(moving, square, torch.ones_like(square)).sqrt() * moving
+
+
 def inverse_3x3(matrix: Tensor) -> Tensor:
     """Return the inverse of regular matrices, (..., 3, 3), as adjugate over determinant, without a blocking factorisation."""
     a, b, c = matrix.unbind(-2)

@@ -22,7 +22,7 @@ from aerial_gym.math.random import Randomness, copy_mask
 from aerial_gym.physics import PhysicsBackend, Vehicle, build_model, vehicle_from_config
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
-from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
+from aerial_gym.physics.effects.sensor_errors import WIDTH, imu_errors
 from aerial_gym.physics.model import Model, check_effects, load_articulation, robot_effects
 from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.physics.state import ArticulatedState
@@ -143,7 +143,7 @@ class RobotManager:
             stored.copy_(params)
             self._effects[i] = (effect, stored)
         self.imu_errors: Tensor | None = None
-        """Errors of inertial sensors by effects, (E, 24), see ``physics.effects.imu_errors``; None without such effects."""
+        """Errors of inertial sensors by effects, (E, 24), see ``physics.effects.sensor_errors``; None without such effects."""
         if any(isinstance(effect, ImuEffect) for effect, _ in self._effects):
             self.imu_errors = gtd.declare(TensorSpec(
                 key="robot_imu_errors", shape=("E", WIDTH), unit="m/s², rad/s, -", frame="body", owner="robot",

@@ -33,7 +33,7 @@ from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
-from aerial_gym.physics.effects.imu_errors import WIDTH
+from aerial_gym.physics.effects.sensor_errors import WIDTH
 from aerial_gym.sensors.images import CLOCK_MARGIN, latency_steps
 from aerial_gym.sensors.mounts import Carrier, Pose, file_pose
 from aerial_gym.sensors.sensor_poses import PoseRange, draw_pose, pose_range
@@ -68,7 +68,9 @@ class ImuMotion:
     attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
     lin_vel: wp.array[wp.vec3]  # (E,) of the body origin, world [m/s]
     ang_vel: wp.array[wp.vec3]  # (E,) body [rad/s]
-    errors: wp.array2d[wp.vec3]  # (E, 8) of effects on inertial sensors (physics.effects.imu_errors); not read without
+    errors: wp.array2d[
+        wp.vec3
+    ]  # (E, 8) of effects on inertial sensors (physics.effects.sensor_errors); not read without
 
 
 @wp.struct

@@ -2,7 +2,6 @@
 
 import inspect
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -170,7 +169,7 @@ def _effect(name: str) -> str:
         "rotors that it allows": ", ".join(trait for trait in effect.rotors) or "speed mode only",
         "code": f"`{type(effect).__module__}`",
     }
-    text = code_marks(inspect.getdoc(sys.modules[type(effect).__module__]) or "")
+    text = code_marks(inspect.getdoc(type(effect)) or "")
     head = ("parameter", "unit", "lowest", "highest", "neutral (`base_quadrotor`)", "meaning")
     return _section(name, text, table(head, rows), _facts(facts))
 

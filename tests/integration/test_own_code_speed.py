@@ -30,7 +30,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import LinearWrenchEffect, Parameter
-from aerial_gym.physics.effects.quadratic_drag import QuadraticDrag
+from aerial_gym.physics.effects.drag import QuadraticDrag
 from aerial_gym.workloads.measure import make_batch, wait_for_device
 
 DT, SUBSTEPS = 0.002, 10

@@ -25,7 +25,7 @@ from aerial_gym.physics import (
     WarpBackend,
     build_model,
 )
-from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
+from aerial_gym.physics.effects.actuation import speed_factor, voltage_under_load
 from aerial_gym.physics.memory import begin_substep, end_substep, link_state_of_load, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS

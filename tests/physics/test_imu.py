@@ -26,7 +26,7 @@ from aerial_gym.physics import (
     effects_from_config,
     state_at_rest,
 )
-from aerial_gym.physics.effects.imu_errors import imu_errors
+from aerial_gym.physics.effects.sensor_errors import imu_errors
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.secondary_states import SecondaryStates

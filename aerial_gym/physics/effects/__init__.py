@@ -1,11 +1,11 @@
-"""Physical effects beyond rigid body and rotors, one file each; used by the simulator and by the identification."""
+"""Physical effects beyond rigid body and rotors, one class each; used by the simulator and by the identification."""
 
 from typing import TYPE_CHECKING
 
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.physics.effects.base import Effect, SubstepStart
+    from aerial_gym.physics.effects.base import Effect, Parameter, SubstepStart
     from aerial_gym.physics.effects.by_kind import EffectParams, EffectsByKind
     from aerial_gym.physics.effects.catalog import EFFECTS
     from aerial_gym.physics.effects.condition import Condition
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from aerial_gym.physics.effects.kinds.wind import WindEffect
     from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect, WrenchEffect
     from aerial_gym.physics.effects.learned_residual import LearnedResidual
-    from aerial_gym.physics.effects.parameter import Parameter
 
 __all__ = [
     "EFFECTS",

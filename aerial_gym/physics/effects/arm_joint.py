@@ -29,10 +29,9 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import ANY_ROTOR, SubstepStart
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
-from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.effects.track import RotorSpeedsOfFlight, relax
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared
@@ -140,3 +139,29 @@ class ArmJoint(WrenchEffect):
         torque = torque + torch.linalg.cross(moved, thrust * axis + force)
         drag = vehicle.rotor_spin * condition.rotor_drag_torque
         return torch.cat((force, torque - drag.unsqueeze(-1) * leaning), dim=-1).sum(1)
+
+
+class JointSpring(ArmJoint):
+    """Soft arms that follow the thrust quickly, with elastic, damped joints.
+
+    One Kelvin-Voigt element in each arm, ``tau h' = compliance f l a_z - h``, with the geometry of ``arm_joint``.
+    """
+
+    name = "joint_spring"
+    summary = "rotor arms bend up under their thrust, within tenths of a second"
+    parameters = joint_parameters(fastest=0.001, slowest=0.3, tau_scale=0.02, tau=0.02)
+    excitation = "differences in thrust between rotors, at high and at low thrust"
+    confused_with = ("joint_creep", "com_offset", "motor_tilt", "imu_misalignment")
+
+
+class JointCreep(ArmJoint):
+    """Soft arms that continue to bend for seconds, as viscoelastic materials do.
+
+    One slow Kelvin-Voigt element in each arm, ``tau h' = compliance f l a_z - h``, with the geometry of ``arm_joint``.
+    """
+
+    name = "joint_creep"
+    summary = "rotor arms continue to bend up under their thrust for seconds"
+    parameters = joint_parameters(fastest=0.3, slowest=60.0, tau_scale=1.0, tau=3.0)
+    excitation = "differences in thrust between rotors, and a mean thrust that changes for seconds"
+    confused_with = ("joint_spring", "com_offset", "motor_tilt", "imu_misalignment")

@@ -1,6 +1,6 @@
 """Base class of all physical effects, shared by simulation and identification.
 
-An effect is one file. It states its parameters with unit, bounds and neutral value, its formula, the excitation that makes
+An effect is one class. It states its parameters with unit, bounds and neutral value, its formula, the excitation that makes
 it visible, and the effects it can be confused with. Its kind (``effects.kinds``) states where it enters a step.
 Parameters are per environment, (E, P). Frames: body is x forward, y left, z up; world is z up.
 """
@@ -15,9 +15,24 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect."""
+
+    name: str  # Short name, as in robot files and verdicts
+    unit: str  # SI unit
+    low: float  # Lowest value that is physically possible
+    high: float  # Highest value that is physically possible
+    scale: float  # A change that one would call moderate: the step of numerical derivatives and fits
+    meaning: str  # One line
+    neutral: float = 0.0  # Value with which the robot behaves as declared
+    kind: Literal["number", "rotor", "convention"] = "number"
+    """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""
+
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
 """One of ``config.rotor.ROTOR_TRAITS``."""

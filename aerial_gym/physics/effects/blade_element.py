@@ -1,42 +1,4 @@
-"""Blade-element model of rotors in a uniform inflow from momentum theory.
-
-The effect adds the forces of blades in moving air to the static maps of the robot file. A rotor of speed w moves through the
-air with ``lambda_c`` along its thrust n and with the vector m, of size mu, in its plane, both in units of its tip speed w R.
-Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
-
-    C_T = s a / 2 (Theta + mu² T / 2 - lambda / 2),     Theta = t0 / 3 + t1 / 4,  T = t0 + t1 / 2,  lambda = lambda_c + lambda_i
-    b_c = -8 g² (1 + mu² / 2) m_s / d,  b_s = 8 g k m_s / d,    d = k² + g² (1 - mu⁴ / 4),  m_s = Theta - lambda / 4
-    g = lock / 8,   k = (flap_frequency / w)²
-    C_H = s a / 2 (lambda T / 2 - b_c (Theta - 3/4 lambda) + mu² b_c² / 4) + 2 P0
-    C_Y = s a / 2 b_s (3/4 lambda - Theta + mu² (b_c / 4 - T / 2))
-    C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² C_H,        P0 = C_Q0 - lambda_0 C_T0
-
-for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the relative radius r, without stall. They flap by
-``mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust component of the tilted disc;
-``b_c s a lambda / 8`` of it is lost, as flapping changes the drag in the plane. The pitch follows from the thrust map
-(``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0), so a vehicle at rest in still air
-is as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on the hub is
-
-    C_T n - C_H m + o C_Y (m x n)      o = +1 where the rotor turns counter-clockwise about n, else -1
-
-and the hub feels the drag torque ``-o C_Q n`` and the moment of blades that resist their flapping,
-``-s a / 2 k / (8 g) (b_c m x n + o b_s m)``. Stiff blades (k >> g) pass the lift of the advancing side on as a moment to the
-side, hinged ones (k = 0) lean back. Power is in balance, ``C_Q + mu² C_H = lambda C_T + P0 (1 + 3 mu²)``. The integrals over
-radius and azimuth are exact for small angles and this flapping. Between hover and the windmill brake state the
-induced velocity is the measured mean of the vortex ring (``induced_flow``); thrust against n has no induced velocity.
-Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), coning, which also
-depends on how blades are built, higher harmonics of flapping, a lag of the inflow, its slope across the disc, tip loss, and
-turning of the hub but for its velocity.
-
-In a climb only the product s a matters, with s from the chord at 3/4 of the radius. ``lift_slope`` gives a by the Reynolds
-number: 3.3 at 50,000, by the loss of thrust of three tested propellers (``docs/results/propellers.md``), not the 5.7 of a
-thin section, because blades are short, slow and partly stalled at rest.
-Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Johnson (1980),
-Helicopter Theory, chapter 5; Bramwell, Done, Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small propellers
-Gill, D'Andrea (2017), Propeller thrust and drag in forward flight, IEEE CCTA. Forces and flapping: derived, by integration of
-``s a / 2 (theta U_T² - U_P U_T)`` and ``s a / 2 (theta U_T - U_P) U_P``. Climbs: UIUC propeller database (Brandt, Deters,
-Ananda, Selig).
-"""
+"""Blades of rotors in their inflow. Letters: E environments, R rotors."""
 
 from math import pi
 
@@ -47,10 +9,10 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.rows import by_element, choose, dot, sum_slices
+from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
-from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.rotor_maps import rotor_loads, rotor_state_for_thrust
 
 HALVINGS, NEWTON = 6, 3
@@ -95,7 +57,45 @@ def reynolds_number(speed: float, radius: float, chord: float) -> float:
 
 
 class BladeElement(WrenchEffect):
-    """Thrust, H-force, drag torque, leaning disc and hub moment of the blades of each rotor, in any motion."""
+    """Blade-element model of rotors in a uniform inflow from momentum theory.
+
+    The effect adds the forces of blades in moving air to the static maps of the robot file. A rotor of speed w moves
+    through the air with ``lambda_c`` along its thrust n and with the vector m, of size mu, in its plane, both in units of
+    its tip speed w R. Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
+
+        C_T = s a / 2 (Theta + mu² T / 2 - lambda / 2),  Theta = t0 / 3 + t1 / 4,  T = t0 + t1 / 2,  lambda = lambda_c+lambda_i
+        b_c = -8 g² (1 + mu² / 2) m_s / d,  b_s = 8 g k m_s / d,    d = k² + g² (1 - mu⁴ / 4),  m_s = Theta - lambda / 4
+        g = lock / 8,   k = (flap_frequency / w)²
+        C_H = s a / 2 (lambda T / 2 - b_c (Theta - 3/4 lambda) + mu² b_c² / 4) + 2 P0
+        C_Y = s a / 2 b_s (3/4 lambda - Theta + mu² (b_c / 4 - T / 2))
+        C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² C_H,        P0 = C_Q0 - lambda_0 C_T0
+
+    for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the relative radius r, without stall. They flap by
+    ``mu (b_c cos psi + b_s sin psi)``, with psi from downstream. ``-b_c C_T`` is the thrust component of the tilted disc;
+    ``b_c s a lambda / 8`` of it is lost, as flapping changes the drag in the plane. The pitch follows from the thrust map
+    (``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0), so a vehicle at rest in still
+    air is as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on the hub is
+
+        C_T n - C_H m + o C_Y (m x n)      o = +1 where the rotor turns counter-clockwise about n, else -1
+
+    and the hub feels the drag torque ``-o C_Q n`` and the moment of blades that resist their flapping, ``-s a / 2 k / (8 g)
+    (b_c m x n + o b_s m)``. Stiff blades (k >> g) pass the lift of the advancing side on as a moment to the side, hinged
+    ones (k = 0) lean back. Power is in balance, ``C_Q + mu² C_H = lambda C_T + P0 (1 + 3 mu²)``. The integrals over radius
+    and azimuth are exact for small angles and this flapping. Between hover and the windmill brake state the induced
+    velocity is the measured mean of the vortex ring (``induced_flow``); thrust against n has no induced velocity. Left out:
+    reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), coning, which also
+    depends on how blades are built, higher harmonics of flapping, a lag of the inflow, its slope across the disc, tip loss,
+    and turning of the hub but for its velocity.
+
+    In a climb only the product s a matters, with s from the chord at 3/4 of the radius. ``lift_slope`` gives a by the
+    Reynolds number: 3.3 at 50,000, by the loss of thrust of three tested propellers (``docs/results/propellers.md``), not
+    the 5.7 of a thin section, because blades are short, slow and partly stalled at rest.
+    Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Johnson (1980),
+    Helicopter Theory, chapter 5; Bramwell, Done, Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small
+    propellers Gill, D'Andrea (2017), Propeller thrust and drag in forward flight, IEEE CCTA. Forces and flapping: derived,
+    by integration of ``s a / 2 (theta U_T² - U_P U_T)`` and ``s a / 2 (theta U_T - U_P) U_P``. Climbs: UIUC propeller
+    database (Brandt, Deters, Ananda, Selig).
+    """
 
     name = "blade_element"
     summary = "blades in their inflow: thrust, H-force, torque and flapping in climb, descent and sideways flow"

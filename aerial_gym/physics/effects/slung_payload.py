@@ -1,28 +1,12 @@
-"""Slung payload: a point mass that swings below the body origin on a massless rigid link.
-
-With the unit vector n from the origin to the mass m at the distance l, the acceleration a of the origin, and the damping c of
-the swing, a force ``-c l n'`` on the mass by its velocity ``l n'`` relative to the origin, across the link::
-
-    T = m (g . n - a . n + l n'²)                   tension of the link
-    F = T n + c l n'                                force on the origin: of the link, and the reaction of the damping
-    n'' = (1 - n n^T) (g - a) / l - c / m n' - n'² n
-
-a itself depends on F, by the mobility A of the origin: ``a = a_0 + A F``; both equations are linear in T, so the coupled
-accelerations are exact. Small swings below a fixed origin decay by ``exp(-c t / 2 m)``. The mass has no drag: in steady flight
-it hangs along the apparent gravity. The link also pushes (T < 0), like a rod. The mass has no contact with ground or
-obstacles, and contact impulses do not reach it. No direction is singular: n and n' are vectors, normalised to ``|n| = 1``,
-``n . n' = 0`` after each step.
-Source: Lee, Sreenath, Kumar (2013), Geometric control of cooperating multiple quadrotor UAVs with a suspended payload, eq. 1-4,
-for one vehicle, with a damping and a suspension beside the centre of mass added; derived from Newton's law for both bodies.
-"""
+"""A payload that swings below the vehicle. Letters: E environments."""
 
 import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import dot
+from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.kinds.load import LoadEffect, SuspensionMotion
-from aerial_gym.physics.effects.parameter import Parameter
 
 FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
 """Initial lengths of links in fits [m]; their frequencies differ by a factor of 1.3."""
@@ -38,7 +22,25 @@ LEAST_MASS = 1e-6
 
 
 class SlungPayload(LoadEffect):
-    """A pendulum under the vehicle."""
+    """Slung payload: a point mass that swings below the body origin on a massless rigid link.
+
+    With the unit vector n from the origin to the mass m at the distance l, the acceleration a of the origin, and the
+    damping c of the swing, a force ``-c l n'`` on the mass by its velocity ``l n'`` relative to the origin, across the
+    link::
+
+        T = m (g . n - a . n + l n'²)                   tension of the link
+        F = T n + c l n'                                force on the origin: of the link, and the reaction of the damping
+        n'' = (1 - n n^T) (g - a) / l - c / m n' - n'² n
+
+    a itself depends on F, by the mobility A of the origin: ``a = a_0 + A F``; both equations are linear in T, so the
+    coupled accelerations are exact. Small swings below a fixed origin decay by ``exp(-c t / 2 m)``. The mass has no drag:
+    in steady flight it hangs along the apparent gravity. The link also pushes (T < 0), like a rod. The mass has no contact
+    with ground or obstacles, and contact impulses do not reach it. No direction is singular: n and n' are vectors,
+    normalised to ``|n| = 1``, ``n . n' = 0`` after each step.
+    Source: Lee, Sreenath, Kumar (2013), Geometric control of cooperating multiple quadrotor UAVs with a suspended payload,
+    eq. 1-4, for one vehicle, with a damping and a suspension beside the centre of mass added; derived from Newton's law for
+    both bodies.
+    """
 
     name = "slung_payload"
     summary = "point mass that swings below the body origin on a rigid link"

@@ -8,7 +8,7 @@ import torch
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.effects.one_rotor import nominal_lag
+from aerial_gym.physics.effects.rotor_failures import nominal_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import apply_lag

@@ -18,9 +18,7 @@ from aerial_gym.physics.articulated.link_fluid import LinkFluid, add_fluid
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
-from aerial_gym.physics.effects.link_added_mass import LinkAddedMass
-from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
-from aerial_gym.physics.effects.link_drag import LinkDrag
+from aerial_gym.physics.effects.links import LinkAddedMass, LinkBuoyancy, LinkDrag
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import build_model, check_effects
 from aerial_gym.physics.state import ArticulatedState, BodyState

@@ -12,7 +12,7 @@ from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import articulated_step, link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
+from aerial_gym.physics.effects.links import LinkBuoyancy
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.state import ArticulatedState, BodyState

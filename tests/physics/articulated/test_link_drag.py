@@ -16,7 +16,7 @@ from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_a
 from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
-from aerial_gym.physics.effects.link_drag import LinkDrag
+from aerial_gym.physics.effects.links import LinkDrag
 from aerial_gym.physics.model import Model, build_model, check_effects, robot_effects
 from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config

@@ -17,7 +17,7 @@ from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.control import CONTROL_LAWS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, Vehicle
-from aerial_gym.physics.effects.random_force import RandomForce
+from aerial_gym.physics.effects.air_motion import RandomForce
 from aerial_gym.registry.state import config_digest, describe_own_code
 from tests.builders import simulation
 from tests.unit.task.hover import begin

@@ -8,7 +8,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import Effect, ImuEffect, VehicleEffect, WindEffect
-from aerial_gym.physics.effects.one_rotor import nominal_lag
+from aerial_gym.physics.effects.rotor_failures import nominal_lag
 from aerial_gym.physics.model import check_effect_on_joints, check_effect_on_rotors
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding

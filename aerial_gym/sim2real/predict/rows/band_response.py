@@ -16,7 +16,7 @@ from aerial_gym.math.quaternion import quat_to_matrix
 from aerial_gym.math.rows import times
 from aerial_gym.physics import Accelerations
 from aerial_gym.physics.effects import ImuEffect, WrenchEffect
-from aerial_gym.physics.effects.imu_errors import imu_errors
+from aerial_gym.physics.effects.sensor_errors import imu_errors
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import ForceBreakdown
 from aerial_gym.physics.rotors import map_terms, rotor_matrix

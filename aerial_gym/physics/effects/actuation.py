@@ -1,24 +1,42 @@
-"""Battery sag: voltage falls under load, and with it the rotor speed per command.
-
-A command gives the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that compensates the voltage, 1 a
-motor with speed proportional to it. In a flight V is measured. In the simulator it follows from the load at the start
-of each substep: with the mechanical power P of the rotors and the charge q drawn so far, ``V = E(q) - r I``,
-``V I = P / efficiency``, ``dq/dt = I``, with an open-circuit voltage E that falls linearly from full to empty. Beyond the
-largest power of the battery, ``E² / 4 r``, V = E / 2.
-Source: Derived: Kirchhoff's voltage law, e.g. Tremblay, Dessaint (2009), Experimental validation of a battery dynamic model
-for EV applications, section 2, without polarisation; speed of a DC motor: Drela (2007), First-order DC electric motor model.
-"""
+"""Effects between commands and rotors: dead time, and the voltage of the battery. Letters: E environments."""
 
 import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import SubstepStart
-from aerial_gym.physics.effects.kinds.command import CommandEffect
-from aerial_gym.physics.effects.parameter import Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
+from aerial_gym.physics.effects.kinds.command import CommandEffect, DelayEffect
 from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
+
+LONGEST = 0.1
+"""Largest delay [s]; the backend stores the commands of this span (51 at substeps of 2 ms)."""
+
+
+class ActuationDelay(DelayEffect):
+    """Dead time between commands and rotors, caused by radio, bus and electronic speed controllers.
+
+    The rotors follow ``w_c(t - delay)``, with a constant command over each substep. If the delay is no multiple of the
+    substep, the delayed command changes within a substep, and the lag follows one command, then the other. Speeds (in force
+    mode thrusts) of either sign are exact at the stages and ends of substeps for every delay and division into substeps.
+    The rotors keep their states until the first command after a reset arrives.
+    Source: Derived: transport delay of a piecewise constant signal; in multirotors e.g. Foerster (2015), System
+    identification of the Crazyflie 2.0, section 3.2.
+    """
+
+    name = "actuation_delay"
+    summary = "dead time between the commands and the rotors"
+    parameters = (Parameter("delay", "s", 0.0, LONGEST, 0.01, "dead time"),)
+    excitation = "quick changes of the rotor commands, best with measured rotor speeds"
+    confused_with = ("motor_time_constant", "motor_asymmetry")
+    rotors = ANY_ROTOR
+    longest = LONGEST
+
+    def delay(self, params: Tensor) -> Tensor:
+        """Return the delay [s], (E,)."""
+        return params[:, 0]
+
 
 LEAST_SQUARE = 1e-6
 """Least discriminant over E², for loads beyond the largest power; keeps the slope of the root finite."""
@@ -37,7 +55,17 @@ def voltage_under_load(open_voltage: Tensor, resistance: Tensor, power: Tensor) 
 
 
 class BatterySag(CommandEffect):
-    """Speeds that fall with the voltage of the battery."""
+    """Battery sag: voltage falls under load, and with it the rotor speed per command.
+
+    A command gives the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that compensates the
+    voltage, 1 a motor with speed proportional to it. In a flight V is measured. In the simulator it follows from the load
+    at the start of each substep: with the mechanical power P of the rotors and the charge q drawn so far, ``V = E(q) - r
+    I``, ``V I = P / efficiency``, ``dq/dt = I``, with an open-circuit voltage E that falls linearly from full to empty.
+    Beyond the largest power of the battery, ``E² / 4 r``, V = E / 2.
+    Source: Derived: Kirchhoff's voltage law, e.g. Tremblay, Dessaint (2009), Experimental validation of a battery dynamic
+    model for EV applications, section 2, without polarisation; speed of a DC motor: Drela (2007), First-order DC electric
+    motor model.
+    """
 
     name = "battery_sag"
     summary = "rotor speeds that fall with the voltage of the battery"

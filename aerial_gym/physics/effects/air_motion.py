@@ -1,0 +1,173 @@
+"""Wind, gusts, the wake of another vehicle, and random pushes. Letters: E environments."""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.random import normal_draws, uniform_draws
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds.wind import WindEffect
+from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+
+
+class ConstantWind(WindEffect):
+    """A steady, uniform wind.
+
+    Forces see the velocity through the air, ``v_air = v - wind``. Without any drag in the model a wind changes nothing.
+    Source: Derived: Galilean change of frame.
+    """
+
+    name = "constant_wind"
+    summary = "steady uniform wind; acts through the drag effects"
+    parameters = tuple(
+        Parameter(axis, "m/s", -40.0, 40.0, 1.0, f"velocity of the air along world {axis}") for axis in "xyz"
+    )
+    excitation = (
+        "a known drag, and headings or attitudes that differ (else a tilted or biased accelerometer looks alike)"
+    )
+    confused_with = ("rotor_drag", "quadratic_drag", "imu_bias", "com_offset")
+
+    def wind(self, position: Tensor, params: Tensor) -> Tensor:
+        """Return the parameters: the same wind at every position."""
+        return params
+
+
+class WindShear(WindEffect):
+    """Wind shear: a steady wind that grows with height, as over open land.
+
+    ``wind(h) = (x, y, 0) (h / z_ref)^exponent`` with the height h of the centre of mass over world z = 0; none below it.
+    Source: Stull (1988), An Introduction to Boundary Layer Meteorology, section 9.7.5 (power law); 1/7 is usual.
+    """
+
+    name = "wind_shear"
+    summary = "steady wind that grows with height; acts through the drag effects"
+    parameters = (
+        Parameter("x", "m/s", -40.0, 40.0, 1.0, "along world x at z_ref"),
+        Parameter("y", "m/s", -40.0, 40.0, 1.0, "along world y at z_ref"),
+        Parameter("z_ref", "m", 0.1, 100.0, 1.0, "height of reference", neutral=2.0, kind="convention"),
+        Parameter("exponent", "-", 0.01, 2.0, 0.2, "power of the height", neutral=1.0 / 7.0),
+    )
+    excitation = "a known drag, and heights that differ by a factor of two or more"
+    confused_with = ("constant_wind", "rotor_drag", "imu_bias")
+    contains = ("constant_wind",)
+    needs = ("position",)
+
+    def wind(self, position: Tensor, params: Tensor) -> Tensor:
+        """Return the velocity of the air, (E, 3)."""
+        x, y, z_ref, exponent = params.unbind(-1)
+        height = position[:, 2]
+        above = height > 0.0
+        relative = torch.where(above, height, z_ref) / z_ref
+        gain = torch.where(above, torch.exp(exponent * torch.log(relative)), 0.0)
+        return torch.stack((gain * x, gain * y, torch.zeros_like(gain)), dim=-1)
+
+
+SMALL = 0.01
+"""Argument below which ``1 - exp(-x)`` comes from its series, exact in float32 (next term 4e-10 of it)."""
+
+
+class Gusts(WindEffect):
+    """Gusts: random wind with zero mean, an independent Ornstein-Uhlenbeck process on each axis.
+
+    ``dw = -w dt / T + std sqrt(2 / T) dW``, with the variance std² and the autocorrelation ``exp(-|t| / T)``. Over a
+    substep ``w' = a w + std sqrt(1 - a²) N(0, 1)``, ``a = exp(-dt / T)``: exact at the ends of substeps of any length;
+    within a substep the wind is constant. The first value after a reset is drawn from N(0, std²).
+    Source: Gillespie (1996), Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral, eq. 1.9; as a
+    model of turbulence it is the longitudinal Dryden spectrum, MIL-F-8785C, section 3.7.
+    """
+
+    name = "gusts"
+    summary = "random wind with a correlation time; acts through the drag effects"
+    parameters = (
+        Parameter("std", "m/s", 0.0, 20.0, 1.0, "standard deviation of each axis"),
+        Parameter("corr_time", "s", 0.01, 100.0, 1.0, "correlation time T", neutral=1.0),
+    )
+    excitation = "a known drag, and flights much longer than the correlation time"
+    confused_with = ("constant_wind", "downwash")
+    memory = (0.0, 0.0, 0.0)  # Wind [m/s], world
+    random = True
+
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
+        """Return the wind of this substep, (E, 3)."""
+        share = moment.dt / values[:, 1:2]
+        begins = (moment.since == 0).unsqueeze(-1)
+        decay = torch.where(begins, 0.0, torch.exp(-share))
+        spread = values[:, :1] * torch.where(begins, 1.0, (-torch.expm1(-2.0 * share)).sqrt())
+        return decay * values[:, 2:] + spread * normal_draws(moment.random, 0, 3, dtype=values.dtype)
+
+    def wind(self, position: Tensor, params: Tensor) -> Tensor:
+        """Return the wind in memory, (E, 3)."""
+        return params[:, 2:]
+
+
+class Downwash(WrenchEffect):
+    """Downwash: the wake of a vehicle above pushes this one down.
+
+    ``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other
+    vehicle, and 0 above it. In the simulator the other vehicle is at ``downwash_position`` (GTD), by default infinitely
+    high over the environment's origin.
+    Source: Gaussian profile of a developed jet: Pope (2000), Turbulent Flows, section 5.1; such forces between multirotors
+    are measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The decay of the jet with height is left
+    out.
+    """
+
+    name = "downwash"
+    summary = "downward force in the wake of a vehicle above"
+    parameters = (
+        Parameter("force", "N", 0.0, 100.0, 0.5, "right below the other vehicle"),
+        Parameter("sigma", "m", 0.01, 10.0, 0.2, "horizontal width", neutral=0.3),
+    )
+    excitation = "passes below another vehicle whose position is in the log"
+    confused_with = ("gusts", "thrust_coefficient", "ground_effect")
+    rotors = ANY_ROTOR
+    follows = ("position",)
+    needs = ("position", "other_position")
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque (E, 6)."""
+        away = (condition.position - condition.other_position)[:, :2]
+        share = torch.exp(-0.5 * away.square().sum(-1) / params[:, 1].square())
+        below = condition.position[:, 2] < condition.other_position[:, 2]
+        force = -(params[:, 0] * torch.where(below, share, 0.0)).unsqueeze(-1) * condition.up
+        return torch.cat((force, torch.zeros_like(force)), dim=-1)
+
+
+QUANTITY = 1
+"""Index that separates its draws from those of ``gusts`` in the same substep."""
+
+
+class RandomForce(WrenchEffect):
+    """Random force: uniform in a box along the world axes, drawn independently at regular intervals.
+
+    ``F_i`` is uniform in -f_i to f_i, at the centre of mass, and constant for T. The velocity change within a time t of
+    many intervals has the standard deviation ``f_i sqrt(t T / 3) / m`` on each axis. A new interval begins at the first
+    substep that ends more than half a substep after the old one's end; T is at least a substep.
+    Source: Derived: the variance of a uniform draw is ``f² / 3``, and those of t / T independent impulses ``F T`` add up.
+    As a disturbance it is that of github learnsyslab/lsy_drone_racing (envs/race_core.py): 0.1 N, 500 times a second.
+    """
+
+    name = "random_force"
+    summary = "random force, uniform in a box, drawn anew at even intervals"
+    parameters = (
+        *(Parameter(axis, "N", 0.0, 100.0, 0.1, f"largest force along world {axis}") for axis in "xyz"),
+        Parameter("hold", "s", 0.0001, 100.0, 0.002, "interval T between two draws", neutral=0.002),
+    )
+    excitation = "flights much longer than the interval"
+    confused_with = ("gusts",)
+    rotors = ANY_ROTOR
+    memory = (0.0, 0.0, 0.0)  # Force [N], world
+    random = True
+
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
+        """Return the force of this substep, (E, 3)."""
+        share = moment.dt / values[:, 3]
+        since = moment.since.to(values.dtype)
+        begins = (moment.since == 0) | (((since + 0.5) * share).floor() > ((since - 0.5) * share).floor())
+        drawn = values[:, :3] * (2.0 * uniform_draws(moment.random, 1, 3, dtype=values.dtype) - 1.0)
+        return torch.where(begins.unsqueeze(-1), drawn, values[:, 4:])
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return the force in memory in body axes, without torque, (E, 6)."""
+        force = quat_rotate_inverse(condition.attitude, params[:, 4:])
+        return torch.cat((force, torch.zeros_like(force)), dim=-1)
