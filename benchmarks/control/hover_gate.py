@@ -1,6 +1,6 @@
 """Comparison of the hover check of a closed loop with flights of random robots, laws, effects and dead times.
 
-    python -m benchmarks.control.hover_gate [--seed 0] [--num-groups 25] [--json out.jsonl]
+    python -m benchmarks.control.hover_gate [--seed 0] [--num-groups 25]
 
 A group is a registered robot with random mass and rotor lag, a registered law of position or velocity, a time step, and at most
 one effect. Each of its ``EACH`` vehicles draws a dead time of 0 to 50 ms and the parameters of the effect. ``ClosedLoop.hover``
@@ -10,12 +10,10 @@ simulation takes. Combinations that are refused by name are drawn again.
 Letters: E environments.
 """
 
-import json
 import random
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import chain, islice
-from pathlib import Path
 
 import torch
 import tyro
@@ -234,16 +232,10 @@ class GateCmd:
 
     seed: int = 0  # Of everything that is drawn
     num_groups: int = 25  # Of eight vehicles
-    json: Path | None = None  # Where each case is written as a line of JSON
 
     def run(self) -> None:
         """Print the agreement in both directions, and the cases that disagree."""
-        result = []
-        for case in cases(self.seed, self.num_groups):
-            result.append(case)
-            if self.json is not None:
-                with self.json.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(case)) + "\n")
+        result = list(cases(self.seed, self.num_groups))
         for accepted in (True, False):
             subset = [case for case in result if case.accepted is accepted]
             agree = sum(case.hovers is accepted for case in subset)

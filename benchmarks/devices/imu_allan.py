@@ -10,7 +10,6 @@ Variance, IEEE Trans. Instrumentation and Measurement 57(1).
 Letters: T samples, S sensors, K averaging times, C channels (accelerometer x y z, gyro x y z).
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log, sqrt
@@ -19,8 +18,6 @@ from typing import TYPE_CHECKING
 
 import torch
 import tyro
-from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 
 from aerial_gym.config.sensor import ImuCfg
@@ -29,6 +26,7 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors import IMUS, Imu
 from aerial_gym.sensors.mounts import Carrier
+from benchmarks.markdown import table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -196,7 +194,6 @@ class ImuAllanCmd:
     num_sensors: int = 64  # IMUs of each kind, each with noise of its own, >= 2
     num_samples: int = 16384  # Samples of each record
     seed: int = 0  # Seed of the noise
-    json: bool = False  # Print one JSON object a line
 
     def run(self) -> int:
         """Measure, draw and print; return the exit status."""
@@ -209,28 +206,21 @@ class ImuAllanCmd:
             rows += compare_densities(name, cfg, *both)
         self.out.mkdir(parents=True, exist_ok=True)
         draw_deviations(results, self.out / "imu_allan.png")
-        if self.json:
-            for row in rows:
-                print(json.dumps(row))
-        else:
-            print_rows(rows)
+        print(rows_table(rows))
         return 0
 
 
-def print_rows(rows: list[AllanRow]) -> None:
-    """Print the table of configured and measured figures."""
-    table = Table(box=None, pad_edge=False)
-    heads = ("imu", "sensor", "N configured", "N found [95 %]", "K configured", "K found [95 %]", "lowest", "found")
-    for head in heads:
-        table.add_column(head, overflow="fold")
-    for row in rows:
-        cells = "{imu}|{sensor} {axis}|{noise_configured:.4g}|{noise_found:.4g} [{noise_low:.4g}, {noise_high:.4g}]|"
-        cells += "{walk_configured:.3g}|{walk_found:.3g} [{walk_low:.3g}, {walk_high:.3g}]|"
-        cells += (
-            "{lowest_configured:.3g} at {lowest_at_s:.3g} s|{lowest_found:.3g} [{lowest_low:.3g}, {lowest_high:.3g}]"
-        )
-        table.add_row(*cells.format(**row).split("|"))
-    Console(markup=False, width=180).print(table)
+def rows_table(rows: list[AllanRow]) -> str:
+    """Return the table of configured and measured figures."""
+    heads = ("IMU", "axis", "N configured", "N found [95 %]", "K configured", "K found [95 %]")
+    cells = (
+        *("`{imu}`", "{sensor} {axis}"),
+        *("{noise_configured:.4g}", "{noise_found:.4g} [{noise_low:.4g}, {noise_high:.4g}]"),
+        *("{walk_configured:.3g}", "{walk_found:.3g} [{walk_low:.3g}, {walk_high:.3g}]"),
+        *("{lowest_configured:.3g} at {lowest_at_s:.3g} s", "{lowest_found:.3g} [{lowest_low:.3g}, {lowest_high:.3g}]"),
+    )
+    lines = ([cell.format(**row) for cell in cells] for row in rows)
+    return table((*heads, "lowest configured", "lowest found"), lines)
 
 
 def draw_deviations(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path) -> None:

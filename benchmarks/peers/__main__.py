@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.workloads.measure import device_name, format_value, provenance
 from aerial_gym.workloads.process import RunFailedError, absence_reason, interpreters
+from benchmarks.markdown import table
 from benchmarks.peers.runs import CASES, PEERS, Measurement, Ratio, measure_case, ratios, schedule
 
 
@@ -52,7 +51,8 @@ class PeersCmd:
             for row in rows:
                 print(json.dumps({**row.as_mapping(), **shared}, ensure_ascii=False))
         else:
-            print_ratios(rows, f"{device}, {self.num_envs} vehicles, {self.threads} threads, load {beside['load1']}")
+            print(f"{device}, {self.num_envs} vehicles, {self.threads} threads, load {beside['load1']}\n")
+            print(ratios_table(rows))
         return 1 if failed else 0
 
     def _measure(self, pythons: dict[str, str]) -> tuple[list[Measurement], bool]:
@@ -79,22 +79,16 @@ class PeersCmd:
         return result, bool(broken)
 
 
-def print_ratios(rows: list[Ratio], title: str) -> None:
-    """Print the table for people: a line per peer and case, two columns per number of substeps of ours."""
+def ratios_table(rows: list[Ratio]) -> str:
+    """Return the table for people: a line per peer and case, two columns per number of substeps of ours."""
     lines: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        start = [row.peer.call, format_value(row.peer.steps_per_s)]
+        start = [row.peer.case, row.peer.name, row.peer.call, format_value(row.peer.steps_per_s)]
         line = lines.setdefault((row.peer.case, row.peer.name), start)
         line += [format_value(row.package.steps_per_s), f"{row.ratio:.2f}"]
-    table = Table(box=None, pad_edge=False, title=title, title_justify="left")
-    for head in ("case", "peer", "steps a call", "steps/s"):
-        table.add_column(head)
-    for call in dict.fromkeys(row.package.call for row in rows):
-        table.add_column(f"ours, {call} a call", justify="right")
-        table.add_column("ratio", justify="right")
-    for (case, peer), line in lines.items():
-        table.add_row(case, peer, *line)
-    Console(markup=False, highlight=False).print(table)
+    calls = dict.fromkeys(row.package.call for row in rows)
+    own = [head for call in calls for head in (f"ours, {call} a call", "ratio")]
+    return table(("case", "peer", "steps a call", "steps/s", *own), lines.values())
 
 
 if __name__ == "__main__":

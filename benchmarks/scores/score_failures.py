@@ -8,17 +8,16 @@ row as a stream, and whole as by ``close-loop``.
 """
 
 import json
-import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.progress import track
 
 from aerial_gym.interop import one_thread
 from aerial_gym.robots.catalog import robot_by_name
@@ -186,37 +185,21 @@ class FailureScoreCmd:
     quiet_seeds: tuple[int, ...] = ()  # Vehicles without a failure
     quiet_flights: int = 30  # Flights of a minute of each of these
     effects: tuple[str, ...] = ()  # Also hide each of these, large: names, or all
-    out: Path | None = None  # Folder that keeps each row; an interrupted run continues
 
     def run(self) -> None:
         """Score the flights and print the tables."""
         names = list(EFFECTS) if self.effects == ("all",) else self.effects
         fails, silent = list[dict](), list[dict]()
+        console = Console(stderr=True)
         with tempfile.TemporaryDirectory() as temporary, one_thread():
             folder = Path(temporary)
-            for seed in self.seeds:
-                fails += self._load_or_make_rows(
-                    f"fails_{seed}", lambda s=seed: list(score_vehicle(s, folder / f"f{s}"))
-                )
-            quiet = [(seed, f"{seed}", None, self.quiet_flights, QUIET_S) for seed in self.quiet_seeds]
-            quiet += [(2000 + place, name, name, 4, FLIGHT_S) for place, name in enumerate(names)]
-            for seed, label, effect, *size in quiet:
-                make = partial(false_alarms, seed, folder / label, effect, *size)
-                silent += self._load_or_make_rows(f"quiet_{label}", lambda call=make: [call()])
+            for seed in track(self.seeds, "vehicles that fail", console=console):
+                fails += score_vehicle(seed, folder / f"fails_{seed}")
+            for seed in track(self.quiet_seeds, "vehicles without a failure", console=console):
+                silent.append(false_alarms(seed, folder / f"quiet_{seed}", None, self.quiet_flights, QUIET_S))
+            for seed, name in enumerate(track(names, "vehicles with an effect", console=console), start=2000):
+                silent.append(false_alarms(seed, folder / name, name, 4, FLIGHT_S))
         print(failure_tables(fails, silent))
-
-    def _load_or_make_rows(self, key: str, make: Callable[[], list[dict]]) -> list[dict]:
-        """Return rows that were kept, or make and keep them."""
-        path = self.out / f"{key}.json" if self.out else None
-        if path is not None and path.is_file():
-            return json.loads(path.read_text())
-        start = time.monotonic()
-        rows = make()
-        print(f"{key}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(rows, indent=1) + "\n")
-        return rows
 
 
 if __name__ == "__main__":

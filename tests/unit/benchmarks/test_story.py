@@ -12,6 +12,7 @@ from aerial_gym.config import family_files
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task.terms.observations import OBSERVATIONS
+from benchmarks.story.__main__ import ROBOT, TASK
 from benchmarks.story.setpoint_flight import (
     CONTROL_RATE,
     HIDDEN,
@@ -24,7 +25,6 @@ from benchmarks.story.setpoint_flight import (
     tracking_errors,
     true_vehicle,
 )
-from benchmarks.story.story import ROBOT, TASK
 from benchmarks.undeclared.sensors import NO_BIAS, Sample
 from benchmarks.undeclared.trajectories import Reference
 
