@@ -35,9 +35,14 @@ SIM = "summary: s\ndt: {}\nsubsteps: 1\n"
     ("dt: [&a [1], *a, *a]", "must be float"),
     ("? [1, 2]\n: 3", "not valid YAML|unknown field"),
     ("", "must hold a mapping"),
+    ("dt: [1, 2", "not valid YAML"),
+    ("- 1\n- 2\n", "must hold a mapping of fields, found list"),
+    ("summary: s\n", "field 'dt' is missing"),
 ])  # fmt: skip
 def test_bad_yaml_is_one_sentence(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "sim.yaml"
+    with pytest.raises(ConfigError, match="no such file"):
+        load(SimCfg, file)
     file.write_text(text)
     with pytest.raises(ConfigError, match=message) as error:
         load(SimCfg, file)
@@ -95,7 +100,6 @@ def test_a_console_shows_plain_letters_for_what_it_lacks(encoding, text, shown, 
 def test_json_on_stdout_loses_nothing(encoding: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = type("Stream", (io.StringIO,), {"encoding": encoding})()
     monkeypatch.setattr(sys, "stdout", stream)
-    line = json_line({"unit": "m/s²", "path": "日"})
     line = json_line({"unit": "m/s²", "path": "日"})
     assert json.loads(line) == {"unit": "m/s²", "path": "日"}
     assert line.isascii() is (encoding in ("ascii", "gbk"))

@@ -237,20 +237,13 @@ def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict,
         replace(cfg, **fields)
 
 
-@pytest.mark.parametrize("name", ["std_a", "std_b", "std_c", "mean_offset"])
-@pytest.mark.parametrize("value", [nan, inf])
-def test_noise_is_finite(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=rf"NoiseCfg.{name} = {value}: must be finite"):
-        NoiseCfg(**{name: value})
-
-
-@pytest.mark.parametrize("dropout", [1.0, -0.1, nan])
-def test_a_dropout_is_a_probability(dropout: float) -> None:
-    with pytest.raises(ConfigError, match=rf"NoiseCfg.dropout = {dropout}: must be a probability, 0 <= dropout < 1"):
-        NoiseCfg(dropout=dropout)
-
-
 @pytest.mark.parametrize(("cfg", "fields", "message"), [
+    *(
+        (NoiseCfg(), {name: value}, rf"NoiseCfg.{name} = {value}: must be finite")
+        for name in ("std_a", "std_b", "std_c", "mean_offset")
+        for value in (nan, inf)
+    ),
+    *((NoiseCfg(), {"dropout": share}, rf"NoiseCfg.dropout = {share}: must be a prob") for share in (1.0, -0.1, nan)),
     (CAMERA, {"hfov_deg": 180.0}, r"CameraCfg.hfov_deg = 180.0: must lie between 0 and 180 degrees. A fisheye"),
     (CAMERA, {"hfov_deg": 0.0}, r"CameraCfg.hfov_deg = 0.0: must lie between"),
     (STEREO, {"hfov_deg": nan}, r"StereoCfg.hfov_deg = nan: must lie between"),
@@ -278,7 +271,7 @@ def test_a_dropout_is_a_probability(dropout: float) -> None:
     (TABLE, {"rays": ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))}, r"RayTableCfg.rays\[1\] = .*: must not be zero"),
     (TABLE, {"rays": ((1.0, 0.0, 0.0), (nan, 0.0, 0.0))}, r"RayTableCfg.rays = .*: must be finite"),
 ])  # fmt: skip
-def test_impossible_models_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:
+def test_impossible_models_and_noises_are_refused(cfg: RangeSensorCfg | NoiseCfg, fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         replace(cfg, **fields)
 
