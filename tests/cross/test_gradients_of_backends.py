@@ -85,12 +85,6 @@ def test_gradients_stay_finite_where_rotors_are_told_to_stop(backend) -> None:
     assert bool(slope.isfinite().all())
 
 
-def test_capabilities_say_which_backend_is_differentiable() -> None:
-    assert WarpBackend(differentiable=True).capabilities.differentiable
-    assert not WarpBackend().capabilities.differentiable
-    assert TorchBackend.capabilities.differentiable
-
-
 def test_without_gradients_the_rollout_is_that_of_step() -> None:
     robot = asymmetric_robot()
     vehicle = vehicle_from_config(robot, num_envs=2)

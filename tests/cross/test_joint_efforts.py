@@ -9,8 +9,8 @@ from aerial_gym.config.joint import DriveCfg, SpringCfg
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import UnknownNameError
 from tests.builders import simulation
-from tests.physics.articulated.test_friction import INERTIA, WEIGHT
-from tests.physics.test_links_seen import DOWN, LEFT, arm, bending
+from tests.physics.articulated.test_friction import INERTIA
+from tests.physics.test_links_seen import LEFT, arm, bending
 from tests.repetitions import frequent_values
 
 DT, LIMIT, FRICTION = 0.002, 4.0 * INERTIA, INERTIA
@@ -50,19 +50,6 @@ def test_efforts_of_a_drive_and_of_friction_are_their_laws_and_change_the_rate(b
     torch.testing.assert_close(friction, -FRICTION * torch.sign(expected), rtol=1e-5, atol=0.0)
     change = (manager.gtd["dof_velocity"][:, 0].double() - before) / DT
     torch.testing.assert_close(change * INERTIA, drive + friction, rtol=1e-3, atol=0.0)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_effort_of_sticking_friction_holds_a_weight(backend: str) -> None:
-    if backend == "mujoco":
-        pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
-    manager = make(backend, DOWN, 2.0 * WEIGHT)
-    for _ in range(50):
-        manager.step(torch.zeros(3, 4))
-    drive, friction = efforts(manager)
-    assert friction.abs().tolist() == pytest.approx([WEIGHT] * 3, rel=1e-3)
-    assert bool((friction * manager.gtd["dof_velocity"][:, 0] < 0.0).all())
-    assert drive.tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize("backend", ["torch", "warp"])

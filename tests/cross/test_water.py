@@ -12,7 +12,7 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import as_type, assert_same_flight
-from tests.physics.test_water import energy_of_bluerov, tumble_state, without_drag
+from tests.physics.test_water import tumble_state, without_drag
 from tests.physics.vehicles import asymmetric_robot, make_effects
 from tests.repetitions import frequent_values
 
@@ -40,22 +40,6 @@ def engine(name: str) -> tuple[PhysicsBackend, torch.dtype]:
         pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
         return BACKENDS.get("mujoco")(), torch.float64
     return (WarpBackend(), torch.float32) if name == "warp" else (TorchBackend(), torch.float64)
-
-
-@pytest.mark.parametrize("name", ["warp", "mujoco"])
-def test_the_bluerov_without_drag_keeps_its_energy(name: str) -> None:
-    """Within 0.1 % in 5 s of 10 ms steps, as on the torch backend."""
-    backend, dtype = engine(name)
-    robot = without_drag("bluerov2_heavy")
-    vehicle = vehicle_from_config(robot, num_envs=8, dtype=dtype)
-    model = build_model(vehicle, [(effect, rows.to(dtype)) for effect, rows in make_effects(robot.effects, 8)])
-    backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81), integrator="euler")
-    state = as_type(tumble_state(8, seed=0, speed=0.6, rate=0.6, envs=8), dtype)
-    kinetic, before = energy_of_bluerov(as_type(state, torch.float64))
-    for _ in range(500):
-        backend.step(state, torch.zeros(8, 8, dtype=dtype), 0.01, 1)
-    after = energy_of_bluerov(as_type(state, torch.float64))[1]
-    assert float(((after - before).abs() / kinetic).max()) < 1e-3
 
 
 @pytest.mark.parametrize("name", ["torch", "warp", "mujoco"])

@@ -13,7 +13,6 @@ from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.warp_engine import WarpTrees
 from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
-from tests.cross.mujoco.test_environments import WEIGHT, put_down
 from tests.cross.mujoco.test_flight import by_env
 from tests.cross.test_backends import NUDGES, as_type, assert_agreement, build, perturb, random_actions, start_state
 from tests.cross.test_joints_in_single_precision import WITH_JOINTS, coordinates, make_start, step_bound
@@ -68,12 +67,6 @@ def test_a_row_that_is_not_finite_stays_so_and_alone() -> None:
         ends.append(state)
     assert torch.equal(ends[0].position[0], ends[1].position[0])
     assert ends[1].position[1].isnan().all()
-
-
-def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
-    sim = put_down("mujoco_warp")
-    torch.testing.assert_close(sim.gtd["robot_contact_force"], WEIGHT, rtol=1e-2, atol=1e-2)
-    assert not sim.gtd["crashes"].any()
 
 
 @pytest.mark.parametrize("name", frequent_values(WITH_JOINTS, ("morphy", "snakey")))

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from aerial_gym.physics.articulated import steppers
-from aerial_gym.physics.articulated.complementarity import EffortLimits, _find_zero
+from aerial_gym.physics.articulated.complementarity import EffortLimits
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.joint_laws import STICK_RATE, Drive, Effort, dry_friction
+from aerial_gym.physics.articulated.joint_laws import Drive, Effort
 from aerial_gym.physics.articulated.steppers import step_within_limits
 from aerial_gym.physics.articulated.tree import TreeState
 from tests.physics.articulated.effort_rig import (
@@ -121,33 +121,6 @@ def test_two_drives_whose_limits_depend_on_each_other_are_solved_in_closed_form(
         value, slope = (rows[:, 0] for rows in ends.tangent(ends.side(cycled)))
         at, cycled = cycled, own(Effort(value=value, stiffness=none, damping=slope), start).joint_vel
     assert not torch.allclose(at, cycled)
-
-
-def test_a_line_search_finds_where_a_rising_slope_is_zero() -> None:
-    share = torch.tensor([[0.0, 0.2, 0.6, 1.0]] * 4)
-    slope = torch.tensor(
-        [[-2.0, -1.0, 1.0, 2.0], [-2.0, -1.0, -0.5, -0.1], [-1.0, 0.0, 0.0, 3.0], [0.0, 1.0, 2.0, 3.0]]
-    )
-    assert _find_zero(share, slope).tolist() == pytest.approx([0.4, 1.0, 0.6, 0.0])
-
-
-@pytest.mark.parametrize(("rate", "holds"), [(2e-4, True), (0.5, False)])
-def test_a_joint_with_a_drive_and_friction_gives_both(rate: float, holds: bool) -> None:
-    """One joint of inertia J: ``J (v' - v) / dt = T - F v' / s`` while friction holds it, ``T - F`` while it slips."""
-    inertia, torque, size, dt = 0.01, 0.02, 0.05, 2e-3
-    bent = random_bent(0, num_envs=1)
-    inertias = inertia * torch.eye(3, dtype=F64).expand(1, 2, 3, 3)
-    links = replace(bent.links, com=torch.zeros(1, 2, 3, dtype=F64), inertia=inertias)
-    none = torch.zeros(1, 1, dtype=F64)
-    drive = Drive(stiffness=none, damping=none, position=none, rate=none, effort=none + 1.0, limit=none + torque)
-    tree = replace(bent.tree, joints=(replace(bent.tree.joints[0], kind="revolute"),), floating=False)
-    state = replace(TreeState.at_rest(1, 1, like=none), joint_vel=none + rate)
-    end = steppers.implicit_euler(
-        tree, links, (), state, dt, gravity=0.0, drive=drive, friction=dry_friction(none + size)
-    )
-    slides = rate + dt * (torque - size) / inertia
-    expected = (rate + dt * torque / inertia) / (1.0 + dt * size / STICK_RATE / inertia) if holds else slides
-    assert end.joint_vel.item() == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.slow

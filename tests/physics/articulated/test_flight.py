@@ -13,7 +13,7 @@ from aerial_gym.config.joint import CreepCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS, EnvManager
-from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import articulated_step
@@ -225,10 +225,7 @@ def test_resets_draw_joints_in_their_ranges_and_apart() -> None:
     assert len(angles.flatten().unique()) == angles.numel()
 
 
-def test_what_a_bending_vehicle_cannot_have_is_refused_by_name() -> None:
-    spring = {"joint_spring": {"compliance": 0.1, "tau": 0.02, "hinge": 0.4}}
-    with pytest.raises(ConfigError, match="effect joint_spring: is for rigid vehicles, and this one has joints"):
-        build(replace(ROBOTS.get("morphy"), effects=spring, effects_source="test"))
+def test_rk4_of_a_vehicle_with_joints_is_refused_by_name() -> None:
     with pytest.raises(CapabilityError, match="no integrator 'rk4'"):
         build("morphy", sim=replace(SIMS.get("base_sim_2ms"), integrator="rk4"))
 

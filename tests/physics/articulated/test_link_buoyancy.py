@@ -7,20 +7,17 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.flight import articulated_step, link_wrenches
+from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.effects.links import LinkBuoyancy
-from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model, build_model
-from aerial_gym.physics.state import ArticulatedState, BodyState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
 from tests.physics.articulated.test_flight import at_rest, make_rod, throw
-from tests.physics.articulated.test_link_drag import arm, fly, make_drag_robot, make_model
+from tests.physics.articulated.test_link_drag import arm, make_drag_robot, make_model
 from tests.physics.articulated.trees import F64
 
 G = 9.81
@@ -67,16 +64,6 @@ def draw_state(state: ArticulatedState, seed: int = 4) -> ArticulatedState:
 FORCES = {"force": 2.0, "x": 0.01, "left.force": 3.5, "left.y": -0.03, "left.z": 0.05, "base.z": 0.1, "base.force": 8.0}
 
 
-def test_a_neutral_tree_rests_in_any_attitude() -> None:
-    robot = under_water(make_joints(), {"link_buoyancy": {"base.force": G, "left.force": 0.3 * G, "slide.force": 0.1 * G,
-                                                      "right.force": 0.2 * G}})  # fmt: skip
-    model, state = make_model(robot, gravity=G, num_envs=8)
-    still = {name: torch.zeros_like(rows) for name, rows in vars(state).items() if name.endswith("_vel")}
-    state = fly(model, replace(draw_state(state), **still), 0.01, 8)
-    for rows in (state.lin_vel, state.ang_vel, state.joint_vel):
-        torch.testing.assert_close(rows, torch.zeros_like(rows), rtol=0.0, atol=1e-11)
-
-
 def test_forces_along_coordinates_are_what_heights_of_centres_of_buoyancy_say() -> None:
     """``-dU/dx`` with ``U = -sum F z``, by SciPy's rotations; numbers of a link stand in place of those of all."""
     model, state = make_model(under_water(make_joints(), {"link_buoyancy": FORCES}), num_envs=3)
@@ -102,21 +89,3 @@ def of_one_link(robot: RobotCfg, effects: list[tuple[object, Tensor]]) -> tuple[
     model = build_model(vehicle, effects, articulation=make_rod(bending))
     state = throw(at_rest(model))
     return model, replace(state, rotor_speed=torch.rand(3, 4, dtype=F64, generator=torch.Generator().manual_seed(1)))
-
-
-def assert_flies_as_rigid(tree: Model, rigid: Model, state: ArticulatedState, *, steps: int = 40) -> None:
-    """Both integrate the same quantities where the centre of mass is the body origin: rounding is left."""
-    command = state.rotor_speed * torch.tensor([1.3, 0.8, 1.1, 0.9], dtype=F64)
-    other = to_mass_state(rigid, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
-    for _ in range(steps):
-        state = articulated_step(tree, state, command, command[:, :0], 2e-3)
-        other = semi_implicit_euler(rigid, other, command, 2e-3)
-    for own, reference in zip(state.tensors(), to_body_state(rigid, other).tensors(), strict=False):
-        torch.testing.assert_close(own, reference, rtol=1e-9, atol=1e-10)
-
-
-def test_a_tree_of_one_link_is_carried_as_a_rigid_hull() -> None:
-    robot, row = ROBOTS.get("morphy_stiff"), torch.tensor([[3.0, 0.02, -0.03, 0.1]], dtype=F64).expand(3, -1)
-    tree, state = of_one_link(robot, [(LinkBuoyancy(), row)])
-    rigid = build_model(vehicle_from_config(robot, num_envs=3, dtype=F64), [(EFFECTS.get("buoyancy"), row)])
-    assert_flies_as_rigid(tree, rigid, state)

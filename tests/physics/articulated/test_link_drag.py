@@ -169,25 +169,6 @@ def test_energy_only_falls_in_still_air_however_large_drag_is(size: float) -> No
         assert not bool((kinetic_energy(tree, links, held) < 1e6).any())
 
 
-def test_the_step_with_drag_is_of_order_one() -> None:
-    """Errors beside extrapolated steps, of a random tree that falls in wind."""
-    tree = random_tree(4, 3)
-    links, start = random_links(tree, 2, 3), random_motion(tree, 2, 3)
-    wind = torch.tensor([[1.0, -2.0, 0.5]], dtype=F64).expand(2, -1)
-
-    def end(dt: float) -> Tensor:
-        state = start
-        for _ in range(round(0.04 / dt)):
-            damping, _ = make_damping(tree, links, state, wind, l=0.2, q=0.3, a=0.01, b=0.01)
-            state = implicit_euler(tree, links, (), state, dt, gravity=G, damping=damping)
-        return torch.cat((state.position, state.lin_vel, state.ang_vel, state.joint_pos, state.joint_vel), dim=-1)
-
-    ends = [end(dt) for dt in (2e-3, 1e-3, 5e-4, 2.5e-4)]
-    exact = ends[3] * 8 / 3 - 2 * ends[2] + ends[1] / 3  # what is left of order 1 and 2 drops out
-    errors = [float((each - exact).norm()) for each in ends[:2]]
-    assert torch.tensor(errors[0] / errors[1]).log2() == pytest.approx(1.0, abs=0.1)
-
-
 def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
     """A link that moves at 2 m/s along its x and turns about its z at 1 rad/s, and one at rest."""
     robot = ROBOTS.get("morphy")
@@ -228,19 +209,3 @@ def test_slopes_are_finite_at_rest_in_still_air() -> None:
     after = fly(there, replace(state, joint_pos=inputs[1], joint_vel=inputs[2]), 0.01, 3)
     for slope in torch.autograd.grad(after.joint_vel.sum(), inputs, allow_unused=True):
         assert slope is None or bool(slope.isfinite().all())
-
-
-def test_environments_have_numbers_of_their_own() -> None:
-    """Each of a batch moves as it does alone, to rounding, and differently."""
-    arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)),)
-    robot = make_drag_robot(1.0, arms, {"qx": 0.1, "left.qx": 0.2}, constant_wind={"x": 3.0, "y": 1.0, "z": 0.0})
-    model, state = make_model(robot, num_envs=3)
-    rows = {"link_drag": torch.tensor([[0.1, 0.2], [0.3, 0.2], [0.1, 0.5]], dtype=F64)}
-    model = replace(model, effects=model.effects.with_params(lambda effect, params: rows.get(effect.name, params)))
-    whole = fly(model, state, 0.01, 10)
-    for env in range(3):
-        alone, start = make_model(robot)
-        own = model.effects.with_params(lambda effect, params, env=env: params[env : env + 1])
-        end = fly(replace(alone, effects=own), start, 0.01, 10)
-        torch.testing.assert_close(end.lin_vel[0], whole.lin_vel[env], rtol=1e-12, atol=1e-14)
-    assert len({round(float(value), 6) for value in whole.lin_vel[:, 0]}) == 3

@@ -9,7 +9,7 @@ from scipy.special import ellipk
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.articulated.dynamics import accelerations, com_position, kinetic_energy, momenta
+from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
 from aerial_gym.physics.articulated.joint_laws import Drive, JointLimits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
@@ -49,17 +49,6 @@ def test_a_free_tree_keeps_momentum_and_energy_to_the_order_of_the_integrator() 
         assert fine < coarse / 14.0 or coarse < 1e-12
 
 
-def test_the_centre_of_mass_of_a_falling_tree_falls_as_a_point() -> None:
-    """``p + v t - g t²/2``, whatever its links do, with an error of the integrator: 1e-7 m."""
-    tree = random_tree(5, 8)
-    links, start = random_links(tree, 3, 8), random_motion(tree, 3, 8)
-    first = com_position(tree, links, start)
-    speed = momenta(tree, links, start)[0] / links.total_mass
-    end = free(tree, links, start, 3e-3, 100, gravity=G)
-    expected = first + 0.3 * speed - torch.tensor([0.0, 0.0, 0.5 * G * 0.09], dtype=F64)
-    torch.testing.assert_close(com_position(tree, links, end), expected, rtol=0.0, atol=1e-7)
-
-
 def test_a_pendulum_swings_in_its_period() -> None:
     """From 2 rad back to it after ``4 sqrt(l / g) K(sin 1)``, K the complete elliptic integral; RK4 at T / 200: 1e-5."""
     tree, links = pendulum(0.7, 0.3)
@@ -67,17 +56,6 @@ def test_a_pendulum_swings_in_its_period() -> None:
     end = free(tree, links, pendulum_state(2.0), period / 200, 200, gravity=G)
     torch.testing.assert_close(end.joint_pos, row(2.0), rtol=0.0, atol=1e-5)
     torch.testing.assert_close(end.joint_vel, row(0.0), rtol=0.0, atol=1e-5)
-
-
-def test_forces_on_a_link_push_the_base() -> None:
-    """At rest and straight: a force across the end of an arm on a fixed joint axis, ``q'' = F l / (m l²)``."""
-    tree, links = pendulum(0.5, 0.2)
-    wrench = torch.zeros(1, 2, 6, dtype=F64)
-    wrench[0, 1] = torch.tensor(
-        [3.0, 0.0, 0.0, 0.0, -0.5 * 3.0, 0.0]
-    )  # at the end: moment of a force there about the hinge
-    result = accelerations(tree, links, pendulum_state(0.0), gravity=G, wrench=wrench)
-    torch.testing.assert_close(result.joint_acc, row(-3.0 / (0.2 * 0.5)))
 
 
 @pytest.mark.parametrize("dt", [2e-3, 4e-3, 1e-2])
@@ -132,33 +110,6 @@ def test_implicit_steps_are_of_order_one() -> None:
     assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("limit", "reaches"), [pytest.param(100.0, True, marks=pytest.mark.slow), (0.5, False)])
-def test_a_drive_holds_its_place_within_what_it_can(limit: float, reaches: bool) -> None:
-    """To 1 rad against a weight of 1.96 N m times sin q, with 50 N m/rad; a drive of 0.5 N m holds asin(0.5 / 1.96)."""
-    tree, links = pendulum(0.5, 0.4)
-    drive = Drive(
-        stiffness=row(50.0), damping=row(10.0), position=row(1.0), rate=row(0.0), effort=row(0.0), limit=row(limit)
-    )
-    still = Spring(stiffness=row(0.0), quadratic=row(0.0), damping=row(1.0), rest=row(0.0), preload=row(0.0))
-    state = pendulum_state(0.0)
-    for _ in range(250):  # 10 s, and still by 1e-8
-        state = implicit_euler(tree, links, (still,), state, 4e-2, gravity=G, drive=drive)
-    angle, weight = state.joint_pos.item(), 0.4 * G * 0.5
-    held = 50.0 * (1.0 - angle) if reaches else limit
-    assert held == pytest.approx(weight * sin(angle), rel=1e-6)
-
-
-def test_a_drive_to_a_rate_turns_at_it() -> None:
-    tree, links = pendulum(0.5, 0.4)
-    drive = Drive(
-        stiffness=row(0.0), damping=row(10.0), position=row(0.0), rate=row(1.5), effort=row(0.0), limit=row(9.0)
-    )
-    state = pendulum_state(0.0)
-    for _ in range(100):
-        state = implicit_euler(tree, links, (), state, 2e-2, gravity=0.0, drive=drive)
-    assert state.joint_vel.item() == pytest.approx(1.5, rel=1e-9)
-
-
 @pytest.mark.parametrize("side", [pytest.param(1.0, marks=pytest.mark.slow), -1.0])
 def test_soft_ends_stop_a_joint_and_never_pull(side: float) -> None:
     """Flung at an end at 0.3 rad: it goes past it by no more than ``v / sqrt(k / I)``, comes back, and leaves freely."""
@@ -175,19 +126,6 @@ def test_soft_ends_stop_a_joint_and_never_pull(side: float) -> None:
     assert sticky.value.item() == 0.0
 
 
-def test_a_tree_without_joints_is_a_body_that_turns_by_euler() -> None:
-    """Torque-free about its own axes: ``I w' = -w x I w``; a force at the origin moves the centre of mass."""
-    tree = Tree(joints=())
-    inertia = torch.diag(torch.tensor([1.0, 2.0, 3.0], dtype=F64)).reshape(1, 1, 3, 3)
-    links = Links(mass=row(2.0), com=torch.zeros(1, 1, 3, dtype=F64), inertia=inertia)
-    state = TreeState.at_rest(1, 0, like=row(0.0))
-    state = TreeState(**{**vars(state), "ang_vel": row(1.0, 2.0, 3.0)})
-    wrench = torch.tensor([[[4.0, 0.0, 0.0, 0.0, 0.0, 0.0]]], dtype=F64)
-    result = accelerations(tree, links, state, gravity=G, wrench=wrench)
-    torch.testing.assert_close(result.lin_acc, row(2.0, 0.0, -G))
-    torch.testing.assert_close(result.ang_acc, row(-6.0, 3.0, -2.0 / 3.0))
-
-
 def test_gradients_flow_through_steps() -> None:
     tree = random_tree(3, 2)
     links, state = random_links(tree, 1, 2), random_motion(tree, 1, 2)
@@ -201,18 +139,6 @@ def test_gradients_flow_through_steps() -> None:
 
     inputs = (state.joint_pos.requires_grad_(), links.mass.requires_grad_())
     assert torch.autograd.gradcheck(end, inputs)
-
-
-def test_float32_loses_no_more_than_rounding() -> None:
-    """A chain of ten links, 16 motions: 1e-3 of the largest acceleration (4e-4 seen), as its mass matrix allows."""
-    tree = random_tree(10, 4, chain=True)
-    links, state = random_links(tree, 16, 4), random_motion(tree, 16, 4)
-    exact = accelerations(tree, links, state, gravity=G).joint_acc
-    single = {name: value.float() for name, value in vars(links).items()}
-    moving = {name: value.float() for name, value in vars(state).items()}
-    result = accelerations(tree, Links(**single), TreeState(**moving), gravity=G).joint_acc
-    assert ((result - exact).abs().amax(1) / exact.abs().amax(1)).max() < 1e-3
-    assert result.dtype == torch.float32
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,6 @@ from aerial_gym.rl_training.settings import TRAINING_CONFIGS
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from tests.builders import simulation
 
-SIM = "summary: s\ndt: {}\nsubsteps: 1\n"
-
 
 @pytest.mark.parametrize(("text", "message"), [
     ("dt: 2024-13-45", "holds a value that YAML cannot read"),

@@ -10,7 +10,7 @@ import torch
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
-from aerial_gym.physics import BACKENDS, EFFECTS, Ground, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics import BACKENDS, EFFECTS, Ground, build_model, vehicle_from_config
 from aerial_gym.physics.mujoco.mjcf import contact_softness
 from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, GroundRig, make_robot, start
 from tests.physics.vehicles import F64, asymmetric_robot
@@ -139,17 +139,3 @@ def test_environments_touch_alone_as_in_a_batch_and_centres_of_mass_move_their_f
     assert lever.item() == pytest.approx(
         MASS * GRAVITY * 0.03, rel=0.02
     )  # the feet under the centre of mass carry more
-
-
-@pytest.mark.slow
-def test_a_landing_at_an_angle_ends_where_it_does_in_torch() -> None:
-    """Two laws of the same spring, damper and friction: 1 % of the path, 3 % of the speed before rolling sets in."""
-    ends = []
-    for backend in (TorchBackend(), BACKENDS.get("mujoco")()):
-        rig = GroundRig(backend, ROUGH, start(height=0.15, lin_vel=(1.0, 0.4, 0.0)))
-        rig.run(0.5, 1e-3)
-        ends.append(rig.state)
-    path = ends[0].position[0, :2].norm()
-    assert (ends[1].position - ends[0].position)[0, :2].norm() < 0.01 * path
-    torch.testing.assert_close(ends[1].lin_vel, ends[0].lin_vel, rtol=0.0, atol=0.03)
-    torch.testing.assert_close(ends[1].ang_vel, ends[0].ang_vel, rtol=0.03, atol=0.03)

@@ -14,7 +14,6 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.ground import LinkContacts
-from aerial_gym.physics.mujoco.rollouts import RolloutTrees
 from aerial_gym.physics.solids import Solid
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.joint_contact import shapes_on_links
@@ -120,20 +119,6 @@ def test_contacts_push_a_drive_as_they_push_a_spring_of_its_numbers() -> None:
         torch.testing.assert_close(getattr(reference, name), values, rtol=0.0, atol=1e-9)
 
 
-def test_without_a_touch_it_flies_as_without_a_ground() -> None:
-    tree, links, law = two_arms("revolute", HINGES, 0.05), weights(0.1), springs(2.0, 0.02)
-    start = replace(arm_state(50.0, ang_vel=(1.0, 2.0, 0.5)), joint_vel=torch.tensor([[3.0, -1.0]], dtype=F64))
-    rig = ContactRig(tree, links, law, LinkContacts(links=(1, 2)), FEET, dt=0.002)
-    free = RolloutTrees(tree, 1, 0.002)
-    actual = reference = start
-    for _ in range(200):
-        actual = rig.step(actual)
-        reference = free.move(tree, links, [law], reference, 0.002, gravity=G, wrench=torch.zeros(1, 3, 6, dtype=F64))
-    for name, values in vars(reference).items():
-        torch.testing.assert_close(getattr(actual, name), values, rtol=0.0, atol=1e-12)
-    assert rig.impulse.abs().max() < 1e-12
-
-
 def test_a_robot_stands_on_legs_under_its_arms(on_legs: str) -> None:
     """All four carry its weight; the ends of its joints bear what the springs do not; 0.29 kg."""
     sim, crashed = put_down(on_legs, 0.08, 0.5)
@@ -223,29 +208,6 @@ def test_a_wall_stops_a_pendulum_at_the_angle_of_geometry(turned: bool) -> None:
     force = overlap(torch.tensor(stop, dtype=F64)) * CFG.stiffness * MASS
     expected = quat_rotate(attitude, torch.tensor([[float(force), 0.0, 0.0]], dtype=F64))
     torch.testing.assert_close(rig.bodies.impulse, 0.002 * expected, rtol=1e-4, atol=1e-9)
-
-
-def test_arms_of_a_stand_push_each_other() -> None:
-    """Hanging straight down from hinges 0.1 m apart, bent inwards by springs until spheres of 0.04 m at their feet meet. The
-    hinge moment ``k (rest - q)`` is what force at the feet and weight at an angle give back."""
-    stiffness, rest = 0.5, torch.pi / 2.0 + 0.5
-    shapes = tuple(replace(link_shape(k, 0.04, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
-    on = LinkContacts(links=(), shapes=shapes, pairs=((0, 1),))
-    tree = replace(two_arms("revolute", HINGES, 0.05), floating=False)
-    rig = ContactRig(tree, weights(COM), springs(stiffness, 0.05, (rest, rest)), on, (), dt=0.002, height=-inf)
-    down = torch.full((1, 2), torch.pi / 2.0, dtype=F64)
-    state = rig.run(replace(arm_state(1.0), joint_pos=down), 3.0)
-
-    def excess(q: float) -> float:
-        angle = torch.tensor(q, dtype=F64)
-        overlap = 0.08 - 2.0 * (0.05 + ARM * torch.cos(angle))
-        force = 0.5 * CFG.stiffness * MASS * overlap
-        moment = stiffness * (rest - angle) + ARM_WEIGHT * COM * torch.cos(angle)
-        return float(moment - force * ARM * torch.sin(angle))
-
-    meet = brentq(excess, torch.pi / 2.0, torch.pi / 2.0 + 0.4)
-    assert state.joint_pos.tolist() == [pytest.approx([meet, meet], abs=1e-5)]
-    assert rig.bodies.impulse.norm() < 1e-9
 
 
 def test_without_a_touch_it_swings_as_the_engine_of_this_package_has_it() -> None:
