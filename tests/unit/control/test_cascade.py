@@ -26,7 +26,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import Condition, EffectParams, Parameter, WrenchEffect
-from aerial_gym.physics.law_memory import LawMemory, fresh_law_memory, law_needs
+from aerial_gym.physics.law_memory import LawMemory, fresh_law_memory
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import random_state
 from tests.repetitions import rare_values
@@ -326,12 +326,6 @@ def test_an_environment_does_not_depend_on_its_batch() -> None:
     alone = fly(WarpBackend(), BUSY, torch.float32, rows=slice(3, 4))[-1]
     for name, tensor in vars(alone).items():
         assert torch.equal(tensor[0], getattr(together, name)[3]), name
-
-
-def test_without_memory_nothing_is_asked_of_a_backend() -> None:
-    vehicle = vehicle_from_config(ROBOT, num_envs=2)
-    for name in ("lee_velocity_control", "no_control", "rotor_speed_control"):
-        assert law_needs(make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=DT)) is None
 
 
 def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None:

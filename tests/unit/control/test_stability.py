@@ -5,7 +5,6 @@ from dataclasses import replace
 from math import exp
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -36,21 +35,6 @@ RATES = CONTROLLERS.get("lee_rates_control")
 def radius(robot: RobotCfg, controller: ControllerCfg, dt: float) -> float:
     loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("r", "c"))
     return loop.radius(dt)
-
-
-def test_the_spectral_radius_of_a_rate_loop_is_that_of_its_two_by_two() -> None:
-    """One axis is exactly ``n' = d n + (1 - d) u``, ``p' = p + dt n' / J``, ``u = -K p`` with d = exp(-dt / tau)."""
-    robot, dt, tau = ROBOTS.get("base_quadrotor"), 0.01, 0.04
-    decay = exp(-dt / tau)
-
-    def axis(gain: float) -> float:
-        matrix = [[decay, -(1 - decay) * gain], [decay * dt, 1.0 - dt * (1 - decay) * gain]]
-        return abs(np.linalg.eigvals(matrix)).max()
-
-    for frequency in (4.0, 12.0, 40.0):
-        control = ControlCfg(attitude_frequency=(frequency, frequency, 1.0), attitude_damping=(1.0, 1.0, 1.0))
-        expected = max(axis(2.0 * frequency), axis(2.0))
-        assert radius(replace(robot, control=control), RATES, dt) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -177,16 +177,6 @@ def test_gains_are_frequency_and_damping_times_inertia() -> None:
     torch.testing.assert_close(gains.position[0], torch.full((3,), 1 / (a**7 * lag**2), dtype=F64))
 
 
-def test_slower_rotors_and_larger_steps_are_slower_loops() -> None:
-    robot = ROBOTS.get("crazyflie_21")
-    slow = replace(robot, rotor=replace(robot.rotor, time_constant_up=0.14))
-    variants = ((robot, 0.002), (robot, 0.02), (slow, 0.002))
-    quick, coarse, lagging = (lee_controller(cfg, dt=dt) for cfg, dt in variants)
-    for name in ("position", "velocity", "attitude", "rate"):
-        assert (getattr(coarse.gains, name) < getattr(quick.gains, name)).all(), name
-        assert (getattr(lagging.gains, name) < getattr(quick.gains, name)).all(), name
-
-
 def test_a_robot_file_may_give_frequencies_damping_and_limits() -> None:
     robot = ROBOTS.get("base_quadrotor")
     control = ControlCfg(
@@ -223,13 +213,6 @@ def test_authority_is_the_torque_at_which_a_rotor_meets_its_limit() -> None:
     expected = 4 * spare * torch.tensor([0.16, 0.16, 0.01], dtype=F64)
     torch.testing.assert_close(Allocation(vehicle, 9.81).torque_authority(0.373 * 9.81), expected)
     assert Allocation(vehicle, 9.81).largest_thrust() == pytest.approx(4.8)
-
-
-def test_each_environment_may_have_gains_of_its_own() -> None:
-    controller = lee_controller(ROBOTS.get("base_quadrotor"))
-    controller.own_gains()
-    controller.gains.attitude[1] *= 2.0
-    torch.testing.assert_close(controller.gains.attitude[1], 2.0 * controller.gains.attitude[0])
 
 
 @pytest.mark.parametrize("field", ["randomize", "rate_gain_low", "position_gain_high"])

@@ -141,15 +141,6 @@ def test_a_reset_writes_the_rows_of_its_mask_alone(draw_env: EnvManager) -> None
         torch.testing.assert_close(written, built, rtol=2e-5, atol=1e-6 * float(built.abs().max()))
 
 
-def test_the_kernel_reads_no_number_that_is_zero_anyway() -> None:
-    more, arms = [], {"mounts.*.position": DRAWN["mounts.*.position"]}
-    for cfg in (DRAWN, arms):
-        managers = (make(cfg, effectiveness=each).robot_manager for each in ("actual", "nominal"))
-        own, nominal = (manager.backend.parameter_targets()[0].shape[1] for manager in managers)
-        more.append(own - nominal)
-    assert more == [4 * (4 + 2 + 1), 4 * 4]
-
-
 @pytest.mark.parametrize("cfg", [{"rotor.time_constant": RandomizeCfg(low=0.9, high=1.1)}, {}])
 def test_nothing_is_kept_where_nothing_differs(cfg: dict[str, RandomizeCfg]) -> None:
     assert make(cfg).robot_manager.controller.allocation.rows == {}
@@ -221,20 +212,6 @@ def test_rotors_of_any_kind_make_what_is_commanded() -> None:
     for name, rows in fused.robot_manager.controller.allocation.rows.items():
         assert torch.equal(rows, allocation.rows[name])
     torch.testing.assert_close(fly(env), fly(fused), rtol=1e-3, atol=1e-3)
-
-
-@pytest.mark.parametrize("backend", [pytest.param("warp", marks=pytest.mark.slow), "torch"])
-def test_without_arms_along_x_nothing_is_asked_of_pitch(backend: str) -> None:
-    flat = {"mounts.*.position": RandomizeCfg(low=(0.0, 0.9, 1.0), high=(0.0, 1.1, 1.0))}
-    env = make(flat, backend=backend)
-    hubs = np.array([mount.position for mount in QUAD.mounts.layout])
-    spins = np.array([mount.spin for mount in QUAD.mounts.layout])
-    for i, inverse in enumerate(env.robot_manager.controller.allocation.inverse.double().numpy()):
-        arms = env.draws()["mounts.*.position"].view(6, -1)[i, 1].double().numpy() * hubs[:, 1]
-        matrix = np.stack((0 * arms, 0 * arms, 1 + 0 * arms, arms, 0 * arms, -QUAD.rotor.torque_ratio * spins))
-        assert not inverse[:, 4].any()
-        torch.testing.assert_close(inverse, np.linalg.pinv(matrix), rtol=1e-6, atol=1e-6)
-    assert fly(env).isfinite().all()
 
 
 def test_an_effect_of_the_robot_file_counts_without_draws() -> None:

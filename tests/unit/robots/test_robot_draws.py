@@ -202,6 +202,9 @@ def test_names_and_ranges_come_from_files(tmp_path) -> None:
     torch.testing.assert_close(env.gtd["robot_mass"], torch.full((2,), 0.3))
 
 
+MOTOR = "effects.weak_motor.motor"
+
+
 @pytest.mark.parametrize(("cfg", "message"), [
     ({"body.mas": RandomizeCfg(low=1.0, high=1.0)}, "no quantity 'body.mas'. Did you mean 'body.mass'"),
     ({"effects.rotor_drag.dw": RandomizeCfg(low=1.0, high=1.0)}, "Did you mean 'effects.rotor_drag.d"),
@@ -212,6 +215,12 @@ def test_names_and_ranges_come_from_files(tmp_path) -> None:
     ({"body.com": RandomizeCfg(how="offset", low=(0.0, 0.0), high=1.0)}, "needs one number, or 3"),
     ({"rotor.thrust_map": RandomizeCfg(how="value", low=0.0, high=1.0)}, "how = 'value' must be one of scale"),
     ({"body.mass": RandomizeCfg(low=1.0, high=1.0, each_rotor=True)}, "each_rotor is for quantities of all rotors"),
+    ({MOTOR: RandomizeCfg(how="value", low=1.0, high=4.0)}, "is the number of a rotor. Give how: value, distribution: integ"),
+    ({MOTOR: RandomizeCfg(how="offset", distribution="integer", low=0, high=3)}, "is the number of a rotor"),
+    (
+        {MOTOR: RandomizeCfg(how="value", distribution="integer", low=1, high=5)},
+        r"reaches 1 to 5: must stay within \[1, 4\]",
+    ),
 ])  # fmt: skip
 def test_impossible_requests_are_refused_by_name(cfg: dict[str, RandomizeCfg], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
@@ -228,6 +237,12 @@ def test_impossible_requests_are_refused_by_name(cfg: dict[str, RandomizeCfg], m
     ({"mean": 1.0, "std": 0.1, "distribution": "normal", "low": 2.0}, "hardly anything lies in"),
     ({"low": 1.0, "high": 1.0, "how": "factor"}, "must be one of scale, offset, value"),
     ({"low": 1.0, "high": 1.0, "mean": 1.0}, "a uniform distribution has none"),
+    ({"low": 0.0, "high": 1.0, "correlation": {"body.mass": 0.5}}, "a uniform distribution has none"),
+    (
+        {"distribution": "normal", "mean": 0.0, "std": 1.0, "how": "offset", "correlation": {"body.mass": 1.5}},
+        "must lie in -1 to 1",
+    ),
+    ({"distribution": "integer", "low": 1.5, "high": 4.0}, "an integer distribution needs whole numbers"),
 ])  # fmt: skip
 def test_impossible_distributions_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
@@ -300,18 +315,6 @@ def test_a_correlation_that_cannot_be_drawn_is_refused(changes: Mapping[str, Ran
         make({**TOGETHER, **changes}, 2)
 
 
-UNIFORM = {"distribution": "uniform", "low": 0, "high": 1, "correlation": {DX: 0.5}}
-BEYOND = {"distribution": "normal", "mean": 0, "std": 1, "how": "offset", "correlation": {DX: 1.5}}
-
-
-@pytest.mark.parametrize(
-    ("mapping", "message"), [(UNIFORM, "a uniform distribution has none"), (BEYOND, "must lie in -1 to 1")]
-)
-def test_a_correlation_has_its_limits(mapping: Mapping[str, object], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        from_mapping(RandomizeCfg, mapping, where="test")
-
-
 def test_a_joint_distribution_is_read_and_written(tmp_path: Path) -> None:
     robot = replace(QUAD, randomize=TOGETHER)
     path = tmp_path / "robot.yaml"
@@ -330,17 +333,6 @@ def test_integers_are_drawn_equally_often_and_name_rotors() -> None:
     assert counts[0] == 0
     assert len(counts) == 5
     assert stats.chisquare(counts[1:].numpy()).pvalue > 1e-4
-
-
-@pytest.mark.parametrize(("how", "message"), [
-    ({"low": 1.0, "high": 4.0}, "is the number of a rotor. Give how: value, distribution: integer"),
-    ({"how": "offset", "distribution": "integer", "low": 0, "high": 3}, "is the number of a rotor"),
-    ({"distribution": "integer", "low": 1, "high": 5}, r"reaches 1 to 5: must stay within \[1, 4\]"),
-    ({"distribution": "integer", "low": 1.5, "high": 4.0}, "an integer distribution needs whole numbers"),
-])  # fmt: skip
-def test_the_number_of_a_rotor_is_drawn_among_those_that_there_are(how: dict, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        make({"effects.weak_motor.motor": RandomizeCfg(**{"how": "value"} | how)})
 
 
 STILL = InitialStateCfg(

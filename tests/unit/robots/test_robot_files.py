@@ -34,11 +34,6 @@ def test_every_file_is_a_registered_robot_and_every_robot_has_a_file() -> None:
     assert all(summary for summary in ROBOTS.summaries().values())
 
 
-def test_the_inertia_that_the_simulator_gives_is_twice_the_right_one() -> None:
-    right, doubled = (np.array(ROBOTS.get(f"base_quadrotor{name}").body.inertia) for name in ("", "_doubled_inertia"))
-    np.testing.assert_allclose(doubled, 2.0 * right, rtol=1e-15)
-
-
 def test_drags_are_those_of_the_sources_for_each_kilogram() -> None:
     """0.544 and 0.386 1/s times the mass; a spin of 0.5 kg on arms of 0.17 m braked by 2.75e-3 N m s/rad is -4 kh w l² r."""
     robot = ROBOTS.get("base_quadrotor_with_drag")
@@ -84,7 +79,6 @@ def test_a_snake_is_a_regular_polygon_of_equal_rods(rods: int) -> None:
         _check_rod(robot, k, heading)
         end = end + along
     np.testing.assert_allclose(end, (-0.5, 0.0, 0.0), atol=1e-14)
-    _check_whole(robot, headings)
 
 
 def _check_rod(robot: RobotCfg, k: int, heading: float) -> None:
@@ -103,16 +97,6 @@ def _inertia_of_rod(heading: float) -> np.ndarray:
     turn = np.array(((cos(heading), -sin(heading), 0.0), (sin(heading), cos(heading), 0.0), (0.0, 0.0, 1.0)))
     across = 0.30625 * (1.0 / 12.0 + 0.02**2 / 4.0)
     return turn @ np.diag((0.5 * 0.30625 * 0.02**2, across, across)) @ turn.T
-
-
-def _check_whole(robot: RobotCfg, headings: np.ndarray) -> None:
-    places = np.array([mount.position for mount in robot.mounts.layout])
-    levers = places - places.mean(axis=0)
-    apart = sum((0.30625 * (lever @ lever * np.eye(3) - np.outer(lever, lever)) for lever in levers), np.zeros((3, 3)))
-    whole = apart + sum((_inertia_of_rod(heading) for heading in headings), np.zeros((3, 3)))
-    np.testing.assert_allclose(robot.body.inertia, whole, atol=1e-14)
-    np.testing.assert_allclose(robot.body.com, places.mean(axis=0), atol=1e-14)
-    assert robot.body.mass == pytest.approx(0.30625 * len(headings), rel=1e-12)
 
 
 @pytest.mark.parametrize(("robot", "speed"), [
@@ -223,14 +207,6 @@ def drag_robot(tmp_path: Path) -> RobotCfg:
     return robot_by_name(str(tmp_path / "dragged.yaml"))
 
 
-def test_a_robot_file_names_links(drag_robot: RobotCfg) -> None:
-    check_effects(drag_robot)
-    effects = robot_effects(drag_robot, num_envs=2, device=torch.device("cpu"), dtype=torch.float64)
-    (law, params), _ = effects
-    assert [parameter.name for parameter in law.parameters] == ["qx", "qz", "azimuth_1.qz", "base.qz"]
-    assert params[1].tolist() == [0.002, 0.004, 0.01, 0.02]
-
-
 def test_what_takes_it_as_rigid_leaves_drag_of_links_out(drag_robot: RobotCfg) -> None:
     assert list(effects_on_rigid(drag_robot)) == list(params_from_robot(drag_robot).effects) == ["quadratic_drag"]
     effects = robot_effects(drag_robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
@@ -254,9 +230,3 @@ def test_the_loop_lists_it_as_not_testable_and_keeps_it(drag_robot: RobotCfg) ->
 def test_it_cannot_be_requested() -> None:
     with pytest.raises(ConfigError, match="link_drag acts on links where they are.* cannot be asked for"):
         select_effects(None, None, None, lambda *_: None, candidates=("link_drag",))
-
-
-def test_a_rigid_robot_file_is_refused() -> None:
-    rigid = replace(ROBOTS.get("tinyprop"), effects={"link_drag": {"qx": 0.1}}, effects_source="test")
-    with pytest.raises(ConfigError, match="Give it rotor_drag, quadratic_drag or hull_drag, or joints"):
-        check_effects(rigid)

@@ -11,8 +11,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
-from aerial_gym.robots.importers import RotorHints, import_robot, read_robot
-from tests.unit.robots.importers.files import CF2, IRIS_MOTOR, PLACES, X2, cf2x, inertial, iris, motor, write, x500
+from aerial_gym.robots.importers import RotorHints, import_robot
+from tests.unit.robots.importers.files import CF2, IRIS_MOTOR, X2, cf2x, inertial, motor, x500
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed: pip install 'aerial-gym[urdf]'")
 
@@ -45,42 +45,6 @@ def test_x500_of_px4(tmp_path: Path) -> None:
         assert local.position[:2] == pytest.approx(other.position[:2])
     assert robot.collision.boxes[0].center == pytest.approx((0.0, 0.0, 0.007))
     assert "rollingMomentCoefficient" in result.notes[0]
-
-
-def test_iris_of_px4_with_poses_relative_to_joints_and_a_nested_model(tmp_path: Path) -> None:
-    """Its front rotors stand 0.22 m to the side, its rear ones 0.2 m; base, IMU, four rotors and GPS weigh 1.545 kg."""
-    robot = import_robot(iris(tmp_path)).robot
-    assert robot.body.mass == pytest.approx(1.5 + 0.015 + 4 * 0.005 + 0.01)
-    places = [(0.13, -0.22, 0.023), (-0.13, 0.2, 0.023), (0.13, 0.22, 0.023), (-0.13, -0.2, 0.023)]
-    assert [mount.position for mount in robot.mounts.layout] == places
-    assert [mount.spin for mount in robot.mounts.layout] == [1, 1, -1, -1]
-    hover = check_robot(robot, name="iris", controllers=()).hover_thrust_n
-    assert sum(hover) == pytest.approx(1.545 * 9.81)
-
-
-@pytest.mark.parametrize("turned", ["", "<use_parent_model_frame>1</use_parent_model_frame>"])
-@pytest.mark.parametrize("axis", ["0 0 1", "0 0 -1", "1 0 0"])
-def test_a_rotor_pushes_along_z_of_its_link_whatever_its_joint(axis: str, turned: str, tmp_path: Path) -> None:
-    """Links turned by 0.5 rad about x: their z axes are (0, -sin, cos); the sense of turning is that about z."""
-    links = "".join(
-        f'<link name="rotor_{i}"><pose>{p} 0.5 0 0</pose>{inertial(0.01, 1e-5, 1e-5, 2e-5)}</link>'
-        for i, p in enumerate(PLACES)
-    )
-    joints = "".join(
-        f'<joint name="rotor_{i}_joint" type="revolute"><child>rotor_{i}</child><parent>base</parent>'
-        f"<axis><xyz>{axis}</xyz>{turned}</axis></joint>"
-        for i in range(4)
-    )
-    motors = "".join(motor(i, turning, IRIS_MOTOR) for i, turning in enumerate(("ccw", "ccw", "cw", "cw")))
-    base = f'<link name="base">{inertial(1.0, 0.01, 0.01, 0.02)}</link>'
-    text = f'<sdf version="1.5"><model name="leaning">{base}{links}{joints}{motors}</model></sdf>'
-    path = write(tmp_path, leaning=text)
-    mounts = read_robot(path).robot.mounts.layout
-    for mount in mounts:
-        assert mount.axis == pytest.approx((0.0, -np.sin(0.5), np.cos(0.5)))
-    assert [mount.spin for mount in mounts] == [1, 1, -1, -1]
-    with pytest.raises(ConfigError):  # pushes sideways as well, which nothing takes away
-        import_robot(path)
 
 
 def test_skydio_x2_of_the_mujoco_collection_cannot_be_steered_as_it_is(tmp_path: Path) -> None:
@@ -182,17 +146,6 @@ def test_properties_without_a_lag_are_refused(tmp_path: Path) -> None:
         import_robot(path, RotorHints(spins=spins))
     like = ROBOTS.get("crazyflie_21")
     assert import_robot(path, RotorHints(spins=spins, rotors_of=like)).robot.rotor == like.rotor
-
-
-def test_motor_plugins_in_a_urdf_are_read(tmp_path: Path) -> None:
-    plugins = "".join(motor(i, turning, IRIS_MOTOR) for i, turning in enumerate(("ccw", "cw", "ccw", "cw")))
-    text = urdf().replace("motor_", "rotor_").replace('name="j', 'name="rotor_').replace('"><parent', '"><parent')
-    for i in range(4):
-        text = text.replace(f'name="rotor_{i}" type="fixed"', f'name="rotor_{i}_joint" type="continuous"')
-        text = text.replace(f'<child link="rotor_{i}"/>', f'<child link="rotor_{i}"/><axis xyz="0 0 1"/>')
-    robot = import_robot(put(tmp_path, text.replace("</robot>", f"<gazebo>{plugins}</gazebo></robot>"))).robot
-    assert [mount.spin for mount in robot.mounts.layout] == [1, -1, 1, -1]
-    assert robot.rotor.thrust_range[1] == pytest.approx(5.84e-6 * 1100.0**2)
 
 
 def sdf(link: str) -> str:
