@@ -188,11 +188,3 @@ def test_a_seed_given_to_a_reset_makes_a_new_task() -> None:
         runs.append(roll_out(task))
     for first, second in zip(*runs, strict=True):
         assert_same(first, second)
-
-
-def test_environments_of_one_batch_differ() -> None:
-    env = simulation("base_quadrotor", "lee_velocity_control", env="env_with_obstacles", num_envs=FEW)
-    env.reset()
-    for key in ("robot_position", "env_bounds_min", "obstacle_position"):
-        rows = env.gtd[key].flatten(1)
-        assert all((rows[i] != rows[j]).any() for i in range(FEW) for j in range(i)), key

@@ -79,38 +79,6 @@ def test_what_remembers_runs_as_torch_operations() -> None:
     assert single.robot_manager.differentiable._substep_kernel(0.01) is None
 
 
-def test_the_dictionary_shows_what_is_traced() -> None:
-    env = build()
-    for _ in range(2):
-        env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64).requires_grad_())
-    for key, rows in env.gradient_tensors.items():
-        assert rows.dtype == F64
-        assert rows.requires_grad or key == "robot_vehicle_orientation"
-        assert not env.gtd[key].requires_grad
-        torch.testing.assert_close(env.gtd[key].double(), rows.detach(), atol=2e-6, rtol=2e-6)
-
-
-def test_a_flight_with_gradients_is_the_plain_flight() -> None:
-    traced, fused = build(), build(differentiable=False, dtype=torch.float32)
-    for _ in range(20):
-        for env in (traced, fused):
-            env.step(torch.full((NUM_ENVS, 4), 0.05))
-    torch.testing.assert_close(traced.gtd["robot_position"], fused.gtd["robot_position"], atol=1e-5, rtol=1e-5)
-
-
-def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
-    env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
-    env.step(action)
-    env.reset(torch.tensor([True, False]))
-    env.gradient_tensors["robot_linvel"].sum().backward()
-    assert action.grad[0].tolist() == [0.0] * 4
-    assert action.grad[1].abs().max() > 0.0
-    for cut in (env.detach, env.reset):
-        env.step(action)
-        cut()
-        assert not env.gradient_tensors["robot_linvel"].requires_grad
-
-
 def test_obstacles_are_met_as_without_gradients() -> None:
     traced = build("lee_velocity_control", env_name="env_with_obstacles")
     fused = build("lee_velocity_control", env_name="env_with_obstacles", differentiable=False, dtype=torch.float32)

@@ -77,16 +77,6 @@ def test_reset_by_mask_leaves_other_rows_bit_for_bit(env_name: str) -> None:
     assert env.gtd["sim_steps"].tolist() == [5, 0, 5, 5, 0]
 
 
-def test_actions_are_kept_at_the_rate_of_environment_steps() -> None:
-    env = build(env_name="env_with_obstacles")
-    env.reset()
-    first, second = torch.full((4, 4), 0.1), torch.full((4, 4), 0.2)
-    env.step(first)
-    env.step(second)
-    assert torch.equal(env.gtd["robot_actions"], second)
-    assert torch.equal(env.gtd["robot_prev_actions"], first)
-
-
 def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
     env = build(8, env_name="env_with_obstacles")
     env.reset()

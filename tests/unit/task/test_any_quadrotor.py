@@ -74,13 +74,6 @@ def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> N
         assert float((task.env.draws()["body.inertia"] != first["body.inertia"]).float().mean()) > 0.99
 
 
-@pytest.mark.parametrize("robot", ["base_quadrotor", "x500", "tinyprop"])
-def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -> None:
-    mix = torch.tensor(quadrotor_to_rotors_matrix(ROBOTS.get(robot)))
-    order = rotor_order([mount.position for mount in ROBOTS.get(robot).mounts.layout])
-    torch.testing.assert_close(mix, torch.eye(4)[list(order)], rtol=0.0, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("controller", "robot"),
     frequent_values(

@@ -97,20 +97,6 @@ def test_a_smooth_task_is_the_task_but_for_its_reward(name: str) -> None:
     assert replace(smooth, rewards=task.rewards, **told) == task
 
 
-def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> None:
-    """Same rooms, same mounts: a cell of 15 pixels misses an edge now and then that one of 510 pixels sees (8 % by 0.5 m)."""
-    seen = []
-    for robot in (None, "base_quadrotor_with_coarse_camera"):
-        with begin("safe_navigation_task", 32, seed=1, robot=robot, level=44) as task:
-            observation, _ = task.reset()
-            seen.append(observation["observations"][:, 17:].clone())
-            assert observation["critic"].shape == (32, 89)
-    fine, coarse = (cells.exp() for cells in seen)
-    assert float(fine.std()) > 0.1
-    assert float((fine - coarse).abs().median()) < 0.01
-    assert float(((fine - coarse).abs() > 0.05).float().mean()) < 0.12
-
-
 def test_a_task_may_say_how_flights_begin() -> None:
     """Every attitude, and speeds and rates up to what the task says; the robot's own starts are level and slow."""
     cfg = task_registry.get("recovery_task")

@@ -42,16 +42,6 @@ def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
 
 
 @pytest.mark.slow
-def test_so_many_cells_give_no_return() -> None:
-    """Over 12 steps of 16 vehicles, and of each cell of the image, within 5 standard deviations of a binomial."""
-    lost = torch.stack([task().step(torch.zeros(16, 4))[0]["observations"][:, 17:] == -1.0 for _ in range(12)]).double()
-    for share, draws in ((lost.mean(), lost.numel()), (lost.mean(dim=(0, 1)), 12 * 16)):
-        assert float((share - SHARE).abs().max()) < 5.0 * (SHARE * (1.0 - SHARE) / draws) ** 0.5
-    same = (lost[1:] == lost[:-1]).double().mean().item()
-    assert same == pytest.approx(SHARE**2 + (1.0 - SHARE) ** 2, abs=0.02)  # drawn anew at every step
-
-
-@pytest.mark.slow
 def test_the_held_task_differs_by_what_lost_cells_show() -> None:
     """Of 0.8^20 = 1.2 % of the cells at most nothing is seen after 20 steps; before that of 0.8^k."""
     held = task_registry.get("radar_navigation_task_held")

@@ -89,16 +89,6 @@ def test_return_and_length_belong_to_the_finished_episode() -> None:
     torch.testing.assert_close(info["episode_return"], reward)
 
 
-def test_a_step_neither_keeps_nor_changes_the_action_tensor() -> None:
-    task = make(2)
-    task.reset()
-    actions = torch.full((2, 4), 5.0)
-    task.step(actions)
-    assert (actions == 5.0).all()
-    actions.zero_()
-    assert (task.env.gtd["robot_actions"] == 5.0).all()
-
-
 def make_state(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> dict[str, torch.Tensor]:
     rows = {"target_position": [0.0] * 3, "robot_position": position, "robot_orientation": attitude}
     rows |= {"robot_body_angvel": ang_vel}

@@ -134,40 +134,6 @@ def test_a_task_with_gradients_is_the_plain_task(name: str) -> None:
         assert not other[4]["episode_return"].requires_grad
 
 
-def test_a_reset_cuts_its_own_row_and_detach_all() -> None:
-    task = build_task(replace(task_registry.get("position_setpoint_task"), episode_len_steps=3), 2, gradients=F64)
-    task.reset()
-    task.env.gtd["sim_steps"].copy_(torch.tensor([2, 0]))
-    action = torch.full((2, 4), 0.1, dtype=F64, requires_grad=True)
-    _, _, _, truncated, _ = task.step(action)
-    assert truncated.tolist() == [True, False]
-    _, reward, *_ = task.step(torch.zeros(2, 4, dtype=F64))
-    (gradient,) = torch.autograd.grad(reward.sum(), action)
-    assert gradient[0].tolist() == [0.0] * 4
-    assert gradient[1].abs().max() > 0.0
-    task.step(action)
-    task.detach()
-    observation, reward, *_ = task.step(torch.zeros(2, 4, dtype=F64))
-    assert not reward.requires_grad
-    assert not observation["observations"].requires_grad
-
-
-@pytest.mark.slow
-def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
-    first, second = (build_task(full_task(), NUM_ENVS, seed=4, gradients=torch.float32) for _ in range(2))
-    actions = torch.rand(8, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1)) - 0.5
-    for task in (first, second):
-        task.reset()
-    for action in actions[:4]:
-        first.step(action)
-        second.step(-action)
-    second.load_state(first.save_state())
-    for action in actions[4:]:
-        one, other = first.step(action), second.step(action)
-        assert torch.equal(one[0]["observations"], other[0]["observations"])
-        assert torch.equal(one[1], other[1])
-
-
 def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
     """A CUDA graph reads and writes the same memory at every replay: motion, actions, lines, what law and effects remember."""
     task = build_task(full_task(), 2, gradients=torch.float32)

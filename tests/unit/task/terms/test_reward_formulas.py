@@ -9,7 +9,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.rl_training import settings_for
-from aerial_gym.robots import ROBOTS
 from aerial_gym.task import REWARDS, task_registry
 from tests.repetitions import rare_values
 from tests.unit.task.hover import begin, build_task, term_reward
@@ -173,42 +172,6 @@ def test_a_critic_sees_the_same_without_noise(name: str) -> None:
         noise = (obs["observations"][:, :13] - obs["critic"]).std(0)
         stated = torch.tensor([0.03] * 3 + [0.01] * 4 + [0.02] * 6)
         torch.testing.assert_close(noise, stated, rtol=0.05, atol=0.0)  # 4.5 standard deviations of 4,096 draws
-
-
-def test_the_rotors_of_the_vehicles_hover_as_their_files_say() -> None:
-    """And stand in PX4's order on the X500: front right and back left turn counter-clockwise."""
-    mounts = ROBOTS.get("x500").mounts.layout
-    places = np.array([mount.position for mount in mounts])
-    assert np.sign(places[:, :2]).tolist() == [[1, -1], [-1, 1], [1, 1], [-1, -1]]
-    assert [mount.spin for mount in mounts] == [1, 1, -1, -1]
-    for robot, rate in (("x500", 689.0), ("lmf2", 470.0 * 2.0 * np.pi)):
-        cfg = ROBOTS.get(robot)
-        rotor = cfg.the_rotor("the test")
-        assert np.sqrt(cfg.body.mass * 9.81 / 4.0 / rotor.thrust_map[2]) == pytest.approx(rate, rel=1e-3)
-
-
-def test_a_crash_is_worth_what_it_is_there() -> None:
-    with begin("position_setpoint_task_morphy", 8, seed=2) as task:
-        for _ in range(200):
-            _, reward, terminated, _, _ = task.step(-torch.ones(8, 4))
-            if bool(terminated.any()):
-                assert bool((reward[terminated] == -20.0).all())
-                return
-        raise AssertionError("nobody fell three metres")
-
-
-def test_a_snake_starts_anywhere_in_its_bounds_heading_anywhere() -> None:
-    """As there: places from all of the 2 m box, any yaw, up to 0.2 m/s and 0.2 rad/s on each axis; level, in a ring.
-    Uniform draws of 400 starts fill more than 90 % of each range but for one in 1e17 tries (0.9^400 at either end)."""
-    with begin("position_setpoint_task_reconfigurable", 400, seed=3) as task:
-        gtd = task.env.gtd
-        euler = Rotation.from_quat(gtd["robot_orientation"].double().numpy()).as_euler("ZYX")
-        speeds = ((gtd[key].numpy(), 0.2) for key in ("robot_linvel", "robot_body_angvel"))
-        for seen, half in ((gtd["robot_position"].numpy(), 1.0), (euler[:, :1], np.pi), *speeds):
-            assert np.all(np.abs(seen) <= half * (1.0 + 1e-6))
-            assert np.all(seen.max(0) > 0.8 * half)
-            assert np.all(seen.min(0) < -0.8 * half)
-        np.testing.assert_allclose(euler[:, 1:], 0.0, atol=1e-6)
 
 
 F64 = torch.float64
