@@ -1,11 +1,15 @@
-"""Read ArduPilot DataFlash logs (.bin). World is NED, body is FRD, angles are in degrees. Letters: T samples, R rotors.
+"""Read ArduPilot DataFlash logs, binary (.bin) or as text (.log). World is NED, body is FRD, angles are in degrees.
+
+Letters: T samples, R rotors.
 
 Source: ArduPilot, ``libraries/AP_Logger/README.md`` and ``LogStructure.h`` for formats, units and multipliers; *Onboard Message
-Log Messages* of its documentation for fields; ``AP_Logger.h``, ``LogEvent``, for events; ``SRV_Channel.h`` for motor outputs.
+Log Messages* of its documentation for fields; ``AP_Logger.h``, ``LogEvent``, for events; ``SRV_Channel.h`` for motor outputs;
+``AP_Motors_Class.h`` for frame classes; ``AP_MotorsMulticopter.cpp``, ``update_throttle_range``, for the range of the signals;
+``ArduPlane/Log.cpp``, ``Log_Write_Attitude``, for the axes of a tail-sitter.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import (
     LOWEST_BATTERY_V,
@@ -26,28 +30,36 @@ from aerial_gym.sim2real.logs.raw_log import (
     Topic,
     faster_first,
     note_on_rotor_order,
-    read_records,
+)
+from aerial_gym.sim2real.logs.readers.dataflash_messages import (
+    HEAD,
+    TEXT_LOG,
+    TYPES,
+    MessageType,
+    binary_types,
+    read_lines,
+    split_messages,
 )
 from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-
-HEAD = b"\xa3\x95"  # First bytes of each message, before its type
-FMT, FMT_LENGTH = 128, 89  # Type and length of the messages that define the others
-TYPES: dict[str, tuple[str, float]] = {
-    **dict.fromkeys("BM", ("u1", 1.0)),
-    **{"b": ("i1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0), "I": ("<u4", 1.0)},
-    **{"q": ("<i8", 1.0), "Q": ("<u8", 1.0), "g": ("<f2", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0)},
-    **{"c": ("<i2", 0.01), "C": ("<u2", 0.01), "e": ("<i4", 0.01), "E": ("<u4", 0.01)},
-    **{"L": ("<i4", 1e-7), "a": ("(32,)<i2", 1.0), "n": ("S4", 0.0), "N": ("S16", 0.0), "Z": ("S64", 0.0)},
-}
-"""NumPy type and unit of each format character; 0 for text."""
 
 TIMES = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # Fields of the time and their units [s]
 INSTANCES = ("I", "Instance", "Inst", "C")  # Fields that number several sources of one message, if no unit marks them
 SMALLEST_DAMAGE = 256  # A log cut by power loss ends within a message, whose length is at most 255 bytes
 ARMED, DISARMED, LANDED_MAYBE, LANDED, FLYING = 10, 11, 17, 18, 28  # Codes of EV messages
 MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))  # SERVOn_FUNCTION of motors 1 to 12
+LEFT, RIGHT = 73, 74  # SERVOn_FUNCTION of the two motors of a tail-sitter with elevons
+TAIL_SITTER = 10  # Q_FRAME_CLASS
+MOTORS = {7: (0, 1, 3), 8: (4, 5), 9: (4, 5), **dict.fromkeys((6, 11, 13), ())}
+"""Motor functions of rotors with variable speed, from 0, by frame class; the others turn servos, as of a helicopter."""
+
+DIGITAL = range(
+    4, 10
+)  # Types of motor signals (MOT_PWM_TYPE) with the range 1000 to 2000, in spite of MOT_PWM_MIN and MAX
+HOVER_AXES = Rotation.from_euler(
+    "y", 90.0, degrees=True
+)  # Of a tail-sitter: from body axes in hover to those of the sensors
 METRES_PER_DEG = 111_319.5  # Length of a degree of the equator. Source: WGS 84, 6378137 m pi / 180
 
 VECTORS = (
@@ -62,26 +74,6 @@ VECTORS = (
 """Quantity, messages from the best to the worst, fields, and unit."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MessageType:
-    """Definition of one type of message."""
-
-    name: str
-    length: int  # [B], with the head
-    format: str  # One character per field
-    fields: tuple[str, ...]
-
-    @property
-    def columns(self) -> list[tuple[str, str]]:
-        """Name and format character of each field."""
-        return list(zip(self.fields, self.format, strict=False))
-
-    @property
-    def record(self) -> np.dtype[Any]:
-        """Return the NumPy type of the fields, named by their place; raise ``KeyError`` for an unknown character."""
-        return np.dtype([(str(i), TYPES[code][0]) for i, code in enumerate(self.format)])
-
-
 class DataflashReader(LogReader):
     """Reader of ArduPilot logs."""
 
@@ -89,14 +81,17 @@ class DataflashReader(LogReader):
     summary = "DataFlash of ArduPilot"
 
     def recognises(self, head: bytes) -> bool:
-        """Return whether the file begins with the head of a message."""
-        return head.startswith(HEAD)
+        """Return whether the file begins with the head of a message, or with the definition of one as text."""
+        return head.startswith(HEAD) or TEXT_LOG.search(head) is not None
 
     def read(self, path: Path) -> RawLog:
         """Return all messages with a time as topics, and the parameters and texts."""
         data = np.fromfile(path, dtype=np.uint8)
-        types = _message_types(data)
-        tables, used = _split_messages(data, types)
+        if data[: len(HEAD)].tobytes() == HEAD:
+            types = binary_types(data)
+            tables, used = split_messages(data, types)
+        else:
+            (types, tables), used = read_lines(data.tobytes().decode("latin-1")), data.size
         if not any(types[number].name in ("IMU", "ATT", "RATE", "GYR") for number in tables):
             raise DataError(f"{path}: holds no messages IMU, ATT, RATE or GYR of ArduPilot; log them (LOG_BITMASK)")
         named = {types[number].name: (types[number], table) for number, table in tables.items()}
@@ -119,10 +114,12 @@ class DataflashReader(LogReader):
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the quantities of the vehicle; of several sources a much faster one comes first."""
+        hovers = log.number("Q_TAILSIT_ENABLE", 0.0) > 0.0 or log.number("Q_FRAME_CLASS", 0.0) == TAIL_SITTER
         vectors = [
-            _vector_channel(topic, quantity, fields, unit)
+            _vector_channel(topic, quantity, fields, unit, hovers=hovers)
             for quantity, names, fields, unit in VECTORS
             for name in names
+            if not (hovers and name in ("ATT", "RATE"))  # whose axes change between hover and forward flight
             for topic in log.find_topics(name, *fields)
         ]
         return [
@@ -132,62 +129,6 @@ class DataflashReader(LogReader):
             *_batteries(log),
             *_flight_states(log),
         ]
-
-
-def _message_types(data: NDArray[np.uint8]) -> dict[int, MessageType]:
-    """Return the types that FMT messages define, by number. The first definition of a type counts."""
-    places = _head_places(data)
-    places = places[data[places + 2] == FMT]
-    results: dict[int, MessageType] = {}
-    for place in places[places + FMT_LENGTH <= data.size].tolist():
-        row = data[place + 3 : place + FMT_LENGTH].tobytes()
-        name, codes, fields = (part.rstrip(b"\0").decode("latin-1") for part in (row[2:6], row[6:22], row[22:]))
-        one = MessageType(name=name, length=row[1], format=codes, fields=tuple(fields.split(",")))
-        known = name.isalnum() and codes and set(codes) <= TYPES.keys() and len(one.fields) >= len(codes)
-        if known and one.record.itemsize + 3 == one.length:
-            results.setdefault(row[0], one)
-    return results
-
-
-def _head_places(data: NDArray[np.uint8]) -> Indices:
-    """Return the places of heads that a type follows."""
-    places = np.flatnonzero(data[:-2] == HEAD[0])
-    return places[data[places + 1] == HEAD[1]]
-
-
-def _split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tuple[dict[int, NDArray[Any]], int]:
-    """Return the messages as one table for each type, and the number of bytes in them.
-
-    A message counts if another one, or the end of the file, follows it; data that look like a head are inside of messages.
-    """
-    lengths = np.zeros(256, dtype=np.int64)
-    lengths[list(types)] = [one.length for one in types.values()]
-    places = _head_places(data)
-    places = places[lengths[data[places + 2]] > 0]
-    numbers = data[places + 2]
-    ends = places + lengths[numbers]
-    following = np.searchsorted(places, ends)
-    whole = (ends == data.size) | (np.append(places, -1)[following] == ends)
-    steps = np.where(whole, following, np.arange(1, places.size + 1))
-    kept = _chain(steps) & whole
-    tables = {
-        number: read_records(data, places[kept & (numbers == number)] + 3, types[number].record)
-        for number in np.unique(numbers[kept]).tolist()
-    }
-    return tables, int((ends - places)[kept].sum())
-
-
-def _chain(steps: Indices) -> NDArray[np.bool_]:
-    """Return the places that are visited from place 0 on, where each states the next one."""
-    visited = np.zeros(steps.size, dtype=bool)
-    if np.array_equal(steps, np.arange(1, steps.size + 1)):
-        return ~visited
-    places, following, place = [], steps.tolist(), 0
-    while place < steps.size:
-        places.append(place)
-        place = following[place]
-    visited[places] = True
-    return visited
 
 
 def _numbers(one: MessageType, table: NDArray[Any], field: str) -> Array:
@@ -282,13 +223,19 @@ def _array_column(rows: NDArray[Any], place: int, index: int) -> Array:
     return rows[str(place)][:, index].astype(np.float64)
 
 
-def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str], unit: float) -> LogChannel:
-    """Return a channel in this package's frames, on the sampling times if they are logged."""
+def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str], unit: float, *, hovers: bool) -> LogChannel:
+    """Return a channel in this package's frames, of a tail-sitter in hover axes, on the sampling times if they are logged."""
     values = topic.numbers(*fields, unit=unit)
     if len(fields) == 3 and quantity == "attitude":  # roll, pitch, yaw
         turned = Rotation.from_euler("ZYX", np.nan_to_num(values[:, ::-1])).as_quat()
         values = np.where(np.isfinite(values).all(axis=1)[:, None], turned, np.nan)[:, [3, 0, 1, 2]]
-    channel = topic.channel(quantity, quantity_from_ned_frd(quantity, values))
+    values = quantity_from_ned_frd(quantity, values)
+    if hovers and quantity == "attitude":
+        known = np.linalg.norm(np.nan_to_num(values), axis=1) > 0.0
+        values[known] = (Rotation.from_quat(values[known]) * HOVER_AXES).as_quat()
+    elif hovers and quantity in ("ang_vel", "specific_force"):
+        values = HOVER_AXES.inv().apply(values)
+    channel = topic.channel(quantity, values)
     return replace(channel, time=1e-6 * topic.columns["SampleUS"]) if "SampleUS" in topic.columns else channel
 
 
@@ -309,34 +256,54 @@ def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
 
 
 def _motor_outputs(log: RawLog) -> list[int]:
-    """Return the output number of each motor, from 1, by ``SERVOn_FUNCTION``; the first outputs without such parameters."""
-    outputs = {
-        MOTOR_FUNCTIONS.index(int(value)): n
-        for n in range(1, 33)
-        if isinstance(value := log.parameters.get(f"SERVO{n}_FUNCTION"), float) and value in MOTOR_FUNCTIONS
-    }
-    count = {2.0: 6, 3.0: 8, 4.0: 8, 5.0: 6}.get(log.number("FRAME_CLASS", 1.0), 4)
-    return [outputs[motor] for motor in sorted(outputs)] or list(range(1, count + 1))
+    """Return the output number of each motor, from 1, by ``SERVOn_FUNCTION``; the first outputs where no function is logged."""
+    functions = {n: log.parameters[name] for n in range(1, 33) if (name := f"SERVO{n}_FUNCTION") in log.parameters}
+    frame = log.number("FRAME_CLASS", log.number("Q_FRAME_CLASS", 1.0))
+    wanted = [MOTOR_FUNCTIONS[motor] for motor in MOTORS.get(int(frame), range(len(MOTOR_FUNCTIONS)))]
+    outputs = {function: n for n, function in functions.items() if isinstance(function, float)}
+    if motors := [outputs[function] for function in wanted if function in outputs]:
+        return motors
+    if functions:
+        return [outputs[side] for side in (LEFT, RIGHT) if side in outputs]
+    count = {2.0: 6, 3.0: 8, 4.0: 8, 5.0: 6}.get(frame, 4)
+    return list(range(1, count + 1)) if "Plane" not in log.metadata.get("firmware", "") else []
+
+
+def _signal_range(log: RawLog, output: int) -> tuple[float, float]:
+    """Return the signals [us] of a motor at rest and at full command."""
+    if log.number(f"SERVO{output}_FUNCTION", 0.0) in (LEFT, RIGHT):
+        return log.number(f"SERVO{output}_MIN", 1000.0), log.number(f"SERVO{output}_MAX", 2000.0)
+    if log.number("MOT_PWM_TYPE", log.number("Q_M_PWM_TYPE", 0.0)) in DIGITAL:
+        return 1000.0, 2000.0
+    low, high = (
+        log.number(f"MOT_PWM_{end}", log.number(f"Q_M_PWM_{end}", 0.0)) or log.number(f"RC3_{end}", 0.0) or default
+        for end, default in (("MIN", 1000.0), ("MAX", 2000.0))
+    )
+    return low, high
 
 
 def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield rotor speeds by ESC telemetry, and motor signals from 0 to 1, in the order of motors."""
     note, outputs = note_on_rotor_order("ArduPilot"), _motor_outputs(log)
+    if not outputs:
+        return
     escs = {topic.instance: topic for topic in log.find_topics("ESC", "RPM")}
-    used = [escs[n - 1] for n in outputs if n - 1 in escs]
-    if used and len(used) == len(outputs):
+    numbers = [n - 1 for n in outputs]
+    if not set(numbers) <= escs.keys() and len(escs) == len(
+        outputs
+    ):  # before 4.1 ESCs were counted in the order of motors
+        numbers = sorted(escs)
+    if set(numbers) <= escs.keys():
+        used = [escs[n] for n in numbers]
         time = max(used, key=lambda topic: topic.time.size).time
         speeds = [np.interp(time, *_time_order(topic.time, np.abs(topic.columns["RPM"]))) for topic in used]
         values = UNITS["rpm"] * np.stack(speeds, axis=1)
         yield LogChannel(quantity="rotor_speed", time=time, values=values, source=used[0].source, notes=note)
-    low, high = (
-        log.number(f"MOT_PWM_{end}", 0.0) or log.number(f"RC3_{end}", 0.0) or default
-        for end, default in (("MIN", 1000.0), ("MAX", 2000.0))
-    )
-    fields = [f"C{n}" for n in outputs]
-    for topic in log.find_topics("RCOU", *fields) if high > low else ():
-        values = np.clip((topic.numbers(*fields) - low) / (high - low), 0.0, 1.0)
-        yield topic.channel("rotor_command", values, note)
+    low, high = np.array([_signal_range(log, n) for n in outputs]).T
+    for prefix in ("C", "Ch", "Chan") if np.all(high > low) else ():  # the latter before Copter 3.4
+        fields = [f"{prefix}{n}" for n in outputs]
+        for topic in log.find_topics("RCOU", *fields):
+            yield topic.channel("rotor_command", np.clip((topic.numbers(*fields) - low) / (high - low), 0.0, 1.0), note)
 
 
 def _time_order(time: Array, values: Array) -> tuple[Array, Array]:
@@ -355,7 +322,7 @@ def _batteries(log: RawLog) -> Iterator[LogChannel]:
 
 def _flight_states(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground; before the first event the state is the opposite one."""
-    start = min(float(topic.time[0]) for topic in log.topics)
+    start = min((float(topic.time[0]) for topic in log.topics), default=0.0)
     for topic in log.find_topics("EV", "Id"):
         codes = topic.columns["Id"]
         for quantity, on, off in (("armed", (ARMED,), (DISARMED,)), ("landed", (LANDED_MAYBE, LANDED), (FLYING,))):
@@ -365,3 +332,6 @@ def _flight_states(log: RawLog) -> Iterator[LogChannel]:
                 time = np.append(min(start, topic.time[rows][0]), topic.time[rows])
                 values = np.append(1.0 - states[0], states)[:, None]
                 yield replace(topic.channel(quantity, values), time=time)
+    for name, quantity, field, flying in (("STAT", "armed", "Armed", 1.0), ("STAT", "landed", "isFlying", 0.0)):
+        for topic in log.find_topics(name, field):  # of planes
+            yield topic.channel(quantity, (topic.numbers(field) == flying).astype(float))

@@ -1,6 +1,7 @@
 """Write ArduPilot DataFlash logs, with units, by the description of their format."""
 
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,14 @@ def message(name: str, *values: Any) -> bytes:
     return b"\xa3\x95" + bytes([number]) + struct.pack(body, *(x.encode() if isinstance(x, str) else x for x in flat))
 
 
-def definitions() -> bytes:
+def line(name: str, *values: Any) -> bytes:
+    """Return a message as text, with numbers in their units."""
+    codes = TYPES[name][1]
+    texts = (str(0.01 * value if code in "cC" else value) for code, value in zip(codes, values, strict=True))
+    return (", ".join((name, *texts)) + "\n").encode()
+
+
+def definitions(message: Callable[..., bytes] = message) -> bytes:
     out = b""
     for name, (number, codes, fields, _) in TYPES.items():
         length = 3 + struct.calcsize("<" + "".join(CODES.get(code, code) for code in codes))
@@ -66,7 +74,9 @@ def definitions() -> bytes:
     return out
 
 
-def log(seed: int = 0, count: int = 400) -> tuple[bytes, dict[str, np.ndarray]]:
+def log(
+    seed: int = 0, count: int = 400, message: Callable[..., bytes] = message
+) -> tuple[bytes, dict[str, np.ndarray]]:
     """Return a flight with two IMUs at 100 Hz and all else at 50 Hz, and the numbers in it."""
     draw = np.random.default_rng(seed)
     numbers = {
@@ -76,7 +86,7 @@ def log(seed: int = 0, count: int = 400) -> tuple[bytes, dict[str, np.ndarray]]:
         "outputs": draw.integers(1000, 2000, (count, 8)),
         "rpm": draw.uniform(1000.0, 9000.0, (count, 4)).astype(np.float32),
     }
-    data = definitions() + message("MSG", 1000, "ArduCopter V4.5.1 (00000000)")
+    data = definitions(message) + message("MSG", 1000, "ArduCopter V4.5.1 (00000000)")
     for name, value in {"FRAME_CLASS": 1.0, "MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}.items():
         data += message("PARM", 1000, name, value)
     for n in range(4):

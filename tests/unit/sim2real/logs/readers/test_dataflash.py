@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.dataflash import DataflashReader
 from tests.unit.sim2real.logs.readers import dataflash_files as files
 from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_bytes
@@ -86,6 +87,75 @@ def test_a_damaged_definition_leaves_the_sensors(tmp_path, old, new) -> None:
 def test_a_log_without_sensors_is_refused(tmp_path, data) -> None:
     with pytest.raises(DataError):
         read(tmp_path, data)
+
+
+def test_a_log_as_text_gives_the_quantities_of_the_binary_log(tmp_path) -> None:
+    text = (
+        b"ArduCopter V3.1\n" + files.log(message=files.line)[0] + files.line("MSG", 1000, "a, b") + b"IMU, 1, broken\n"
+    )
+    one, other = read(tmp_path, files.log()[0]), read(tmp_path, text)
+    for quantity in ("ang_vel", "attitude", "position", "rotor_command", "rotor_speed", "battery", "armed"):
+        first, second = channel(one, quantity), channel(other, quantity)
+        np.testing.assert_allclose(second.time[:200], first.time[:200], rtol=1e-15)
+        np.testing.assert_allclose(second.values[:200], first.values[:200], rtol=1e-6)
+    assert other.parameters == one.parameters
+    assert other.messages[-1].text == "a, b"
+
+
+def bare_log(parameters: dict[str, float], *topics: Topic, firmware: str = "ArduCopter V4.5.1") -> RawLog:
+    return RawLog(path="a", format="dataflash", topics=topics, parameters=parameters, metadata={"firmware": firmware})
+
+
+def outputs(prefix: str = "C") -> Topic:
+    """Return outputs 1 to 14, at 1100 us and 10 us more each."""
+    return Topic(
+        name="RCOU", time=np.arange(3.0), columns={f"{prefix}{n}": np.full(3, 1090.0 + 10 * n) for n in range(1, 15)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("functions", "more", "expected"),
+    [
+        (
+            (33, 34, 39, 36),
+            {"FRAME_CLASS": 7.0},
+            [1, 2, 4],
+        ),  # motor 7 of a tricopter is a servo, motor 4 the rear rotor
+        ((33, 34, 35, 36), {"FRAME_CLASS": 6.0}, []),  # servos of a helicopter's swash plate
+        ((33, 34, 35, 36, 37, 38), {"FRAME_CLASS": 9.0}, [5, 6]),  # four flaps and two coaxial rotors
+        ((77, 73, 74, 78), {"Q_FRAME_CLASS": 10.0, "SERVO2_MIN": 1000.0, "SERVO3_MIN": 1000.0}, [3, 2][::-1]),
+        ((4, 19, 70, 21), {}, []),  # a plane without rotors for hover
+        ((33, 34, 35, 36), {"MOT_PWM_MIN": 1100.0, "MOT_PWM_TYPE": 6.0}, [1, 2, 3, 4]),
+    ],
+)
+def test_only_outputs_that_drive_rotors_are_rotors(functions, more, expected) -> None:
+    log = bare_log({f"SERVO{n}_FUNCTION": float(one) for n, one in enumerate(functions, start=1)} | more, outputs())
+    commands = [one.values[0] for one in DataflashReader().channels(log) if one.quantity == "rotor_command"]
+    assert len(commands) == bool(expected)
+    for command in commands:
+        np.testing.assert_allclose(command, 0.09 + 0.01 * np.array(expected))
+
+
+def test_old_copters_have_other_names_of_outputs_and_planes_no_default() -> None:
+    assert channel(bare_log({"RC3_MIN": 1000.0}, outputs("Ch")), "rotor_command").values.shape == (3, 4)
+    assert not [*DataflashReader().channels(bare_log({}, outputs("Ch"), firmware="ArduPlane V3.8"))]
+
+
+def test_a_tail_sitter_is_in_hover_axes() -> None:
+    """Nose up, belly north: the tail is down, so that the accelerometer's x is 1 g. A yaw in hover is a roll of the nose."""
+    time, half = np.arange(3.0), np.sqrt(0.5)
+    numbers = {"XKQ": {"Q1": half, "Q2": 0.0, "Q3": half, "Q4": 0.0}, "ATT": {"Roll": 0.0, "Pitch": 0.0, "Yaw": 0.0}}
+    numbers["IMU"] = {"GyrX": -1.0, "GyrY": 0.2, "GyrZ": 0.3, "AccX": 9.81, "AccY": 0.0, "AccZ": 0.0}
+    topics = [
+        Topic(name=name, time=time, columns={key: np.full(3, value) for key, value in columns.items()})
+        for name, columns in numbers.items()
+    ]
+    log = bare_log({"Q_TAILSIT_ENABLE": 1.0}, *topics, firmware="ArduPlane V4.5.7")
+    np.testing.assert_allclose(channel(log, "specific_force").values[0], (0.0, 0.0, 9.81), atol=1e-12)
+    np.testing.assert_allclose(channel(log, "ang_vel").values[0], (0.3, -0.2, -1.0), atol=1e-12)
+    attitude = Rotation.from_quat(channel(log, "attitude").values[0])
+    np.testing.assert_allclose(attitude.apply([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(attitude.apply([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), atol=1e-12)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="needs the logs of other people")

@@ -1,0 +1,147 @@
+"""Messages in DataFlash logs of ArduPilot, binary or as text, as one table for each type.
+
+Source: ArduPilot, ``libraries/AP_Logger/README.md`` and ``LogStructure.h``.
+"""
+
+import re
+from collections.abc import Hashable
+from dataclasses import dataclass
+from io import StringIO
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.arrays import Indices
+from aerial_gym.sim2real.logs.raw_log import read_records
+
+HEAD = b"\xa3\x95"  # First bytes of each message, before its type
+FMT, FMT_LENGTH = 128, 89  # Type and length of the messages that define the others
+TYPES: dict[str, tuple[str, float]] = {
+    **dict.fromkeys("BM", ("u1", 1.0)),
+    **{"b": ("i1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0), "I": ("<u4", 1.0)},
+    **{"q": ("<i8", 1.0), "Q": ("<u8", 1.0), "g": ("<f2", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0)},
+    **{"c": ("<i2", 0.01), "C": ("<u2", 0.01), "e": ("<i4", 0.01), "E": ("<u4", 0.01)},
+    **{"L": ("<i4", 1e-7), "a": ("(32,)<i2", 1.0), "n": ("S4", 0.0), "N": ("S16", 0.0), "Z": ("S64", 0.0)},
+}
+"""NumPy type and unit of each format character; 0 for text."""
+
+TEXT_LOG = re.compile(rb"^FMT, ?\d+, ?\d+, ?\w{1,4}, ?\w{1,16}, ?\w", re.MULTILINE)  # First line of a log as text
+IN_TEXT = str.maketrans("MHhIiQqgfcCeEL", "N" + 13 * "d")  # Formats of a log as text, whose numbers need no factor
+MOST_FIELDS = 16  # Most fields of a message
+
+
+@dataclass(frozen=True, kw_only=True)
+class MessageType:
+    """Definition of one type of message."""
+
+    name: str
+    length: int  # [B], with the head
+    format: str  # One character per field
+    fields: tuple[str, ...]
+
+    @property
+    def columns(self) -> list[tuple[str, str]]:
+        """Name and format character of each field."""
+        return list(zip(self.fields, self.format, strict=False))
+
+    @property
+    def record(self) -> np.dtype[Any]:
+        """Return the NumPy type of the fields, named by their place; raise ``KeyError`` for an unknown character."""
+        return np.dtype([(str(i), TYPES[code][0]) for i, code in enumerate(self.format)])
+
+
+def binary_types(data: NDArray[np.uint8]) -> dict[int, MessageType]:
+    """Return the types that FMT messages define, by number. The first definition of a type counts."""
+    places = _head_places(data)
+    places = places[data[places + 2] == FMT]
+    results: dict[int, MessageType] = {}
+    for place in places[places + FMT_LENGTH <= data.size].tolist():
+        row = data[place + 3 : place + FMT_LENGTH].tobytes()
+        name, codes, fields = (part.rstrip(b"\0").decode("latin-1") for part in (row[2:6], row[6:22], row[22:]))
+        one = MessageType(name=name, length=row[1], format=codes, fields=tuple(fields.split(",")))
+        known = name.isalnum() and codes and set(codes) <= TYPES.keys() and len(one.fields) >= len(codes)
+        if known and one.record.itemsize + 3 == one.length:
+            results.setdefault(row[0], one)
+    return results
+
+
+def _head_places(data: NDArray[np.uint8]) -> Indices:
+    """Return the places of heads that a type follows."""
+    places = np.flatnonzero(data[:-2] == HEAD[0])
+    return places[data[places + 1] == HEAD[1]]
+
+
+def split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tuple[dict[int, NDArray[Any]], int]:
+    """Return the messages as one table for each type, and the number of bytes in them.
+
+    A message counts if another one, or the end of the file, follows it; data that look like a head are inside of messages.
+    """
+    lengths = np.zeros(256, dtype=np.int64)
+    lengths[list(types)] = [one.length for one in types.values()]
+    places = _head_places(data)
+    places = places[lengths[data[places + 2]] > 0]
+    numbers = data[places + 2]
+    ends = places + lengths[numbers]
+    following = np.searchsorted(places, ends)
+    whole = (ends == data.size) | (np.append(places, -1)[following] == ends)
+    steps = np.where(whole, following, np.arange(1, places.size + 1))
+    kept = _chain(steps) & whole
+    tables = {
+        number: read_records(data, places[kept & (numbers == number)] + 3, types[number].record)
+        for number in np.unique(numbers[kept]).tolist()
+    }
+    return tables, int((ends - places)[kept].sum())
+
+
+def _chain(steps: Indices) -> NDArray[np.bool_]:
+    """Return the places that are visited from place 0 on, where each states the next one."""
+    visited = np.zeros(steps.size, dtype=bool)
+    if np.array_equal(steps, np.arange(1, steps.size + 1)):
+        return ~visited
+    places, following, place = [], steps.tolist(), 0
+    while place < steps.size:
+        places.append(place)
+        place = following[place]
+    visited[places] = True
+    return visited
+
+
+def read_lines(text: str) -> tuple[dict[int, MessageType], dict[int, NDArray[Any]]]:
+    """Return the types of a log as text, and the messages as one table for each type."""
+    lines: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        name, _, rest = line.partition(",")
+        lines.setdefault(name, []).append(rest)
+    types: dict[int, MessageType] = {}
+    for row in lines.get("FMT", ()):
+        number, _, name, codes, *rest = (part.strip() for part in (*row.split(","), "", "", "", ""))
+        codes, fields = codes.translate(IN_TEXT), tuple(field for field in rest if field)
+        known = set(codes) <= TYPES.keys() - {"a"} and 0 < len(codes) <= min(len(fields), MOST_FIELDS)
+        if known and number.isdecimal() and int(number) < 256 and name != "FMT":
+            types.setdefault(int(number), MessageType(name=name, length=0, format=codes, fields=fields))
+    tables = {number: _parse_lines(one, lines[one.name]) for number, one in types.items() if one.name in lines}
+    return types, tables
+
+
+def _parse_lines(one: MessageType, lines: list[str]) -> NDArray[Any]:
+    """Return the fields of the messages of a type; what is no number becomes NaN, or 0 where the number is whole."""
+    size = len(one.format)
+    texts: dict[Hashable, Any] = {place: str for place, code in enumerate(one.format) if TYPES[code][1] == 0.0}
+    if size - 1 in texts:  # which may hold commas
+        rows = pd.DataFrame([(*line.split(",", size - 1), *size * [""])[:size] for line in lines])
+    else:
+        source = StringIO("\n".join(lines))
+        rows = pd.read_csv(
+            source, header=None, names=range(size), usecols=range(size), quoting=3, dtype=texts, low_memory=False
+        )
+    table = np.zeros(len(rows), dtype=one.record)
+    for place in range(size):
+        column, kind = rows[place], one.record[str(place)].kind
+        if place in texts:
+            table[str(place)] = column.fillna("").str.strip().str.encode("latin-1", "replace")
+            continue
+        numbers = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=np.float64)
+        table[str(place)] = numbers if kind == "f" else np.clip(np.nan_to_num(numbers), -128, 255).astype(int)
+    return table
