@@ -34,7 +34,15 @@ ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, He
 LONGEST_LATENCY_US = 1_000_000  # Largest delay from sampling to publication [us] on one clock
 MOTOR_1 = 101  # Output function of motor 1; further motors follow
 MOST_MOTORS = 12
-ROTORS_BY_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # Number of rotors by MAV_TYPE. Source: MAVLink common.xml, MAV_TYPE
+QUADROTOR = 2  # MAV_TYPE. Source: MAVLink common.xml, as of the next numbers
+ROTORS_BY_TYPE = {QUADROTOR: 4, 13: 6, 14: 8, 15: 3, 19: 2, 20: 4, 21: 4, 22: 4, 29: 12, 35: 10}  # 19 to 22: VTOL
+DSHOT_MOST = (
+    1999.0  # Output of full command by DShot; DSHOT_MIN is the share of the lowest one. Source: PX4 1.13, DShot.h
+)
+DSHOT_RATES = range(-5, -1)  # Values of PWM_MAIN_TIMn of the DShot protocols
+MOST_REST_VALUES = 3  # Outputs below the range: not started, disarmed, failsafe
+PLUS_FRAMES = 5  # Thousands of SYS_AUTOSTART of quadrotors in plus form
+GPS_VELOCITY = ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
 ARMED = 2  # ``arming_state`` of an armed vehicle
 ORDER = note_on_rotor_order("PX4")
 LEVELS = {"DEBUG": "debug", "INFO": "info", "NOTICE": "info", "WARNING": "warning"}  # Any other level is an error
@@ -101,8 +109,10 @@ class UlogReader(LogReader):
         """Return the quantities of the vehicle; of gyros and accelerometers a much faster one comes first."""
         vectors = (
             ("attitude", ("vehicle_attitude", "vehicle_odometry"), [f"q[{i}]" for i in range(4)]),
-            ("position", ("vehicle_local_position",), list("xyz")),
-            ("lin_vel", ("vehicle_local_position",), ["vx", "vy", "vz"]),
+            ("position", ("vehicle_local_position", "vehicle_odometry"), list("xyz")),
+            ("position", ("vehicle_odometry",), [f"position[{i}]" for i in range(3)]),  # since PX4 1.14
+            ("lin_vel", ("vehicle_local_position", "vehicle_odometry"), ["vx", "vy", "vz"]),
+            ("lin_vel", ("vehicle_odometry",), [f"velocity[{i}]" for i in range(3)]),
             ("ang_vel", ("vehicle_angular_velocity",), [f"xyz[{i}]" for i in range(3)]),
             ("ang_vel", ("sensor_combined",), [f"gyro_rad[{i}]" for i in range(3)]),
             ("ang_vel", ("vehicle_attitude",), ["rollspeed", "pitchspeed", "yawspeed"]),
@@ -117,6 +127,11 @@ class UlogReader(LogReader):
         ]
         return [
             *faster_first([one for one in usable if np.isfinite(one.values).any()]),
+            *(
+                _vector_channel(topic, "lin_vel", GPS_VELOCITY)
+                for name in ("vehicle_gps_position", "sensor_gps")
+                for topic in log.find_topics(name, *GPS_VELOCITY)
+            ),
             *_rotor_speeds(log),
             *faster_first([*_motor_commands(log), *_output_commands(log)]),
             *_control_commands(log),
@@ -152,9 +167,9 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogCh
             values[topic.columns[flag] == 0.0] = np.nan
     channel = _channel(topic, quantity, quantity_from_ned_frd(quantity, values))
     counters = {
-        "attitude": ("quat_reset_counter",),
-        "position": ("xy_reset_counter", "z_reset_counter"),
-        "lin_vel": ("vxy_reset_counter", "vz_reset_counter"),
+        "attitude": ("quat_reset_counter", "reset_counter"),
+        "position": ("xy_reset_counter", "z_reset_counter", "reset_counter"),
+        "lin_vel": ("vxy_reset_counter", "vz_reset_counter", "reset_counter"),
     }
     known = [name for name in counters.get(quantity, ()) if name in topic.columns]
     if not known:
@@ -228,17 +243,21 @@ def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
             for end, value in (("MIN", 1000.0), ("MAX", 2000.0))
         )
         results = [[(index, low, high) for index in range(_num_rotors(log))]]
+    rates = [value for name, value in parameters.items() if name.startswith("PWM_") and "_TIM" in name]
+    if parameters.get("DSHOT_CONFIG", 0.0) > 0.0 or any(rate in DSHOT_RATES for rate in rates):
+        idle = DSHOT_MOST * parameters.get("DSHOT_MIN", 0.055)
+        results += [[(index, idle, DSHOT_MOST) for index, _, _ in rows] for rows in results]
     return results
 
 
 def _num_rotors(log: RawLog) -> int:
-    return ROTORS_BY_TYPE.get(int(log.number("MAV_TYPE", 2)), 4)
+    return ROTORS_BY_TYPE.get(int(log.number("MAV_TYPE", QUADROTOR)), 0)
 
 
 def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) -> Array | None:
-    """Return motor signals from 0 to 1, (T, R); None if the outputs do not vary, or mostly lie outside of the range."""
+    """Return motor signals from 0 to 1, (T, R); None if the outputs do not vary, or vary outside of the range."""
     names = [f"output[{index}]" for index, _, _ in ranges]
-    if not set(names) <= topic.columns.keys():
+    if not names or not set(names) <= topic.columns.keys():
         return None
     outputs = topic.numbers(*names)
     low, high = (np.array([row[place] for row in ranges]) for place in (1, 2))
@@ -247,15 +266,16 @@ def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) 
     if outputs.max() <= 1.0:  # hardware in the loop: shares
         return np.maximum(outputs, 0.0)
     signal = (outputs - low) / (high - low)
-    return (
-        np.clip(signal, 0.0, 1.0) if np.all((np.median(signal, axis=0) >= 0.0) & (signal.max(axis=0) <= 1.0)) else None
-    )
+    at_rest = max(np.unique(column[column < 0.0]).size for column in signal.T)
+    fits = np.all((signal > 0.0).any(axis=0)) and signal.max() <= 1.0 and at_rest <= MOST_REST_VALUES
+    return np.clip(signal, 0.0, 1.0) if fits else None
 
 
 def _control_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of a quadrotor from ``actuator_controls_0`` (before PX4 1.13) by the mixer of an X frame."""
     names = [f"control[{index}]" for index in range(4)]
-    for topic in log.find_topics("actuator_controls_0", *names) if _num_rotors(log) == 4 else ():
+    is_x = log.number("MAV_TYPE", QUADROTOR) == QUADROTOR and log.number("SYS_AUTOSTART", 0.0) // 1000 != PLUS_FRAMES
+    for topic in log.find_topics("actuator_controls_0", *names) if is_x else ():
         torque_and_thrust = topic.numbers(*names)
         thrust = torque_and_thrust[:, :3] @ QUAD_X.T + torque_and_thrust[:, 3:]
         signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), log)

@@ -73,6 +73,50 @@ def test_outputs_of_any_instance_are_taken_in_the_order_and_range_of_the_paramet
     np.testing.assert_allclose(log.rotor_command, (pulses[:, [1, 0, 3, 2]] - 1100.0) / 800.0)
 
 
+WAVE = np.sin(np.arange(STAMP.size))
+
+
+@pytest.mark.parametrize(
+    ("rest", "lowest", "full", "parameters", "rotors"),
+    [
+        (900.0, 1075.0, 1950.0, {"PWM_MIN": 1075.0, "PWM_MAX": 1950.0}, 4),
+        (900.0, 1000.0, 2000.0, {"MAV_TYPE": 13.0}, 6),
+        (900.0, 1000.0, 2000.0, {"MAV_TYPE": 19.0}, 2),  # tail-sitter with two rotors
+        (0.0, 109.945, 1999.0, {"DSHOT_CONFIG": 600.0}, 4),
+        (0.0, 199.9, 1999.0, {"PWM_MAIN_TIM0": -3.0, "DSHOT_MIN": 0.1}, 4),
+        (900.0, 1000.0, 2000.0, {"MAV_TYPE": 1.0}, 0),  # a plane has other first outputs
+        (900.0, 1000.0, 2000.0, {"DSHOT_CONFIG": 600.0}, 4),
+    ],
+)
+def test_outputs_at_rest_for_most_of_a_log_leave_the_range_of_the_others(
+    rest, lowest, full, parameters, rotors
+) -> None:
+    """Three quarters of the log are on the ground."""
+    signal = np.where(np.arange(STAMP.size) < 600, np.nan, 0.3 + 0.1 * WAVE)[:, None] * np.ones(8)
+    outputs = {
+        f"output[{i}]": np.nan_to_num(lowest + (full - lowest) * column, nan=rest) for i, column in enumerate(signal.T)
+    }
+    log = read_topics(hover(actuator_outputs=outputs, esc_status={"esc[0].esc_rpm": 100.0}), **parameters)
+    assert (0 if log.rotor_command is None else log.rotor_command.shape[1]) == rotors
+    if rotors:
+        np.testing.assert_allclose(log.rotor_command[-1], np.full(rotors, signal[-1, 0]), rtol=1e-12)
+        np.testing.assert_array_equal(log.rotor_command[0], 0.0)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [("x", "y", "z", "vx", "vy", "vz"), [f"{name}[{i}]" for name in ("position", "velocity") for i in range(3)]],
+)
+def test_odometry_stands_for_a_missing_position_and_velocity(fields) -> None:
+    result = hover(
+        vehicle_odometry=dict(zip(fields, (2, 3, -4, 1, 0, -0.5), strict=True)), esc_status={"esc[0].esc_rpm": 1.0}
+    )
+    del result["vehicle_local_position"]
+    log = read_topics(result)
+    np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))
+    np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))
+
+
 def test_controls_of_old_firmwares_go_through_the_mixer_of_an_x_frame() -> None:
     """A pure roll command raises both left rotors (2 and 3), a yaw command the two of one direction (1 and 2)."""
 
