@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
 from benchmarks.undeclared.logs import delay_sensors, vehicle_document, write_log, write_robot
+from benchmarks.undeclared.other_laws import gust_series_by_law
 from benchmarks.undeclared.sensors import NO_BIAS, Bias, PlantNoise, PlantNuisance, PlantSensors, add_nuisance
 from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, PlantRecord, fly_references, summarise
 from benchmarks.undeclared.surroundings import (
@@ -172,6 +173,12 @@ def make_surroundings(
     if true.extra.gust[0] > 0.0:
         series = [
             gust_series(*true.extra.gust, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f)) for f in flights
+        ]
+        gust = np.stack(series, axis=1)
+    if true.extra.gust_law:
+        series = [
+            gust_series_by_law(true.extra.gust_law, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f))
+            for f in flights
         ]
         gust = np.stack(series, axis=1)
     if "other" in features:

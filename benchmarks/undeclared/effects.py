@@ -1,69 +1,23 @@
 """The hidden effects: parameters, three sizes of each, how they change the vehicle, and the vehicles of a case.
 
-``EFFECTS`` are those that the package has a name for; ``UNKNOWN`` are causes that it has none for. The place in a table is the
-random stream of an effect: new ones go to its end. A hidden effect changes the true vehicle only. The one exception is
+``EFFECTS`` are those that the package has a name for; ``UNKNOWN`` are causes that it has none for; ``OTHER_LAWS`` are effects
+of the first kind by other published laws. The place in a table is the random stream of an effect: new ones go to its end. A
+hidden effect changes the true vehicle only. The one exception is
 ``rotor_drag``: the declared vehicle has linear drag, which is taken out of the declaration where that drag is hidden.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.undeclared.vehicle import DECLARED, NEUTRAL, PlantVehicle
+from benchmarks.undeclared.other_laws import OTHER_LAWS
+from benchmarks.undeclared.plant_effect import SIZES, Params, PlantEffect, Ranges, field_effect, set_extra
+from benchmarks.undeclared.vehicle import DECLARED, PlantVehicle
 
-SIZES = ("small", "moderate", "large")
 FEATURES = ("battery", "low", "ceiling", "heights", "other", "hover")
 """Features of flights beyond the plain ones: a battery that empties, flights near the ground, flights below a ceiling, flights
 at very different heights, another vehicle above, training flights that only hover."""
-
-Params = dict[str, float]
-Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-Draw = Callable[[np.random.Generator, float, PlantVehicle], Params]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlantEffect:
-    """One named effect."""
-
-    params: dict[str, float | None]  # Parameter names with defaults; None: the value has to be given
-    ranges: Ranges  # Ranges of the magnitude for each of ``SIZES``
-    draw: Draw  # Parameters from a generator, a magnitude and the declared vehicle
-    apply: Callable[[PlantVehicle, Params], PlantVehicle]  # The vehicle that has the effect
-    needs: tuple[str, ...] = ("battery",)  # Features of the flights in which it shows
-
-
-def _field_effect(
-    field: str,
-    params: dict[str, float | None],
-    ranges: Ranges,
-    draw: Draw | None = None,
-    *,
-    drawn: Mapping[str, tuple[float, float]] | None = None,
-    needs: tuple[str, ...] = ("battery",),
-) -> PlantEffect:
-    """Return the effect that sets a field of the vehicle or of its ``extra`` to the parameters, in their order.
-
-    Without ``draw`` the first parameter is the magnitude, and others come from the ranges ``drawn`` or keep their defaults.
-    """
-
-    def set_field(vehicle: PlantVehicle, values: Params) -> PlantVehicle:
-        numbers = tuple(values[name] for name in params)
-        if hasattr(NEUTRAL, field):
-            return _set_extra(vehicle, **{field: numbers if len(numbers) > 1 else numbers[0]})
-        return replace(vehicle, **{field: np.array(numbers)})
-
-    def draw_params(rng: np.random.Generator, size: float, _: PlantVehicle) -> Params:
-        first, *rest = params
-        further = {name: rng.uniform(*drawn[name]) if drawn and name in drawn else params[name] for name in rest}
-        return {first: size, **further}  # type: ignore[dict-item]
-
-    return PlantEffect(params=params, ranges=ranges, draw=draw or draw_params, apply=set_field, needs=needs)
-
-
-def _set_extra(vehicle: PlantVehicle, **changes: object) -> PlantVehicle:
-    """Return the vehicle with other numbers in ``extra``."""
-    return replace(vehicle, extra=replace(vehicle.extra, **changes))  # type: ignore[arg-type]
 
 
 def _draw_drag(rng: np.random.Generator, size: float, _: PlantVehicle) -> Params:
@@ -158,7 +112,7 @@ def _delay_commands(vehicle: PlantVehicle, params: Params) -> PlantVehicle:
     steps = params["delay"] * 2000.0
     if steps < 0.0 or abs(steps - round(steps)) > 1e-6:
         raise ValueError(f"actuation_delay.delay = {params['delay']!r}: must be a multiple of 0.0005 s, >= 0")
-    return _set_extra(vehicle, delay=params["delay"])
+    return set_extra(vehicle, delay=params["delay"])
 
 
 def _scale_inertia(vehicle: PlantVehicle, params: Params) -> PlantVehicle:
@@ -172,10 +126,10 @@ VECTOR: dict[str, float | None] = {"x": 0.0, "y": 0.0, "z": 0.0}
 ANGLES: dict[str, float | None] = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
 
 EFFECTS: dict[str, PlantEffect] = {
-    "rotor_drag": _field_effect(  # N s/m
+    "rotor_drag": field_effect(  # N s/m
         "linear_drag", DRAG, ((0.07, 0.10), (0.17, 0.27), (0.35, 0.45)), _draw_drag, needs=()
     ),
-    "quadratic_drag": _field_effect(  # N s²/m²
+    "quadratic_drag": field_effect(  # N s²/m²
         "quadratic_drag", DRAG, ((0.012, 0.018), (0.03, 0.05), (0.08, 0.11)), _draw_drag, needs=()
     ),
     "thrust_coefficient": PlantEffect(
@@ -185,7 +139,7 @@ EFFECTS: dict[str, PlantEffect] = {
         apply=lambda v, p: replace(v, thrust_coeff=p["scale"] * v.thrust_coeff),
         needs=(),
     ),
-    "com_offset": _field_effect(  # m
+    "com_offset": field_effect(  # m
         "com", VECTOR, ((0.002, 0.003), (0.005, 0.007), (0.010, 0.013)), _draw_horizontal, needs=()
     ),
     "motor_time_constant": PlantEffect(
@@ -195,19 +149,19 @@ EFFECTS: dict[str, PlantEffect] = {
         apply=lambda v, p: replace(v, tau_up=p["tau"], tau_down=p["tau"]),
         needs=(),
     ),
-    "constant_wind": _field_effect(  # m/s, world
+    "constant_wind": field_effect(  # m/s, world
         "wind_world", VECTOR, ((0.8, 1.2), (2.0, 3.0), (4.0, 5.0)), _draw_wind, needs=()
     ),
     "h_force_flapping": PlantEffect(
         params={"kh": 0.0, "kf": 0.0},  # N s²/(m rad), N s²/rad; drawn with a lever of 4 to 8 mm
         ranges=((1.0e-5, 1.5e-5), (3.0e-5, 5.0e-5), (8.0e-5, 1.1e-4)),
         draw=lambda rng, size, _: {"kh": size, "kf": size * rng.uniform(0.004, 0.008)},
-        apply=lambda v, p: _set_extra(v, h_force=p["kh"], flapping=p["kf"]),
+        apply=lambda v, p: set_extra(v, h_force=p["kh"], flapping=p["kf"]),
     ),
-    "axial_inflow": _field_effect(  # N s²/(m rad)
+    "axial_inflow": field_effect(  # N s²/(m rad)
         "axial_inflow", {"ka": None}, ((1.5e-5, 2.5e-5), (5.0e-5, 8.0e-5), (1.2e-4, 1.6e-4))
     ),
-    "translational_lift": _field_effect(  # N s²/m², of each rotor
+    "translational_lift": field_effect(  # N s²/m², of each rotor
         "translational_lift", {"kt": None}, ((0.003, 0.005), (0.010, 0.016), (0.03, 0.04))
     ),
     "weak_motor": PlantEffect(
@@ -234,10 +188,10 @@ EFFECTS: dict[str, PlantEffect] = {
         draw=lambda _rng, size, _declared: {"delay": round(size * 2000.0) / 2000.0},
         apply=_delay_commands,
     ),
-    "battery_sag": _field_effect(  # 1: speed follows the voltage
+    "battery_sag": field_effect(  # 1: speed follows the voltage
         "battery_gain", {"gain": None}, ((0.15, 0.25), (0.4, 0.6), (0.9, 1.1))
     ),
-    "rotor_inertia": _field_effect(  # kg m²
+    "rotor_inertia": field_effect(  # kg m²
         "rotor_inertia", {"jr": None}, ((1.0e-6, 1.5e-6), (3.0e-6, 5.0e-6), (1.0e-5, 1.5e-5))
     ),
     "motor_tilt": PlantEffect(
@@ -252,7 +206,7 @@ EFFECTS: dict[str, PlantEffect] = {
         draw=lambda _rng, size, _declared: {"dm": size},
         apply=lambda v, p: replace(v, mass=v.mass + p["dm"]),
     ),
-    "slung_payload": _field_effect(  # kg, m, N s/m
+    "slung_payload": field_effect(  # kg, m, N s/m
         "slung",
         {"mass": None, "length": None, "damping": 0.0},
         ((0.012, 0.018), (0.04, 0.06), (0.10, 0.15)),
@@ -264,63 +218,63 @@ EFFECTS: dict[str, PlantEffect] = {
         draw=_draw_inertia,
         apply=_scale_inertia,
     ),
-    "wind_shear": _field_effect(  # m/s at z_ref, m
+    "wind_shear": field_effect(  # m/s at z_ref, m
         "shear",
         {"x": 0.0, "y": 0.0, "z_ref": 10.0, "exponent": 0.2},
         ((0.8, 1.2), (2.0, 3.0), (4.0, 5.0)),
         _draw_shear,
         needs=("battery", "heights"),
     ),
-    "gusts": _field_effect(  # m/s, s
+    "gusts": field_effect(  # m/s, s
         "gust", {"std": None, "corr_time": 1.0}, ((0.3, 0.5), (0.9, 1.3), (2.0, 2.6)), drawn={"corr_time": (0.5, 2.0)}
     ),
-    "ground_effect": _field_effect(  # 1: a rotor by itself
+    "ground_effect": field_effect(  # 1: a rotor by itself
         "ground", {"k": None}, ((0.7, 1.0), (1.5, 2.0), (2.8, 3.3)), needs=("battery", "low")
     ),
-    "ceiling_effect": _field_effect(
+    "ceiling_effect": field_effect(
         "ceiling", {"k": None}, ((1.0, 1.3), (1.9, 2.4), (3.0, 3.4)), needs=("battery", "ceiling")
     ),
-    "downwash": _field_effect(  # N, m
+    "downwash": field_effect(  # N, m
         "downwash",
         {"force": None, "sigma": None},
         ((0.12, 0.18), (0.4, 0.6), (1.0, 1.4)),
         drawn={"sigma": (0.25, 0.4)},
         needs=("battery", "other"),
     ),
-    "imu_bias": _field_effect(  # m/s², rad/s
+    "imu_bias": field_effect(  # m/s², rad/s
         "imu_bias",
         dict.fromkeys(("ax", "ay", "az", "gx", "gy", "gz"), 0.0),
         ((0.07, 0.10), (0.2, 0.3), (0.5, 0.8)),
         _draw_bias,
     ),
-    "imu_misalignment": _field_effect(  # rad
+    "imu_misalignment": field_effect(  # rad
         "imu_turn", ANGLES, ((0.008, 0.012), (0.025, 0.035), (0.06, 0.09)), _draw_misalignment
     ),
-    "rotor_speed_scale": _field_effect(  # 1 is neutral
+    "rotor_speed_scale": field_effect(  # 1 is neutral
         "rotor_reading", {"scale": None}, ((0.01, 0.015), (0.03, 0.05), (0.08, 0.12)), _draw_scale
     ),
-    "joint_spring": _field_effect(  # rad/(N m), s
+    "joint_spring": field_effect(  # rad/(N m), s
         "joint_spring", {"compliance": None, "tau": 0.03, "hinge": 0.4}, SOFT_ARMS, drawn={"tau": (0.02, 0.06)}
     ),
-    "joint_creep": _field_effect(  # rad/(N m), s
+    "joint_creep": field_effect(  # rad/(N m), s
         "joint_creep", {"compliance": None, "tau": 3.0, "hinge": 0.4}, SOFT_ARMS, drawn={"tau": (1.5, 4.0)}
     ),
 }
 
 UNKNOWN: dict[str, PlantEffect] = {
-    "unknown_periodic": _field_effect(  # N, Hz
+    "unknown_periodic": field_effect(  # N, Hz
         "periodic", {"force": None, "freq": 7.0}, ((0.05, 0.08), (0.15, 0.25), (0.5, 0.7))
     ),
-    "unknown_position": _field_effect(  # m, N, m
+    "unknown_position": field_effect(  # m, N, m
         "attraction",
         {"x": 0.0, "y": 0.0, "z": None, "force": None, "radius": 1.0},
         ((0.08, 0.12), (0.3, 0.5), (1.0, 1.4)),
         _draw_attraction,
     ),
-    "unknown_time": _field_effect(  # share of thrust, s
+    "unknown_time": field_effect(  # share of thrust, s
         "fading", {"loss": None, "time": 8.0}, ((0.02, 0.03), (0.06, 0.09), (0.15, 0.20)), drawn={"time": (6.0, 10.0)}
     ),
-    "unknown_heading": _field_effect(  # N, rad
+    "unknown_heading": field_effect(  # N, rad
         "shadow",
         {"force": None, "heading": 0.0},
         ((0.08, 0.12), (0.25, 0.4), (0.7, 1.0)),
@@ -328,7 +282,12 @@ UNKNOWN: dict[str, PlantEffect] = {
     ),
 }
 
-CAUSES: dict[str, PlantEffect] = {**EFFECTS, **UNKNOWN}
+CAUSES: dict[str, PlantEffect] = {**EFFECTS, **UNKNOWN, **OTHER_LAWS}
+
+
+def cause_names(name: str) -> tuple[str, ...]:
+    """Return the names that state the cause of a hidden effect: ``ground_effect`` for ``ground_effect/exponential``."""
+    return CAUSES[name].names or (name.partition("/")[0],)
 
 
 def effect_parameters(
@@ -348,7 +307,7 @@ def _resolve_one(name: str, value: str | Mapping[str, float], declared: PlantVeh
     if isinstance(value, str):
         if value not in SIZES:
             raise ValueError(f"{name}: no size {value!r}. Known: {', '.join(SIZES)}")
-        kind, table = (1, EFFECTS) if name in EFFECTS else (5, UNKNOWN)
+        kind, table = next((k, t) for k, t in ((1, EFFECTS), (5, UNKNOWN), (6, OTHER_LAWS)) if name in t)
         rng = np.random.default_rng([seed, kind, list(table).index(name)])
         params = effect.draw(rng, rng.uniform(*effect.ranges[SIZES.index(value)]), declared)
     else:
@@ -366,7 +325,7 @@ def split_vehicles(declared: PlantVehicle, params: Mapping[str, Params]) -> tupl
     true = declared
     for name, values in params.items():
         true = CAUSES[name].apply(true, values)
-    if "rotor_drag" in params:
+    if any(name.startswith("rotor_drag") for name in params):
         declared = replace(declared, linear_drag=np.zeros(3))
     return declared, true
 

@@ -8,8 +8,9 @@ Letters: F flights.
 import numpy as np
 
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, cross_matrix, rotation_matrices
+from benchmarks.undeclared.other_laws import cable_tension, downwash_force, drag_force, thrust_ratio
 from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, PlantSurroundings
-from benchmarks.undeclared.vehicle import NEUTRAL, ROTOR_RADIUS, Array, PlantVehicle
+from benchmarks.undeclared.vehicle import GRAVITY, NEUTRAL, ROTOR_RADIUS, Array, PlantVehicle
 
 CABLE, CABLE_RATE = slice(22, 25), slice(25, 28)
 
@@ -35,19 +36,20 @@ class FullPlant(Plant):
         self._hub = vehicle.rotor_position - vehicle.com
         self._spin_axis = extra.rotor_inertia * vehicle.rotor_spin[:, None] * vehicle.rotor_axis
         self._inflow, self._thrust_map, self._side_map = self._rotor_maps()
-        self._has_outside = any((extra.downwash[0], extra.attraction[3], extra.periodic[0], extra.shadow[0]))
-        self._near = bool(extra.ground or extra.ceiling)
+        outside = (extra.downwash[0], extra.downwash_law, extra.attraction[3], extra.periodic[0], extra.shadow[0])
+        self._has_outside = any(outside)
+        self._near = bool(extra.ground or extra.ceiling or extra.ground_law or extra.ceiling_law)
         self._aero = any((extra.h_force, extra.flapping, extra.axial_inflow, extra.translational_lift))
-        self._slung = extra.slung[0] > 0.0
+        self._slung, self._elastic = extra.slung[0] > 0.0, bool(extra.cable)
         joints = [joint for joint in (extra.joint_spring, extra.joint_creep) if joint[0] > 0.0]
-        first = CABLE_RATE.stop if self._slung else ROTOR.stop
+        first = CABLE_RATE.stop if self._slung or self._elastic else ROTOR.stop
         self._joints = [(*joint, slice(first + 4 * k, first + 4 * k + 4)) for k, joint in enumerate(joints)]
         self._prepare_arms()
         self._index, self._time, self._step_start, self._supply = 0, 0.0, 0.0, 1.0
         self._command: Array | None = None
-        if extra.ceiling and self._surroundings.ceiling is None:
+        if (extra.ceiling or extra.ceiling_law) and self._surroundings.ceiling is None:
             raise ValueError("ceiling_effect: needs a ceiling in the surroundings")
-        if extra.downwash[0] and self._surroundings.other is None:
+        if (extra.downwash[0] or extra.downwash_law) and self._surroundings.other is None:
             raise ValueError("downwash: needs another vehicle in the surroundings")
 
     def begin_sample(self, index: int, voltage: Array) -> None:
@@ -60,6 +62,10 @@ class FullPlant(Plant):
         """Return states at rest with the load straight below, and soft arms as the thrust bends them in the long run."""
         if self._slung:
             state = np.hstack((state, np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (len(state), 1))))
+        if self._elastic:
+            mass, length, stiffness, _, hook = self._extra.cable
+            depth = hook + length + mass * GRAVITY / stiffness
+            state = np.hstack((state, np.tile([0.0, 0.0, -depth, 0.0, 0.0, 0.0], (len(state), 1))))
         state = np.hstack((state, np.zeros((len(state), 4 * len(self._joints)))))
         for _ in range(SETTLING if self._joints else 0):
             slopes = self._arm_loads(state, state[:, ROTOR] ** 2)[1]
@@ -82,12 +88,16 @@ class FullPlant(Plant):
         rotor_dot, squared = self._rotor_dot(state, command), self._square_speeds(state)
         wrench, slopes = self._arm_loads(state, squared) if self._joints else (squared @ self._wrench_map, [])
         force, torque = self._body_loads(state, squared, wrench, rotor_dot)
+        if self._elastic:
+            force, torque, pull = self._pull_of_elastic_cable(state, force, torque)
         world, swing = (rotation_matrices(state) @ force[:, :, None])[:, :, 0], None
         if self._slung:
             world, swing = self._cable_pull(state, world)
         out = self._state_derivative(state, world, torque, rotor_dot)
         for joint, slope in zip(self._joints, slopes, strict=True):
             out[:, joint[3]] = slope
+        if self._elastic:
+            swing = -pull / self._extra.cable[0] - world / self.vehicle.mass
         if swing is not None:
             out[:, CABLE], out[:, CABLE_RATE] = state[:, CABLE_RATE], swing
         return out
@@ -193,6 +203,9 @@ class FullPlant(Plant):
         """Return force and torque, body frame, (F, 3) each, without gravity and cable; ``wrench`` is that in still air."""
         extra, rotor = self._extra, state[:, ROTOR]
         force, torque = wrench[:, :3] + self._drag(state), wrench[:, 3:]
+        if extra.drag_law:
+            air, thrust = self._speed_through_air(state), squared @ self.vehicle.thrust_coeff
+            force = force + drag_force(extra.drag_law, air, thrust, self.vehicle.mass * GRAVITY)
         if self._aero or self._near:
             push, moment = self._rotor_changes(state, squared)
             force, torque = force + push, torque + moment
@@ -214,9 +227,10 @@ class FullPlant(Plant):
             wrench = (rotor[:, :, None] * across).reshape(len(state), -1) @ self._side_map
         if self._near:
             height = state[:, 2:3] + rotation_matrices(state)[:, 2] @ self._hub.T
-            gain = near_surface(extra.ground, height)
+            gain = near_surface(extra.ground, height) * thrust_ratio(extra.ground_law, height)
             if self._surroundings.ceiling is not None:
-                gain = gain * near_surface(extra.ceiling, self._surroundings.ceiling - height)
+                room = self._surroundings.ceiling - height
+                gain = gain * near_surface(extra.ceiling, room) * thrust_ratio(extra.ceiling_law, room)
             thrust = thrust * gain
         wrench = wrench + (thrust - plain) @ self._thrust_map
         return wrench[:, :3], wrench[:, 3:]
@@ -228,6 +242,8 @@ class FullPlant(Plant):
             apart = self._surroundings.other[self._index] - state[:, POS]
             wake = np.exp(-0.5 * (apart[:, 0] ** 2 + apart[:, 1] ** 2) / extra.downwash[1] ** 2)
             force[:, 2] -= extra.downwash[0] * wake * (apart[:, 2] > 0.0)
+        if extra.downwash_law and self._surroundings.other is not None:
+            force[:, 2] -= downwash_force(extra.downwash_law, self._surroundings.other[self._index] - state[:, POS])
         if extra.attraction[3]:
             apart = (np.asarray(extra.attraction[:3]) - state[:, POS]) / extra.attraction[4]
             force += extra.attraction[3] * apart * np.exp(0.5 - 0.5 * (apart * apart).sum(axis=1, keepdims=True))
@@ -238,6 +254,15 @@ class FullPlant(Plant):
             yaw = np.arctan2(rot[:, 1, 0], rot[:, 0, 0])
             body[:, 1] += extra.shadow[0] * np.maximum(np.cos(yaw - extra.shadow[1]), 0.0)
         return body
+
+    def _pull_of_elastic_cable(self, state: Array, force: Array, torque: Array) -> tuple[Array, Array, Array]:
+        """Return force and torque with the pull of the cable at its hook, body, and the pull itself, world, (F, 3) each."""
+        rot, hook = rotation_matrices(state), np.array([0.0, 0.0, -self._extra.cable[4]])
+        rope = state[:, CABLE] - rot @ hook
+        rope_rate = state[:, CABLE_RATE] - (rot @ (cross_matrix(state[:, RATE]) @ hook)[:, :, None])[:, :, 0]
+        pull = cable_tension(self._extra.cable, rope, rope_rate)
+        body = (pull[:, None, :] @ rot)[:, 0]
+        return force + body, torque + np.cross(hook, body), pull
 
     def _cable_pull(self, state: Array, force: Array) -> tuple[Array, Array]:
         """Return the world force with the pull of the load, and the second derivative of the cable direction q."""

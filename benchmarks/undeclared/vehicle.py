@@ -43,6 +43,12 @@ class Extra:
     ground: float = 0.0  # Strength of the ground effect [-]
     ceiling: float = 0.0  # Strength of the ceiling effect [-]
     downwash: tuple[float, float] = (0.0, 1.0)  # Force straight below the other vehicle [N], width of its wake [m]
+    ground_law: tuple = ()  # Another law with its numbers (``other_laws``), as the four below
+    ceiling_law: tuple = ()
+    gust_law: tuple = ()
+    downwash_law: tuple = ()
+    drag_law: tuple = ()
+    cable: tuple = ()  # Mass [kg], length [m], stiffness [N/m], damping [N s/m], depth of the hook below the centre of mass [m]
     imu_bias: tuple[float, ...] = (0.0,) * 6  # Accelerometer [m/s²] (3), gyro [rad/s] (3), IMU axes
     imu_turn: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Roll, pitch and yaw of the IMU axes in the body [rad]
     rotor_reading: float = 1.0  # Logged per true rotor speed [-]
