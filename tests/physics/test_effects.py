@@ -240,6 +240,17 @@ def test_an_inertia_error_keeps_the_inertia_positive_definite() -> None:
     )
 
 
+def test_products_of_inertia_turn_the_principal_axes() -> None:
+    """A torque about x also turns y: J_yy w_y' = -J_xy w_x', with J_xy = p sqrt(J_xx J_yy); the largest p stay a body."""
+    speeds, (xx, yy, _), p = [0.0, 0.0, SPEED, SPEED], INERTIA, 0.3
+    values = {"products_of_inertia": {"xy": p, "xz": 0.0, "yz": 0.0}}
+    result = accelerations(make_model(values), rest_state(rotor_speed=speeds)).ang_acc[0]
+    roll = 2 * ARM * THRUST / (xx * (1.0 - p**2))
+    assert_wrench(result, [roll, -p * (xx / yy) ** 0.5 * roll, 0.0], size=1e3)
+    extreme = make_model({"products_of_inertia": {"xy": 0.45, "xz": 0.45, "yz": -0.45}})
+    assert torch.linalg.eigvalsh(extreme.vehicle.inertia[0]).min() > 0.0
+
+
 @pytest.mark.parametrize(
     ("values", "taus"),
     [

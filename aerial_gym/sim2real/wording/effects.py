@@ -303,6 +303,13 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "payload_mass": _payload_mass_sentence,
     "slung_payload": _slung_payload_sentence,
     "inertia_error": _inertia_error_sentence,
+    "products_of_inertia": _change_template(
+        "Per moment of inertia, products of inertia are {} than declared",
+        "Products of inertia differ from the declared ones, but none for certain",
+        {pair: (f"higher in {pair}", f"lower in {pair}") for pair in ("xy", "xz", "yz")},
+        "%",
+        1e2,
+    ),
     "constant_wind": _change_template(
         "A steady wind blows {}", "A steady wind of unknown direction blows", WORLD_WORDS, "m/s"
     ),
