@@ -20,7 +20,7 @@ from scipy import special
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
+from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library, linearise_candidates
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
@@ -162,8 +162,13 @@ def effects_left_open(
     skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
     known, weight, frozen = selection.effects, selection.weights.weight, selection.fit.frozen
-    more = {"frozen": frozen, "skipped": skipped, "by_channel": True}
-    trained, tested = (build_library(flights, declared, final, known, weight, **more) for flights in (train, test))
+    tangents = [linearise_candidates(flights, declared, final, known, skipped) for flights in (train, test)]
+    both = set.intersection(*({one.key for one in part} for part in tangents))  # a load may swing over the top in one
+    kept = [[one for one in part if one.key in both] for part in tangents]
+    trained, tested = (
+        build_library(flights, declared, final, known, weight, frozen=frozen, tangents=part, by_channel=True)
+        for flights, part in zip((train, test), kept, strict=True)
+    )
     return effects_sufficient_alone(trained, tested, selection.weights, asked, selection.criteria.significance)
 
 

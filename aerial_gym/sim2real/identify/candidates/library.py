@@ -78,6 +78,11 @@ class Tangent:
     start: Array  # All parameters at the linearisation, (P,)
     columns: list[SparseDerivatives]  # Derivatives by the parameters, per scale, (rows, C, P) of each flight
 
+    @property
+    def key(self) -> tuple[str, bytes]:
+        """Return effect and start, which are the same for all flights."""
+        return self.name, self.start.tobytes()
+
     def dense_derivatives(self, channels: int) -> Derivatives:
         """Return the derivatives of all C channels, zeros included, (rows, C, P) of each flight."""
         return [part.dense_columns(range(channels)) for part in self.columns]

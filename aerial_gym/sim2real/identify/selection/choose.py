@@ -29,7 +29,7 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
-STEADY = 0.2  # Largest rms variation of a named effect's size with a structure, relative to its mean
+STEADY = 0.2  # Largest rms variation of a named effect's size, relative to its mean: an error of its law
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,8 +220,8 @@ class _Chooser:
     def surrogate_effects(self, present: EffectSetFit, fitter: Fitter) -> dict[str, str]:
         """Return the surrogate effects, each with the structure that its size follows.
 
-        A varying size must be more probable than a constant one by ``occam_window``. An effect whose law has that quantity
-        is no surrogate.
+        For a surrogate, one cause of varying size is more probable than a steady effect beside a separate structure of that
+        kind, by ``occam_window``. An effect whose law has that quantity is no surrogate.
         """
         predictor, results = self.predictor, {}
         predicted = predictor.predict(present.params)
@@ -248,11 +248,10 @@ class _Chooser:
             parts = zip(predicted, without, functions[kind], strict=True)
             columns = [(p - w)[..., None] * f[:, None] for p, w, f in parts]
             rest = [structure for structure in present.structures if structure.kind != kind]
-            for beside in (present.structures, rest):
-                varied, parameters = log_posterior(beside, columns)
-                share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
-                if varied - fitter.log_prior_cost_of_effect - steady > occam_window(present) and share > STEADY:
-                    results[name] = kind
+            varied, parameters = log_posterior(rest, columns)
+            share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
+            if varied - fitter.log_prior_cost_of_effect - steady > occam_window(present) and share > STEADY:
+                results[name] = kind
         return results
 
 
