@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.config.robot import BodyCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
@@ -79,77 +80,6 @@ def test_rotors_of_all_kinds_fly_as_in_torch() -> None:
         action = torch.tensor([[2.0, -1.0, 3.0, 0.004]], dtype=F64).repeat(3, 1)
         ends.append(fly(backend, build_model(vehicle), law, random_state(3, rotor_speed=1.0), action))
     assert_same(*ends)
-
-
-def make_idle_model(num_envs: int, body: BodyCfg, dtype: torch.dtype = F64):
-    vehicle = vehicle_from_config(replace(asymmetric_robot(), body=body), num_envs=num_envs, dtype=dtype)
-    return build_model(vehicle), make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
-
-
-def body(*moments: float, com=(0.0, 0.0, 0.0), mass: float = 0.5) -> BodyCfg:
-    a, b, c = moments
-    return BodyCfg(mass=mass, inertia=((a, 0.0, 0.0), (0.0, b, 0.0), (0.0, 0.0, c)), com=com, source="test")
-
-
-def test_a_thrown_body_falls_as_semi_implicit_euler_does() -> None:
-    """``z = z0 + v t - g t (t + dt) / 2``: the sum of the velocities at the ends of the steps."""
-    model, law = make_idle_model(1, body(2e-3, 3e-3, 4e-3))
-    end = fly(mujoco_backend(), model, law, start(height=1.0, lin_vel=(1.0, 0.0, 2.0)), torch.zeros(1, 4, dtype=F64))
-    t = 50 * DT
-    expected = torch.tensor([[t, 0.0, 1.0 + 2.0 * t - 9.81 * t * (t + DT) / 2.0]], dtype=F64)
-    torch.testing.assert_close(end.position, expected, rtol=0.0, atol=1e-12)
-    torch.testing.assert_close(end.lin_vel[0, 2].item(), 2.0 - 9.81 * t, rtol=0.0, atol=1e-12)
-
-
-def top_error(dt: float, steps: int) -> float:
-    """Return the error of a symmetric top's angular velocity against its closed form [rad/s]."""
-    slow, fast = 2e-3, 3.2e-3
-    model, law = make_idle_model(1, body(slow, slow, fast))
-    first = start(ang_vel=(1.0, 0.0, 5.0))
-    end = fly(mujoco_backend(), model, law, first, torch.zeros(1, 4, dtype=F64), steps=steps, dt=dt)
-    turn = torch.tensor((fast - slow) / slow * 5.0 * dt * steps, dtype=F64)
-    expected = torch.stack((turn.cos(), turn.sin(), torch.tensor(5.0, dtype=F64)))
-    return (end.ang_vel[0] - expected).norm().item()
-
-
-def test_a_symmetric_top_precesses_with_order_one() -> None:
-    """Euler: w_x + i w_y turns at ``(J_3 - J_1) / J_1 w_3``, here forwards, from x to y; the error falls with dt."""
-    errors = [top_error(dt, round(0.4 / dt)) for dt in (2e-3, 1e-3)]
-    slope = torch.tensor(errors[0] / errors[1]).log2().item()
-    assert errors[1] < 2e-3
-    assert abs(slope - 1.0) < 0.1
-
-
-def test_thrust_in_front_of_the_centre_of_mass_pitches_up() -> None:
-    """Centre of mass behind the rotors by c, thrust F: the lever + c x, ``x × z = -y``, so w_y = -c F t / J_yy < 0."""
-    c, inertia_y = 0.02, 3e-3
-    robot = ROBOTS.get("base_quadrotor")
-    robot = replace(robot, body=body(2e-3, inertia_y, 4e-3, com=(-c, 0.0, 0.0)))
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
-    model = build_model(vehicle)
-    law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
-    speed = 0.5 * vehicle.speed_high
-    state = start(rotor_speed=speed)
-    thrust = (
-        vehicle.thrust_map[..., 0] + vehicle.thrust_map[..., 1] * speed + vehicle.thrust_map[..., 2] * speed**2
-    ).sum()
-    end = fly(mujoco_backend(), model, law, state, speed, steps=1)
-    expected = -c * thrust * DT / inertia_y
-    assert expected < -0.01
-    torch.testing.assert_close(end.ang_vel[0, 1], expected, rtol=1e-9, atol=0.0)
-
-
-def test_a_hover_ends_at_its_place_with_the_weight_on_the_rotors() -> None:
-    """Lee's position law from 0.3 m away: after 8 s the thrusts sum up to m g and the vehicle is where it should be."""
-    robot = ROBOTS.get("base_quadrotor")
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
-    law = make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=0.01, control=robot.control)
-    state = start(height=1.3, rotor_speed=0.5 * vehicle.speed_high)
-    action = torch.tensor([[0.0, 0.0, 1.0, 0.0]], dtype=F64)
-    end = fly(mujoco_backend(), build_model(vehicle), law, state, action, steps=800, dt=0.01)
-    torch.testing.assert_close(end.position[0], action[0, :3], rtol=0.0, atol=1e-3)
-    powers = torch.stack([end.rotor_speed**k for k in range(3)], dim=-1)
-    torch.testing.assert_close((vehicle.thrust_map * powers).sum(), 9.81 * vehicle.mass[0], rtol=1e-3, atol=0.0)
 
 
 def by_env(vehicle: Vehicle) -> Vehicle:
@@ -268,8 +198,10 @@ def test_a_top_with_products_of_inertia_precesses_on_every_backend(name: str) ->
     dtype, dt, steps = (torch.float32 if name == "warp" else F64), 1e-4, 2000
     state = start(1)
     state.ang_vel[:] = torch.tensor([2.0, 0.0, 5.0], dtype=F64) @ turn.T
-    fly_as = make_idle_model(1, BodyCfg(mass=0.5, inertia=rows, source="test"), dtype)
-    end = fly(BACKENDS.get(name)(), *fly_as, as_type(state, dtype), torch.zeros(1, 4, dtype=dtype), steps=steps, dt=dt)
+    robot = replace(asymmetric_robot(), body=BodyCfg(mass=0.5, inertia=rows, source="test"))
+    model, law = build(robot, CONTROLLERS.get("rotor_speed_control"), 1, dtype)
+    idle = torch.zeros(1, 4, dtype=dtype)
+    end = fly(BACKENDS.get(name)(), model, law, as_type(state, dtype), idle, steps=steps, dt=dt)
     angle = torch.tensor((5.0 / 3.0 - 1.0) * 5.0 * dt * steps)
     expected = torch.stack((2.0 * angle.cos(), 2.0 * angle.sin(), torch.tensor(5.0))).double()
     torch.testing.assert_close(end.ang_vel.double()[0] @ turn, expected, rtol=0.0, atol=30.0 * dt)
