@@ -86,13 +86,25 @@ class DecayLag:
     def follow(self, state: Tensor, command: Tensor, span: float | Tensor) -> Tensor:
         """Return ``c + (x - c) d^span``."""
         decay = select_by_direction(state, command, self.decay_up, self.decay_down)
-        return approach(state, command, decay**span)
+        return approach(state, command, _decay_after(span, decay))
 
     def rate(self, state: Tensor, command: Tensor, jump: Tensor, span: float | Tensor) -> Tensor:
         """Return ``-log(d) (c - x)``, and without lag ``jump / span``."""
         decay = select_by_direction(state, command, self.decay_up, self.decay_down)
         lags = decay > 0.0
         return torch.where(lags, -torch.log(torch.where(lags, decay, 1.0)) * (command - state), jump / span)
+
+
+def _decay_after(span: float | Tensor, decay: Tensor) -> Tensor:
+    """Return ``decay**span`` for spans from 0.
+
+    A kernel takes fewer registers for an exponential than for a power with a computed exponent.
+    """
+    if not isinstance(span, Tensor):
+        return decay**span
+    lags = decay > 0.0
+    without_lag = torch.where(span > 0.0, 0.0, 1.0)
+    return torch.where(lags, torch.exp(span * torch.log(torch.where(lags, decay, 1.0))), without_lag)
 
 
 @dataclass(frozen=True)
