@@ -13,7 +13,7 @@ from aerial_gym.assets.families import assets_with_family_shapes
 from aerial_gym.assets.obstacles import asset_table, view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
-from aerial_gym.assets.views import check_tensor
+from aerial_gym.assets.scene_arrays import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError

@@ -19,7 +19,7 @@ from aerial_gym.assets.collision_kernel import NoObstacles, make_collision_kerne
 from aerial_gym.assets.cores import body_reach, contact_points, has_boxes_or_capsules
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.assets.scene_arrays import check_tensor, vector_view
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError

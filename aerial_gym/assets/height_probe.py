@@ -8,8 +8,15 @@ from torch import Tensor
 
 from aerial_gym.assets.geometry import ray_distance_to_other_shape, ray_distance_to_unit_shape
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import CYLINDER, SceneArrays, part_attitude, part_is_present, part_position
-from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.assets.scene_arrays import (
+    CYLINDER,
+    SceneArrays,
+    check_tensor,
+    part_attitude,
+    part_is_present,
+    part_position,
+    vector_view,
+)
 from aerial_gym.interop import ReusableLaunch
 
 FARTHEST = wp.constant(1.0e4)  # Length of the ray [m]; surfaces beyond it are ignored

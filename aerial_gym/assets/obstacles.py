@@ -11,7 +11,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.views import vector_view
+from aerial_gym.assets.scene_arrays import vector_view
 from aerial_gym.config.environment import AT_BOUNDS, MOTIONS, AssetCfg
 from aerial_gym.interop import make_struct, start_warp
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream

@@ -20,9 +20,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
+from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays, check_tensor, vector_view
 from aerial_gym.assets.shapes import ShapeTable
-from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.environment import LampCfg, PartCfg, ShapeCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError

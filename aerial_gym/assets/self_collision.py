@@ -15,10 +15,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes, shape_gap
-from aerial_gym.assets.scene_arrays import Shape
+from aerial_gym.assets.scene_arrays import Shape, check_tensor, vector_view
 from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.assets.sweep import make_path, make_touches
-from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.robot import CollisionCfg
 from aerial_gym.config.shape import BASE, ShapeCfg

@@ -21,8 +21,7 @@ from aerial_gym.interop import on_device, resolve_device, usual_settings
 from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import find_checkpoint
 from aerial_gym.rl_training.ranks import Ranks, join_ranks, process_device
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, checkpoint_steps
-from aerial_gym.rl_training.run.interruption import Interruption, interruptible
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption, checkpoint_steps, interruptible
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg

@@ -16,8 +16,15 @@ from aerial_gym.assets.body_shapes import BodyShape, body_shapes
 from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.geometry import outward_normal, signed_distance
 from aerial_gym.assets.nearest import Core, Nearest, as_box, box_corner, nearest_of_core
-from aerial_gym.assets.scene_arrays import BOX, SceneArrays, Shape, part_attitude, part_is_present, part_position
-from aerial_gym.assets.views import vector_view
+from aerial_gym.assets.scene_arrays import (
+    BOX,
+    SceneArrays,
+    Shape,
+    part_attitude,
+    part_is_present,
+    part_position,
+    vector_view,
+)
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.interop import make_struct
 from aerial_gym.math.warp_functions import rotate, vector_type

@@ -13,7 +13,7 @@ from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.physics import BodyState
-from aerial_gym.robots.non_finite_rows import NonFiniteRows, count_row
+from aerial_gym.robots.finite_watch import NonFiniteRows, count_row
 from aerial_gym.robots.secondary_states import SecondaryArrays, SecondaryStates, write_derived
 
 

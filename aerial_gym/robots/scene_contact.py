@@ -19,7 +19,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.obstacle_motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.assets.scene_arrays import check_tensor, vector_view
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError

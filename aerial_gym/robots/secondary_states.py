@@ -14,7 +14,7 @@ from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.warp_functions import euler_angles
 from aerial_gym.physics import BodyState
-from aerial_gym.robots.non_finite_rows import NonFinite
+from aerial_gym.robots.finite_watch import NonFinite
 
 RootRow = wp.types.vector(length=13, dtype=wp.float32)  # Position, attitude, velocity, angular velocity
 

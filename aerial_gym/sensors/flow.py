@@ -16,8 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
-from aerial_gym.assets.views import vector_view
+from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays, vector_view
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct

@@ -10,7 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.views import check_tensor
+from aerial_gym.assets.scene_arrays import check_tensor
 from aerial_gym.config.images import IMAGES, Image
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ShapeError

@@ -25,7 +25,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.assets.scene_arrays import check_tensor, vector_view
 from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp, with_usual_settings

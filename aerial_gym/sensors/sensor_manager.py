@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.views import check_tensor
+from aerial_gym.assets.scene_arrays import check_tensor
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import plain_device, with_usual_settings

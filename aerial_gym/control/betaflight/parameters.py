@@ -15,7 +15,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.filters.biquad import Biquad, butterworth
 from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
-from aerial_gym.control.px4.rates import smoothing_coefficient
+from aerial_gym.control.px4.cascade import smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust

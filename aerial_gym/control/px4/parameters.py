@@ -15,8 +15,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import Biquad, butterworth, notch
 from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
-from aerial_gym.control.px4.position import PositionGains
-from aerial_gym.control.px4.rates import smoothing_coefficient
+from aerial_gym.control.px4.cascade import PositionGains, smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.rotors import rotor_thrust

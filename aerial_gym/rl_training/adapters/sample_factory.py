@@ -37,8 +37,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training.learner_settings import PpoCfg
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
-from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
 from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg

@@ -43,7 +43,7 @@ from aerial_gym.rl_training.encoder.figures import (
 )
 from aerial_gym.rl_training.encoder.scenes import ImageSet, ProgressReport, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
-from aerial_gym.rl_training.run.interruption import interruptible
+from aerial_gym.rl_training.run.checkpoint_keeper import interruptible
 from aerial_gym.rl_training.run.run_folder import append_session
 from aerial_gym.sensors.encoder.file import Autoencoder, Encoder, encoder_image_format, negative_evidence
 

@@ -6,8 +6,7 @@ from math import log
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.ranks import Ranks
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
-from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg

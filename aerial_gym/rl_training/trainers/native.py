@@ -13,8 +13,7 @@ from aerial_gym.interop import record_graph
 from aerial_gym.registry.state import check_state, copy_tensors, restore_tensors
 from aerial_gym.rl_training.learning.learner import SUMS, Learner
 from aerial_gym.rl_training.policies.load import find_checkpoint, load_initial_weights
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
-from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.policies.load import Weights
     from aerial_gym.rl_training.policies.policy import Policy
     from aerial_gym.rl_training.ranks import Ranks
-    from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
-    from aerial_gym.rl_training.run.interruption import Interruption
+    from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
     from aerial_gym.rl_training.run.progress import Progress
     from aerial_gym.rl_training.run.run_folder import RunFolder
     from aerial_gym.rl_training.trainers.native import NativeTraining

@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg, TerminationCfg
 from aerial_gym.math.random import Randomness
-from aerial_gym.robots.non_finite_rows import NonFinite
+from aerial_gym.robots.finite_watch import NonFinite
 from aerial_gym.task.commands.command import TARGET, Command
 from aerial_gym.task.step.observer import Observer
 from aerial_gym.task.step.row_kernels import StepKernel

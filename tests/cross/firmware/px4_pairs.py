@@ -5,10 +5,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.control.px4.attitude import attitude_from_thrust, rate_setpoint
+from aerial_gym.control.px4.cascade import (
+    PositionGains,
+    attitude_from_thrust,
+    limit_velocity,
+    rate_setpoint,
+    rate_torque,
+    update_integral,
+    velocity_control,
+)
 from aerial_gym.control.px4.mixer import mix
-from aerial_gym.control.px4.position import PositionGains, limit_velocity, velocity_control
-from aerial_gym.control.px4.rates import rate_torque, update_integral
 from aerial_gym.control.reduced_attitude import canonical_quat
 from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made

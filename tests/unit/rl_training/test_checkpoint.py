@@ -18,8 +18,12 @@ from aerial_gym import task_registry
 from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import ConfigError, StorageError, TrainingError
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, random_state, restore_random_state
-from aerial_gym.rl_training.run.interruption import interruptible
+from aerial_gym.rl_training.run.checkpoint_keeper import (
+    CheckpointKeeper,
+    interruptible,
+    random_state,
+    restore_random_state,
+)
 from aerial_gym.rl_training.run.progress import CURVE_COLUMNS, Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.trainers.summaries import SafeEvents

@@ -11,8 +11,8 @@ from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BodyState, state_at_rest
+from aerial_gym.robots.finite_watch import NonFiniteRows
 from aerial_gym.robots.initial_state import ActionStore, InitialState
-from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.secondary_states import SecondaryStates
 
 CFG = InitialStateCfg(

@@ -16,8 +16,7 @@ from aerial_gym import SIMS, SimBuilder, task_registry
 from aerial_gym.cli.main import main
 from aerial_gym.errors import CapabilityError, ClosedError, ConfigError, ShapeError
 from aerial_gym.rl_training import GymnasiumVectorEnv
-from aerial_gym.robots.finite_watch import KEPT_STEPS
-from aerial_gym.robots.non_finite_rows import NonFinite
+from aerial_gym.robots.finite_watch import KEPT_STEPS, NonFinite
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 from tests.refusals import assert_refused
 from tests.repetitions import frequent_values

@@ -12,14 +12,14 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_type
-from aerial_gym.physics.articulated.fused.hubs import hub_links, make_hubs
 from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, plus, rigid_inertia
 from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_creep
 from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver, make_plain_solver
-from aerial_gym.physics.articulated.fused.link_effects import effect_links, make_on_links
+from aerial_gym.physics.articulated.fused.link_effects import effect_links, hub_links, make_hubs, make_on_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, LinkFluidEffect, WrenchEffect
 from aerial_gym.physics.fused.contact import ContactParameters
+from aerial_gym.physics.fused.dynamics import make_dead_band, make_follow
 from aerial_gym.physics.fused.formulas import make_loads, make_wind
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
@@ -32,7 +32,6 @@ from aerial_gym.physics.fused.packing import (
     rotor_types_of_model,
 )
 from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
-from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
 from aerial_gym.physics.fused.row_model import constant_entries_of_vehicle, vehicle_rows
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.model import Model

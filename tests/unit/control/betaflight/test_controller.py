@@ -11,9 +11,9 @@ from aerial_gym.config.autopilots.betaflight import SCALES, BetaflightCfg
 from aerial_gym.config.controller import RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
-from aerial_gym.control.betaflight.controller import BetaflightController
-from aerial_gym.control.betaflight.loop import (
+from aerial_gym.control.betaflight.controller import (
     RELAXED_FROM,
+    BetaflightController,
     actual_rate,
     anti_windup_factor,
     mix_signals,

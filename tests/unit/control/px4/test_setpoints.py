@@ -5,8 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.control.px4.attitude import attitude_from_thrust, quat_from_axes
-from aerial_gym.control.px4.position import PositionGains, velocity_control
+from aerial_gym.control.px4.cascade import PositionGains, attitude_from_thrust, quat_from_axes, velocity_control
 
 F64 = torch.float64
 NUMBERS = {"position": 1.0, "velocity": 2.0, "integral": 0.5, "derivative": 0.0}

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows.integer_range import fits_32_bits
 from aerial_gym.interop.rows.row_trace import trace
 from aerial_gym.interop.rows.source import dependencies
+from aerial_gym.interop.rows.warp_function import fits_32_bits
 from aerial_gym.math.random import uniform_draws
 
 CASES: dict[str, tuple[Callable[[Tensor, Tensor], Tensor], bool]] = {
