@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable
 
-LONGEST_SENTENCE = 1200
-"""Longest message [characters]; longer ones are shortened in the middle."""
+LONGEST_SENTENCE = 1200  # Longest message [characters]; longer ones are shortened in the middle
 
 
 class AerialGymError(Exception):

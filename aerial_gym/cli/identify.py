@@ -189,8 +189,7 @@ class InertiaCmd:
     throws: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Logs of throws with gyro, accelerometer and the speed of the flywheel, one throw each, in any log format."""
 
-    mass_kg: float | None = None
-    """Mass of the body [kg], without the device if that is thrown alone too."""
+    mass_kg: float | None = None  # Mass of the body [kg], without the device if that is thrown alone too
 
     wheel_inertia_kg_m2: float | None = None
     """Inertia of the flywheel about its axis [kg m²]: rotor and propeller or disc."""
@@ -198,23 +197,15 @@ class InertiaCmd:
     device: tuple[Path, ...] = ()
     """Throws of the device alone: IMU, battery and flywheel. Its inertia is then taken from that of the body."""
 
-    device_mass_kg: float | None = None
-    """Mass of the device [kg]."""
-
-    proof: tuple[Path, ...] = ()
-    """Throws of the device on a body of known inertia, in place of --wheel-inertia-kg-m2."""
-
-    proof_mass_kg: float | None = None
-    """Mass of the proof body [kg]."""
+    device_mass_kg: float | None = None  # Mass of the device [kg]
+    proof: tuple[Path, ...] = ()  # Throws of the device on a body of known inertia, in place of --wheel-inertia-kg-m2
+    proof_mass_kg: float | None = None  # Mass of the proof body [kg]
 
     proof_inertia_kg_m2: tuple[float, float, float] | None = None
     """Moments of inertia of the proof body about the x, y and z axes of the IMU [kg m²]."""
 
-    out: Path | None = None
-    """Folder for report.md, result.json and body.yaml; nothing is written if not given."""
-
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
+    out: Path | None = None  # Folder for report.md, result.json and body.yaml; nothing is written if not given
+    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""

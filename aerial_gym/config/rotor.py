@@ -15,8 +15,7 @@ from aerial_gym.errors import ConfigError
 ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")  # Features beyond an unsigned, lagging speed
 
 
-POLYNOMIAL_MAP = "polynomial"
-"""Name of the built-in rotor map."""
+POLYNOMIAL_MAP = "polynomial"  # Name of the built-in rotor map
 
 
 @dataclass(frozen=True, kw_only=True)

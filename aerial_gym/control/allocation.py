@@ -25,9 +25,7 @@ from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
 
 Saturation = Literal["prioritised", "clamp"]
-
-MAP_FIELDS = ("thrust_map", "reverse_thrust_map")
-"""Fields of ``Vehicle`` that map between thrusts and rotor states."""
+MAP_FIELDS = ("thrust_map", "reverse_thrust_map")  # Fields of `Vehicle` that map between thrusts and rotor states
 
 MATRIX_FIELDS = frozenset(
     ("mass", "com", "rotor_position", "rotor_axis", "rotor_spin", "torque_map", "reverse_torque_map", *MAP_FIELDS)

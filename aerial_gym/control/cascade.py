@@ -74,8 +74,7 @@ def gains_for_rate_setpoint(base: LeeGains) -> LeeGains:
     return replace(base, **{name: share_row(row, num_envs) for name, row in rows.items()})
 
 
-LOOP_NUMBERS = 9
-"""Memory of a rate loop: integral (3), derivative (3), angular velocity of the previous run (3)."""
+LOOP_NUMBERS = 9  # Memory of a rate loop: integral (3), derivative (3), angular velocity of the previous run (3)
 
 
 class CascadeController(StatefulController):

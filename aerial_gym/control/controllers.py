@@ -33,17 +33,14 @@ WITH_MEMORY = {
 """Controllers with rates or memory, by the field of ``ControllerCfg`` with their autopilot's parameters; imported at first
 use."""
 
-OF_PX4 = ("position", "velocity", "attitude", "rates")
-"""Laws of PX4's cascade."""
-
+OF_PX4 = ("position", "velocity", "attitude", "rates")  # Laws of PX4's cascade
 __path__: list[str] = []  # scripts of another simulator import modules below this name: aerial_gym.compat.modules
 
 
 class Controller(Protocol):
     """Interface of a controller."""
 
-    action_names: tuple[str, ...]
-    """Meaning and unit of each entry of the action."""
+    action_names: tuple[str, ...]  # Meaning and unit of each entry of the action
 
     @property
     def gains_by_name(self) -> Mapping[str, Tensor]:

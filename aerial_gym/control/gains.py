@@ -27,8 +27,7 @@ from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
-GAINS = ("position", "velocity", "attitude", "rate")
-"""Fields of ``LeeGains`` that may be given and drawn, each (E, 3)."""
+GAINS = ("position", "velocity", "attitude", "rate")  # Fields of `LeeGains` that may be given and drawn, each (E, 3)
 
 LARGEST_INCLINATION = pi / 3
 """Largest tilt with ample thrust [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""

@@ -16,45 +16,26 @@ from aerial_gym.control.linear_loop import BODY, DiscreteLoop, LinearLoop
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.torch_backend import TorchBackend
 
-HOVER_SPAN = 10.0
-"""Duration of a flight at hover [s]."""
-
-HOVER_RANGE = 0.1
-"""Largest distance from the setpoint that counts as hover [m]."""
+HOVER_SPAN = 10.0  # Duration of a flight at hover [s]
+HOVER_RANGE = 0.1  # Largest distance from the setpoint that counts as hover [m]
 
 DISTURBANCE = (0.1, 0.1, 0.2, 0.2)
 """Initial deviation of a flight from hover along each axis: position [m], attitude [rad], speed [m/s] and rate [rad/s].
 Source: speed and rate are the default ranges of ``InitialStateCfg``."""
 
-NUM_STARTS = 4
-"""Number of flights in a batch, from different corners of a cube for each quantity."""
-
-LOOK = 0.05
-"""Time between two checks of a flight [s]."""
-
-LAST = 1.0
-"""Final part of a flight that must be at hover [s]."""
-
-QUIET = 0.1
-"""Share of ``DISTURBANCE`` that saturates no rotor."""
+NUM_STARTS = 4  # Number of flights in a batch, from different corners of a cube for each quantity
+LOOK = 0.05  # Time between two checks of a flight [s]
+LAST = 1.0  # Final part of a flight that must be at hover [s]
+QUIET = 0.1  # Share of `DISTURBANCE` that saturates no rotor
 
 LOST = 2.0
 """Distance [m] at which a flight counts as lost: several times that of flights that return from ``DISTURBANCE``."""
 
-SAMPLES = 40
-"""Number of times in the linear response."""
-
-ITERATIONS = 12
-"""Largest number of Newton iterations."""
-
-SETTLED = 1e-5
-"""Convergence limit of Newton's change: in the units of ``AXES``, relative for rotors and memory."""
-
-LARGEST_TURN = 0.3
-"""Largest rotation of one iteration [rad]; beyond it the loop is not linear."""
-
-DEPENDENT = 1e-12
-"""Relative singular value of directions in which every state is an equilibrium."""
+SAMPLES = 40  # Number of times in the linear response
+ITERATIONS = 12  # Largest number of Newton iterations
+SETTLED = 1e-5  # Convergence limit of Newton's change: in the units of `AXES`, relative for rotors and memory
+LARGEST_TURN = 0.3  # Largest rotation of one iteration [rad]; beyond it the loop is not linear
+DEPENDENT = 1e-12  # Relative singular value of directions in which every state is an equilibrium
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,7 @@ from aerial_gym.physics.vehicle import share_row
 LEAST_LIFT = 0.1
 """Least upward component of the force setpoint, as a share of the weight, so that the vehicle never turns over."""
 
-SMALLEST_SQUARE = 1e-30
-"""Least square of a length in a quotient, which keeps it finite in float32."""
+SMALLEST_SQUARE = 1e-30  # Least square of a length in a quotient, which keeps it finite in float32
 
 
 @dataclass(frozen=True, kw_only=True)

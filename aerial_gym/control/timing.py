@@ -4,8 +4,7 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.law_memory import Timing
 
-WHOLE = 1e-6
-"""Relative tolerance of whole ratios, because rates and time steps are decimal fractions."""
+WHOLE = 1e-6  # Relative tolerance of whole ratios, because rates and time steps are decimal fractions
 
 
 def make_timing(cfg: ControllerCfg, dt: float) -> Timing:

@@ -14,8 +14,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES
 from aerial_gym.errors import ConfigError
 
-HEIGHT_ENTRY = "z [m]"
-"""Name of the entry of an action that is a height."""
+HEIGHT_ENTRY = "z [m]"  # Name of the entry of an action that is a height
 
 
 def trim_axes(controller: ControllerCfg) -> tuple[str, ...] | None:

@@ -19,23 +19,12 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle
 
-HALVINGS = 60
-"""Bisections of the frequency, to the precision of float64."""
-
-HELD = 0.5
-"""Mean delay of a held command, in time steps."""
-
-LEAST_DAMPING, MOST_DAMPING = 0.3, 1.0
-"""Range of damping ratios; 1 is taken as just below 1."""
-
-FAR_POLE = 1.5
-"""Least ratio of the decay of other poles to that of the placed pair, which makes the pair dominant."""
-
-Bandwidth = float | tuple[float, float, float]
-"""Bandwidth [rad/s] of all axes or of x, y, z."""
-
-Response = Callable[[Tensor], Tensor]
-"""Function from s, complex (E, 3), to the response at s, likewise."""
+HALVINGS = 60  # Bisections of the frequency, to the precision of float64
+HELD = 0.5  # Mean delay of a held command, in time steps
+LEAST_DAMPING, MOST_DAMPING = 0.3, 1.0  # Range of damping ratios; 1 is taken as just below 1
+FAR_POLE = 1.5  # Least ratio of the decay of other poles to that of the placed pair, which makes the pair dominant
+Bandwidth = float | tuple[float, float, float]  # Bandwidth [rad/s] of all axes or of x, y, z
+Response = Callable[[Tensor], Tensor]  # Function from s, complex (E, 3), to the response at s, likewise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,8 +31,7 @@ GRID = 32
 INSET = 1e-3
 """Distance of the outermost attitudes from the ends, as a share of the range, to avoid an equilibrium at an end."""
 
-STILL = 1e-4
-"""Angular acceleration [rad/s²] below which a start counts as stuck: 10 s turn it by 0.3 degrees."""
+STILL = 1e-4  # Angular acceleration [rad/s²] below which a start counts as stuck: 10 s turn it by 0.3 degrees
 
 
 def check_starts(

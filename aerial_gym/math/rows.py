@@ -18,12 +18,8 @@ from torch.utils._python_dispatch import _get_current_dispatch_mode
 WHOLE_ROWS = 64  # Rows that fill whole vectors at any width: a vector has 16 float32 with AVX-512, loops take 4
 
 Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
-
-RowsFunction = Callable[..., tuple[Tensor, ...]]
-"""Function of tensors (E, ...) to tensors (E, ...)."""
-
-MOST_TERMS = 8
-"""Largest number of terms of an unrolled product of rows on a GPU."""
+RowsFunction = Callable[..., tuple[Tensor, ...]]  # Function of tensors (E, ...) to tensors (E, ...)
+MOST_TERMS = 8  # Largest number of terms of an unrolled product of rows on a GPU
 
 
 def atan2(y: Tensor, x: Tensor) -> Tensor:

@@ -51,8 +51,7 @@ class EffectSupport(Collection[str]):
 class ControlLaw(Protocol):
     """Control law: it turns an action into rotor commands, once per physics step. All controllers implement it."""
 
-    action_names: tuple[str, ...]
-    """Meaning and unit of each entry of an action."""
+    action_names: tuple[str, ...]  # Meaning and unit of each entry of an action
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return commanded rotor speeds [rad/s], (E, R), for actions (E, number of actions).

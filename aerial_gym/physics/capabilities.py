@@ -14,8 +14,7 @@ from aerial_gym.physics.backend import Capabilities, PhysicsBackend
 from aerial_gym.physics.catalog import BACKENDS
 from aerial_gym.physics.effects import LearnedResidual
 
-BACKEND_PREFERENCE = ("warp", "torch")
-"""Backends that ``auto`` tries, in order."""
+BACKEND_PREFERENCE = ("warp", "torch")  # Backends that `auto` tries, in order
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,7 @@ if TYPE_CHECKING:
     from aerial_gym.physics.backend import PhysicsBackend
     from aerial_gym.physics.rotor_maps import RotorMap
 
-BACKENDS: "Registry[Callable[[], PhysicsBackend]]" = Registry("physics backend")
-"""Constructors of backends by name."""
+BACKENDS: "Registry[Callable[[], PhysicsBackend]]" = Registry("physics backend")  # Constructors of backends by name
 
 for _name, _place in (
     ("torch", "aerial_gym.physics.torch_backend:TorchBackend"),

@@ -39,11 +39,8 @@ from aerial_gym.math.quaternion import (
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
 
-ITERATIONS = 6
-"""Solutions of the linear system; in the first all points stick."""
-
-CAUTIOUS_ITERATIONS = 2
-"""Further solutions if friction would add energy."""
+ITERATIONS = 6  # Solutions of the linear system; in the first all points stick
+CAUTIOUS_ITERATIONS = 2  # Further solutions if friction would add energy
 
 PENALTY = 100.0
 """R per mass of the body. Each solution reduces the slip of a sticking point below 1 / PENALTY; larger values lose digits in

@@ -16,9 +16,7 @@ from aerial_gym.physics.effects import Condition
 from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-KEPT = 2
-"""Cached results of each function, the most used first: that of the model around which others vary."""
-
+KEPT = 2  # Cached results of each function, the most used first: that of the model around which others vary
 Source = TypeVar("Source", Condition, RotorSpeedsOfFlight)
 
 

@@ -45,15 +45,13 @@ class Ground:
     height: float
     """Height of the plane [m], world; minus infinity for an articulated vehicle with contact to obstacles only."""
 
-    spheres: Tensor
-    """Centres in the body frame and radii [m], (C, 4)."""
+    spheres: Tensor  # Centres in the body frame and radii [m], (C, 4)
 
     contact: Tensor
     """Set to True, bool (E,), at ground contact in a substep; with ``cfg`` only at the speed of a crash.
     Never cleared by the physics."""
 
-    cfg: ContactCfg | None = None
-    """Parameters of the contact force; None without force."""
+    cfg: ContactCfg | None = None  # Parameters of the contact force; None without force
 
     impulse: Tensor | None = None
     """With ``cfg``: receives the sum of the impulses [N s], world, (E, 3). Never cleared by the physics."""

@@ -225,5 +225,4 @@ def _advance(state: MassState, slope: tuple[Tensor, ...] | list[Tensor], dt: flo
     )
 
 
-INTEGRATORS: dict[str, Stepper] = {"euler": semi_implicit_euler, "rk4": rk4}
-"""Integrators by their public names."""
+INTEGRATORS: dict[str, Stepper] = {"euler": semi_implicit_euler, "rk4": rk4}  # Integrators by their public names

@@ -34,26 +34,16 @@ if TYPE_CHECKING:
 class Model:
     """The actual vehicle with the effects on it."""
 
-    vehicle: Vehicle
-    """Vehicle with the effects on its parameters applied."""
-
-    inertia_inverse: Tensor
-    """Inverse of the inertia [1/(kg m²)], (E, 3, 3)."""
-
-    effects: EffectsByKind
-    """All effects by kind; those on the vehicle's parameters are already applied to ``vehicle``."""
-
-    gravity: float
-    """Downward acceleration of free fall [m/s²]."""
-
-    ground_height: float | Tensor
-    """Height of the ground [m], world, for effects near it, scalar or (E, 1)."""
+    vehicle: Vehicle  # Vehicle with the effects on its parameters applied
+    inertia_inverse: Tensor  # Inverse of the inertia [1/(kg m²)], (E, 3, 3)
+    effects: EffectsByKind  # All effects by kind; those on the vehicle's parameters are already applied to `vehicle`
+    gravity: float  # Downward acceleration of free fall [m/s²]
+    ground_height: float | Tensor  # Height of the ground [m], world, for effects near it, scalar or (E, 1)
 
     ceiling_height: float | Tensor | None
     """Height of the ceiling [m], world, for effects near it; None without ceiling. On the torch backend also (E, 1)."""
 
-    other_position: Tensor
-    """Position of another vehicle with a downwash [m], world, (E, 3)."""
+    other_position: Tensor  # Position of another vehicle with a downwash [m], world, (E, 3)
 
     articulation: "Articulation | None" = None
     """Joints and links; None for a rigid vehicle. ``vehicle`` is then that of the reference pose."""

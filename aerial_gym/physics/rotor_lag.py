@@ -14,8 +14,7 @@ from aerial_gym.math.rows import choose
 from aerial_gym.physics.rotors import SHORTEST, approach, lag_acceleration, lag_speed, select_by_direction
 from aerial_gym.physics.vehicle import Vehicle
 
-FASTEST = 1e30
-"""Slew rate that represents no limit: far above all others, with finite products in float32."""
+FASTEST = 1e30  # Slew rate that represents no limit: far above all others, with finite products in float32
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,21 +16,15 @@ from aerial_gym.config.rotor import RotorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.catalog import ROTOR_MAPS
 
-SAMPLES = 9
-"""Number of thrusts at which the inverse of a map is checked."""
-
-INVERSE_ERROR = 1e-6
-"""Largest error of the thrust at the speed for a thrust, as a share of the largest thrust."""
+SAMPLES = 9  # Number of thrusts at which the inverse of a map is checked
+INVERSE_ERROR = 1e-6  # Largest error of the thrust at the speed for a thrust, as a share of the largest thrust
 
 
 class RotorMap(ABC):
     """Thrust [N] or drag torque [N m] of the speed w [rad/s]: ``c0 t0(w) + c1 t1(w) + c2 t2(w)``."""
 
-    name: str
-    """Name in ``ROTOR_MAPS``."""
-
-    summary: str
-    """One line about the map."""
+    name: str  # Name in `ROTOR_MAPS`
+    summary: str  # One line about the map
 
     @abstractmethod
     def terms(self, speed: Tensor) -> tuple[Tensor, ...]:

@@ -12,8 +12,7 @@ from torch import Tensor
 from aerial_gym.math.rows import sum_slices, times
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-SHORTEST = 1e-12
-"""Time constant that represents zero [s]."""
+SHORTEST = 1e-12  # Time constant that represents zero [s]
 
 
 def select_by_direction(state: Tensor, command: Tensor, up: Tensor, down: Tensor) -> Tensor:

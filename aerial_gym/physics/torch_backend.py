@@ -148,8 +148,7 @@ def copy_tensors(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> di
 class TorchBackend:
     """Physics in plain torch operations."""
 
-    name = "torch"
-    """Registered name."""
+    name = "torch"  # Registered name
 
     capabilities = Capabilities(
         devices=("cpu", "cuda"),
@@ -169,8 +168,7 @@ class TorchBackend:
     _random: Randomness | None = None
     _efforts: JointEfforts | None = None
     _crept: Tensor | None = None
-    law_memory: LawMemory | None = None
-    """Memory of the control law; None before its first step, and without memory."""
+    law_memory: LawMemory | None = None  # Memory of the control law; None before its first step, and without memory
 
     def allocate(
         self,

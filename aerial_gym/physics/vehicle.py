@@ -38,31 +38,19 @@ def own_rows(rows: Tensor) -> Tensor:
     return torch.empty(rows.shape, dtype=rows.dtype, device=rows.device).copy_(rows)
 
 
-_OF_BODY = {"mass", "inertia", "com", "battery"}
-"""Tensors of a vehicle without a rotor dimension."""
+_OF_BODY = {"mass", "inertia", "com", "battery"}  # Tensors of a vehicle without a rotor dimension
 
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
     """Parameters of rigid body and rotors; effects on a parameter replace it here."""
 
-    mass: Tensor
-    """Mass [kg], (E,)."""
-
-    inertia: Tensor
-    """Inertia about the centre of mass [kg m²], body axes, (E, 3, 3)."""
-
-    com: Tensor
-    """Centre of mass from the body origin [m], body, (E, 3)."""
-
-    rotor_position: Tensor
-    """Hubs from the body origin [m], body, (E, R, 3)."""
-
-    rotor_axis: Tensor
-    """Unit directions of thrust, body, (E, R, 3)."""
-
-    rotor_spin: Tensor
-    """+1 or -1: sense of rotation about the axis, (E, R)."""
+    mass: Tensor  # Mass [kg], (E,)
+    inertia: Tensor  # Inertia about the centre of mass [kg m²], body axes, (E, 3, 3)
+    com: Tensor  # Centre of mass from the body origin [m], body, (E, 3)
+    rotor_position: Tensor  # Hubs from the body origin [m], body, (E, R, 3)
+    rotor_axis: Tensor  # Unit directions of thrust, body, (E, R, 3)
+    rotor_spin: Tensor  # +1 or -1: sense of rotation about the axis, (E, R)
 
     thrust_map: Tensor
     """Coefficients of the thrust in ``rotor_map``, (E, R, 3): of the polynomial c0, c1, c2 [N, N s, N s²] of the speed
@@ -74,8 +62,7 @@ class Vehicle:
     reverse_thrust_map: Tensor
     """Coefficients of the thrust of a reversed rotor, of the magnitude of its speed, (E, R, 3); only for reversible rotors."""
 
-    reverse_torque_map: Tensor
-    """Coefficients of the drag torque of a reversed rotor, likewise, (E, R, 3)."""
+    reverse_torque_map: Tensor  # Coefficients of the drag torque of a reversed rotor, likewise, (E, R, 3)
 
     time_constant_up: Tensor
     """Time constant of a growing magnitude of the speed, in force mode of the thrust [s], (E, R)."""
@@ -87,30 +74,21 @@ class Vehicle:
     """Largest rate of growth of the magnitude of the speed [rad/s²], in force mode of the thrust [N/s], (E, R); infinite for
     no limit."""
 
-    slew_rate_down: Tensor
-    """Largest rate of fall of the magnitude, likewise."""
-
-    dead_band: Tensor
-    """Dead band [rad/s], in force mode [N], (E, R): commands of smaller magnitude stop the rotor."""
-
-    rotor_radius: Tensor
-    """Radii of the propellers [m], (E, R); NaN if unknown."""
+    slew_rate_down: Tensor  # Largest rate of fall of the magnitude, likewise
+    dead_band: Tensor  # Dead band [rad/s], in force mode [N], (E, R): commands of smaller magnitude stop the rotor
+    rotor_radius: Tensor  # Radii of the propellers [m], (E, R); NaN if unknown
 
     battery: Tensor
     """Nominal, full and empty voltage [V], internal resistance [Ohm], capacity [A s] and efficiency, (E, 6); NaN if
     unknown."""
 
-    speed_low: Tensor
-    """Lowest command of speed [rad/s], in force mode of thrust [N], (E, R)."""
-
-    speed_high: Tensor
-    """Highest command, likewise, (E, R)."""
+    speed_low: Tensor  # Lowest command of speed [rad/s], in force mode of thrust [N], (E, R)
+    speed_high: Tensor  # Highest command, likewise, (E, R)
 
     traits: frozenset[str] = frozenset()
     """Traits of rotors beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``, which select the formulas."""
 
-    rotor_map: RotorMap = POLYNOMIAL
-    """Functions of thrust and drag torque of all rotors."""
+    rotor_map: RotorMap = POLYNOMIAL  # Functions of thrust and drag torque of all rotors
 
     @property
     def num_envs(self) -> int:

@@ -55,8 +55,7 @@ from aerial_gym.physics.state import BodyState, JointEfforts
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.vehicle import is_same_row, is_shared
 
-BLOCK_DIM = 128
-"""Threads of a block; measured in docs/results/performance.md."""
+BLOCK_DIM = 128  # Threads of a block; measured in docs/results/performance.md
 
 ROW_GAP = 32
 """Padding between packed rows; otherwise rows of a power of two of environments share a line of a CPU's cache."""

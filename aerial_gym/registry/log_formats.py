@@ -5,8 +5,7 @@ from typing import Any
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry.registry import Registry
 
-LOG_READERS: Registry[Any] = Registry("log format")
-"""Readers of binary logs, each a ``LogReader``."""
+LOG_READERS: Registry[Any] = Registry("log format")  # Readers of binary logs, each a `LogReader`
 
 READERS = {
     "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),

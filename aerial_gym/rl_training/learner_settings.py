@@ -17,9 +17,7 @@ class LearnerCfg:
     hidden_layers: tuple[int, ...]  # Widths of the hidden layers, each >= 1
     separate_value_network: bool = False  # Whether the value has separate hidden layers
     activation: str = "elu"  # `elu`, `relu` or `tanh`
-
-    memory: int = 0
-    """Size of a gated recurrent unit after the hidden layers; 0: none. ``ppo`` only."""
+    memory: int = 0  # Size of a gated recurrent unit after the hidden layers; 0: none. `ppo` only
 
     policy_keys: tuple[str, ...] = ("observations",)
     """Inputs of the policy by key of the observation: vectors, images (C, H, W). Only ``ppo`` takes other keys."""
@@ -79,9 +77,7 @@ class PpoCfg(ReturnCfg):
 
     num_minibatches: int  # Number of minibatches of the horizon times E samples; must divide them, >= 1
     num_epochs: int  # Passes over the samples per update, >= 1
-
-    learning_rate: float
-    """Initial learning rate of Adam, > 0. It adapts to ``kl_threshold``, up to ``max_learning_rate``."""
+    learning_rate: float  # Initial learning rate of Adam, > 0. It adapts to `kl_threshold`, up to `max_learning_rate`
 
     max_learning_rate: float
     """Initial upper bound of the learning rate, > 0. It falls linearly with the elapsed share of time or steps, whichever is

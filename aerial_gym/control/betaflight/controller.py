@@ -32,8 +32,7 @@ from aerial_gym.physics.vehicle import Vehicle
 RELAXED_FROM = radians(40.0)
 """High-passed setpoint at which I-term relax stops the integral [rad/s]. Source: Betaflight 4.5, ``pid.c``, 40 deg/s."""
 
-RATE_LIMIT = radians(1998.0)
-"""Largest rate setpoint of the sticks [rad/s]. Source: Betaflight 4.5, ``rc.c``, 1998 deg/s."""
+RATE_LIMIT = radians(1998.0)  # Largest rate setpoint of the sticks [rad/s]. Source: Betaflight 4.5, `rc.c`, 1998 deg/s
 
 THROTTLE_STEP = 0.001
 """Resolution of the throttle command [-]; a smaller throttle is zero. Source: Betaflight 4.5, ``rc.c``, 1000 to 2000 us."""

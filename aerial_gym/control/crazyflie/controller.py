@@ -45,11 +45,8 @@ from aerial_gym.physics.vehicle import Vehicle
 class _Crazyflie(StatefulController):
     """Common part of the controllers: parameters and timing."""
 
-    _widths: tuple[int, int]
-    """Numbers of memory of the inner and the outer level."""
-
-    _derived_type: type[GainsOfVehicle] = GainsOfVehicle
-    """Type of the derived gains."""
+    _widths: tuple[int, int]  # Numbers of memory of the inner and the outer level
+    _derived_type: type[GainsOfVehicle] = GainsOfVehicle  # Type of the derived gains
 
     _make_gains: Callable[[Any, Any], Any]
     """Function from the autopilot's parameters and the derived gains to the gains."""

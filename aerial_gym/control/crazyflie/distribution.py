@@ -18,11 +18,8 @@ from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle
 
-MOST_COUNTS = 65535.0
-"""Largest command of a rotor [counts]."""
-
-SHARES = (0.5, 0.5, 1.0)
-"""Shares of the moments about x, y and z in each rotor's command."""
+MOST_COUNTS = 65535.0  # Largest command of a rotor [counts]
+SHARES = (0.5, 0.5, 1.0)  # Shares of the moments about x, y and z in each rotor's command
 
 
 def require_position(law: str) -> None:

@@ -23,8 +23,7 @@ from aerial_gym.control.lee import (
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.state import BodyState
 
-WIDTH = 6
-"""Remembered numbers: integrals of position (3) and attitude (3)."""
+WIDTH = 6  # Remembered numbers: integrals of position (3) and attitude (3)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,11 +15,8 @@ from aerial_gym.control.lee import LEAST_LIFT, attitude_error, attitude_from_for
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.state import BodyState
 
-MOST_COUNTS = 32000.0
-"""Largest moment about any axis [counts]."""
-
-WIDTH = 8
-"""Remembered numbers: integrals of position (3) and attitude (3), previous rate errors of roll and pitch (2)."""
+MOST_COUNTS = 32000.0  # Largest moment about any axis [counts]
+WIDTH = 8  # Remembered numbers: integrals of position (3) and attitude (3), previous rate errors of roll and pitch (2)
 
 
 @dataclass(frozen=True, kw_only=True)

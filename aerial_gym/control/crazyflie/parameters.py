@@ -26,11 +26,8 @@ from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.vehicle import Vehicle
 
-INTEGRAL_SHARE = 0.5
-"""Default limit of an integral, as a share of the largest moment."""
-
-LEAST_OF_HOVER = 5.0 / 9.0
-"""Least thrust as a share of hover thrust: 20000 of 36000 counts of a Crazyflie."""
+INTEGRAL_SHARE = 0.5  # Default limit of an integral, as a share of the largest moment
+LEAST_OF_HOVER = 5.0 / 9.0  # Least thrust as a share of hover thrust: 20000 of 36000 counts of a Crazyflie
 
 
 class GainsOfVehicle:

@@ -17,20 +17,11 @@ from torch import Tensor
 from aerial_gym.math.quaternion import euler_from_quat, yaw_from_quat
 from aerial_gym.physics.state import BodyState
 
-THRUST_PER_OUTPUT = 1000.0
-"""Counts per unit of the vertical velocity controller."""
-
-MOST_THRUST = 65535.0
-"""Largest PWM of a motor [counts]."""
-
-MOST_MOMENT = 32767.0
-"""Largest moment about any axis [counts]."""
-
-LEEWAY = 1.1
-"""Factor by which the velocity setpoint may exceed the velocity limit."""
-
-OUTER_NUMBERS = 6
-"""Memory of position and velocity: an integral of each (3)."""
+THRUST_PER_OUTPUT = 1000.0  # Counts per unit of the vertical velocity controller
+MOST_THRUST = 65535.0  # Largest PWM of a motor [counts]
+MOST_MOMENT = 32767.0  # Largest moment about any axis [counts]
+LEEWAY = 1.1  # Factor by which the velocity setpoint may exceed the velocity limit
+OUTER_NUMBERS = 6  # Memory of position and velocity: an integral of each (3)
 
 INNER_NUMBERS = 12
 """Memory of attitude and rates: an integral of each (3), previous attitude and rates [deg, deg/s] (3 each)."""

@@ -39,8 +39,7 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
-OUTER_NUMBERS = 9
-"""Memory of the outer loops: integral of velocity (3), previous velocity (3), acceleration (3)."""
+OUTER_NUMBERS = 9  # Memory of the outer loops: integral of velocity (3), previous velocity (3), acceleration (3)
 
 
 class Px4Controller(StatefulController):

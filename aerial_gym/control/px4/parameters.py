@@ -21,18 +21,12 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle
 
-INTEGRAL_SHARE = 0.5
-"""Derived limit of the integral, as a share of the torque at hover, as in ``control.cascade``."""
-
-LEAST_SHARE = 0.5
-"""Upper bound of a derived least thrust, as a share of hover thrust."""
-
-LEAST_THRUST = 0.12
-"""PX4's default of MPC_THR_MIN."""
+INTEGRAL_SHARE = 0.5  # Derived limit of the integral, as a share of the torque at hover, as in `control.cascade`
+LEAST_SHARE = 0.5  # Upper bound of a derived least thrust, as a share of hover thrust
+LEAST_THRUST = 0.12  # PX4's default of MPC_THR_MIN
 
 
-NOTCHES = ("IMU_GYRO_NF0", "IMU_GYRO_NF1")
-"""Notch filters of body rates, by the beginning of their parameters' names."""
+NOTCHES = ("IMU_GYRO_NF0", "IMU_GYRO_NF1")  # Notch filters of body rates, by the beginning of their parameters' names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,9 +161,7 @@ def derive_parameters(
 
 
 _AXES = ("ROLL", "PITCH", "YAW")
-
-Row = Callable[[Tensor | Sequence[float]], Tensor]
-"""Function from numbers to rows of all environments."""
+Row = Callable[[Tensor | Sequence[float]], Tensor]  # Function from numbers to rows of all environments
 
 
 def _position_gains(

@@ -17,8 +17,7 @@ from aerial_gym.interop.rows.row_trace import trace
 from aerial_gym.interop.rows.source import WARP_TYPES, write
 from aerial_gym.interop.streams import BLOCK_DIM, start_warp
 
-_kernels: dict[str, wp.Kernel] = {}
-"""Kernels by source; equal functions share a kernel."""
+_kernels: dict[str, wp.Kernel] = {}  # Kernels by source; equal functions share a kernel
 
 
 @dataclass(frozen=True, kw_only=True)

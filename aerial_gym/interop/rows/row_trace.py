@@ -23,16 +23,11 @@ from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, M
 from aerial_gym.interop.rows.simplification import simplify
 
 Array = NDArray[np.int64]
-
-ROWS = 97
-"""Number of rows of the trace, B: a prime that equals no other size."""
-
-LARGEST_ROW = 512
-"""Largest number of entries in a row of an input; each becomes a variable of the kernel."""
+ROWS = 97  # Number of rows of the trace, B: a prime that equals no other size
+LARGEST_ROW = 512  # Largest number of entries in a row of an input; each becomes a variable of the kernel
 
 
-_MARK = 1 << 32
-"""Row b adds (b + 1) times this to the numbers of its scalars, which exposes operations that mix rows."""
+_MARK = 1 << 32  # Row b adds (b + 1) times this to the numbers of its scalars, which exposes operations that mix rows
 
 
 class UntraceableError(Exception):

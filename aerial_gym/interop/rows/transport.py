@@ -12,8 +12,7 @@ from typing import Any
 
 import warp as wp
 
-LARGEST = 128
-"""Largest width of a staged row: with the 64 threads of a block it fills 33 KB of shared memory."""
+LARGEST = 128  # Largest width of a staged row: with the 64 threads of a block it fills 33 KB of shared memory
 
 MOST_STAGED = 180
 """Largest total width of all staged rows of a kernel, each with an odd pitch: 46 KB of a block's 48 KB. Further rows are

@@ -63,8 +63,7 @@ def _square_of_size(links: Links, places: LinkPoses) -> Tensor:
     return farthest + links.inertia[0].diagonal(dim1=-2, dim2=-1).sum() / links.total_mass[0, 0]
 
 
-UNBOUNDED = 1e9
-"""Limit of a joint without ends [rad], and of a drive without limit [N m]; finite in float32."""
+UNBOUNDED = 1e9  # Limit of a joint without ends [rad], and of a drive without limit [N m]; finite in float32
 
 
 @dataclass(frozen=True, kw_only=True)

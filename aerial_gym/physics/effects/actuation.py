@@ -10,8 +10,7 @@ from aerial_gym.physics.effects.kinds.command import CommandEffect, DelayEffect
 from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 
-LONGEST = 0.1
-"""Largest delay [s]; the backend stores the commands of this span (51 at substeps of 2 ms)."""
+LONGEST = 0.1  # Largest delay [s]; the backend stores the commands of this span (51 at substeps of 2 ms)
 
 
 class ActuationDelay(DelayEffect):

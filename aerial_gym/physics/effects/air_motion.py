@@ -63,8 +63,7 @@ class WindShear(WindEffect):
         return torch.stack((gain * x, gain * y, torch.zeros_like(gain)), dim=-1)
 
 
-SMALL = 0.01
-"""Argument below which ``1 - exp(-x)`` comes from its series, exact in float32 (next term 4e-10 of it)."""
+SMALL = 0.01  # Argument below which `1 - exp(-x)` comes from its series, exact in float32 (next term 4e-10 of it)
 
 
 class Gusts(WindEffect):
@@ -133,8 +132,7 @@ class Downwash(WrenchEffect):
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
 
 
-QUANTITY = 1
-"""Index that separates its draws from those of ``gusts`` in the same substep."""
+QUANTITY = 1  # Index that separates its draws from those of `gusts` in the same substep
 
 
 class RandomForce(WrenchEffect):

@@ -36,17 +36,10 @@ from aerial_gym.physics.effects.track import RotorSpeedsOfFlight, relax
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-LARGEST_ANGLE = 1.0
-"""Largest angle of one element [rad]: four times the range of Morphy's arms."""
-
-SHORTEST_ARM = 1e-9
-"""Shortest arm [m]; a hub nearer to the vertical axis of the body has none."""
-
-HINGE = 0.4
-"""Default position of the hinge between axis and hub; 0.42 on Morphy."""
-
-COMPLIANCE, TAU, PLACE, ANGLES = 0, 1, 2, 3
-"""Indices of the parameters; the angles of the arms [rad] follow."""
+LARGEST_ANGLE = 1.0  # Largest angle of one element [rad]: four times the range of Morphy's arms
+SHORTEST_ARM = 1e-9  # Shortest arm [m]; a hub nearer to the vertical axis of the body has none
+HINGE = 0.4  # Default position of the hinge between axis and hub; 0.42 on Morphy
+COMPLIANCE, TAU, PLACE, ANGLES = 0, 1, 2, 3  # Indices of the parameters; the angles of the arms [rad] follow
 
 
 def joint_parameters(*, fastest: float, slowest: float, tau_scale: float, tau: float) -> tuple[Parameter, ...]:

@@ -34,8 +34,7 @@ class Parameter:
     """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""
 
 
-RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
-"""One of ``config.rotor.ROTOR_TRAITS``."""
+RotorTrait = Literal["reversible", "force", "slew", "dead_band"]  # One of `config.rotor.ROTOR_TRAITS`
 
 ANY_ROTOR: tuple[RotorTrait, ...] = ("reversible", "force", "slew", "dead_band")
 """Rotor features of an effect whose law holds for every rotor."""

@@ -20,22 +20,15 @@ HALVINGS, NEWTON = 6, 3
 method starts at the solution without sideways speed (of hover, if the rotor sinks). In a fast descent, where it may diverge,
 bisection brackets the root first. The final error is below 1e-4 of the inflow of hover."""
 
-FAST = 0.8
-"""Descent rate, as a share of the induced velocity of hover, above which bisection comes first."""
-
-SLOWEST = 1.0
-"""Least rotor speed in the formulas [rad/s]."""
+FAST = 0.8  # Descent rate, as a share of the induced velocity of hover, above which bisection comes first
+SLOWEST = 1.0  # Least rotor speed in the formulas [rad/s]
 
 LEAST = 1e-6
 """Least coefficient of thrust in hover and of induced velocity, and square of the least velocity in units of the tip speed."""
 
 SHARE, SOLIDITY, SLOPE, TWIST, LOCK, FLAP = range(6)
-
-SOLIDITY_OF_TWO_BLADES = 0.1
-"""Area of the blades per area of the disc of a plastic propeller with two blades."""
-
-KINEMATIC_VISCOSITY = 1.461e-5
-"""Of the standard atmosphere at sea level [m²/s] (ISO 2533)."""
+SOLIDITY_OF_TWO_BLADES = 0.1  # Area of the blades per area of the disc of a plastic propeller with two blades
+KINEMATIC_VISCOSITY = 1.461e-5  # Of the standard atmosphere at sea level [m²/s] (ISO 2533)
 
 REFERENCE_SLOPE, REFERENCE_REYNOLDS = 3.3, 5e4
 """Lift slope [1/rad] at a Reynolds number, by climbs of three propellers in a wind tunnel."""

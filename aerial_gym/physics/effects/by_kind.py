@@ -12,9 +12,7 @@ from torch import Tensor
 
 from aerial_gym.physics.effects.base import Effect
 
-EffectParams = tuple[Effect, Tensor]
-"""An effect and its parameters, (E, P)."""
-
+EffectParams = tuple[Effect, Tensor]  # An effect and its parameters, (E, P)
 Kind = TypeVar("Kind", bound=Effect)
 
 

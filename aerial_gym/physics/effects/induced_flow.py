@@ -20,14 +20,9 @@ induced velocity of hover as unit) and 2.14 (Glauert). The joint formula for x a
 import torch
 from torch import Tensor
 
-AIR_DENSITY = 1.225
-"""Of the standard atmosphere at sea level [kg/m³] (ISO 2533)."""
-
-DESCENT_FIT = (-1.125, -1.372, -1.718, -0.655)
-"""k1 to k4."""
-
-WINDMILL = -2.042327301921998
-"""X_w."""
+AIR_DENSITY = 1.225  # Of the standard atmosphere at sea level [kg/m³] (ISO 2533)
+DESCENT_FIT = (-1.125, -1.372, -1.718, -0.655)  # k1 to k4
+WINDMILL = -2.042327301921998  # X_w
 
 
 def axial_induced(climb: Tensor) -> tuple[Tensor, Tensor]:

@@ -18,8 +18,7 @@ from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 
-Layer = tuple[Tensor, Tensor]
-"""Weights (out, in) and bias (out,)."""
+Layer = tuple[Tensor, Tensor]  # Weights (out, in) and bias (out,)
 
 
 def network_inputs(air_velocity: Tensor, ang_vel: Tensor, rotor_speed: Tensor) -> Tensor:

@@ -32,12 +32,8 @@ def rotor_mask(vehicle: Vehicle, motor: Tensor) -> Tensor:
     return (numbers == motor.round().unsqueeze(1)).to(vehicle.rotor_spin.dtype)
 
 
-LATEST = 1e5
-"""Largest start time [s]."""
-
-NEVER = 1e4
-"""Start time beyond every episode [s]."""
-
+LATEST = 1e5  # Largest start time [s]
+NEVER = 1e4  # Start time beyond every episode [s]
 TIME = Parameter("time", "s", 0.0, LATEST, 0.1, "from the reset to the failure", kind="convention")
 
 

@@ -123,11 +123,8 @@ class TranslationalLift(RotorEffect):
         return params[:, :1] * dot(condition.edgewise_velocity, condition.edgewise_velocity)
 
 
-LOWEST = 0.5
-"""Least effective height of a hub, in radii."""
-
-LARGEST_SHARE = 0.5
-"""Largest share of the thrust due to the ground, which doubles the thrust."""
+LOWEST = 0.5  # Least effective height of a hub, in radii
+LARGEST_SHARE = 0.5  # Largest share of the thrust due to the ground, which doubles the thrust
 
 
 class GroundEffect(RotorEffect):
@@ -165,8 +162,7 @@ class GroundEffect(RotorEffect):
         return condition.rotor_thrust * strength / (square - strength)
 
 
-CLOSEST = 0.5
-"""Least effective distance of a hub, in radii."""
+CLOSEST = 0.5  # Least effective distance of a hub, in radii
 
 
 class CeilingEffect(RotorEffect):
@@ -203,8 +199,7 @@ class CeilingEffect(RotorEffect):
 LEAST_SQUARE = 1e-6
 """Term added to the square of the induced velocity [m²/s²], which keeps the slope finite without thrust."""
 
-LEAST = -8.0
-"""Fastest descent in the formula, in induced velocities."""
+LEAST = -8.0  # Fastest descent in the formula, in induced velocities
 
 
 class VortexRing(RotorEffect):

@@ -132,8 +132,7 @@ class ComOffset(VehicleEffect):
         return replace(vehicle, com=vehicle.com + params)
 
 
-LEAST_SHARE = 0.7
-"""Least mass with missing parts, as a share of the declared mass."""
+LEAST_SHARE = 0.7  # Least mass with missing parts, as a share of the declared mass
 
 
 class PayloadMass(VehicleEffect):

@@ -33,8 +33,7 @@ from aerial_gym.physics.rotor_lag import (
 from aerial_gym.physics.vehicle import Vehicle
 
 SLEW_LIMITED = "tau_up", "tau_down", "slew_up", "slew_down"
-DECAYS = "decay_up", "decay_down"
-"""Fields of the vehicle that are the fields of ``SlewLimitedLag`` and ``DecayLag``."""
+DECAYS = "decay_up", "decay_down"  # Fields of the vehicle that are the fields of `SlewLimitedLag` and `DecayLag`
 
 
 @cache
@@ -67,8 +66,7 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
     return _trace_each_rotor("stage_rates", rates, ["start", "middle", "end"], 3, num_rotors, general, late)
 
 
-CommandOf = Callable[[Tensor | float], RotorCommand]
-"""Function from a factor of times to the command."""
+CommandOf = Callable[[Tensor | float], RotorCommand]  # Function from a factor of times to the command
 
 
 def _trace_each_rotor(
@@ -128,8 +126,7 @@ def make_dead_band(num_rotors: int) -> wp.Function:
     return trace_to_warp("stop_in_dead_band", arguments, stop, [types.vector], constants={})
 
 
-STAGES = {"euler": 1.0, "rk4": 0.5}
-"""Share of a step between two evaluations of the rotor lag."""
+STAGES = {"euler": 1.0, "rk4": 0.5}  # Share of a step between two evaluations of the rotor lag
 
 
 @wp.func

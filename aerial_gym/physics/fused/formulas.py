@@ -30,8 +30,7 @@ from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.integrators import MassState, coast, wrench_of_coast
 from aerial_gym.physics.model import Model
 
-Constants = Mapping[str, Tensor]
-"""Known numbers of the vehicle (``row_model.constant_entries_of_vehicle``)."""
+Constants = Mapping[str, Tensor]  # Known numbers of the vehicle (`row_model.constant_entries_of_vehicle`)
 
 _MOTION = {"position": wp.vec3, "attitude": wp.quat, "lin_vel": wp.vec3, "ang_vel": wp.vec3}
 """Motion of the centre of mass, and its types."""

@@ -131,8 +131,7 @@ def collect_numbers(model: Model, law: FusedLaw, stage: float) -> Numbers:
     return Numbers(_vehicle_fields(model, stage), _law_fields(law, True), _law_fields(law, False), effects)
 
 
-SYMMETRIC = (0, 1, 2, 4, 5, 8)
-"""Independent entries of a symmetric 3 x 3 matrix."""
+SYMMETRIC = (0, 1, 2, 4, 5, 8)  # Independent entries of a symmetric 3 x 3 matrix
 
 
 @dataclass(frozen=True)

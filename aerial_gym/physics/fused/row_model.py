@@ -19,8 +19,7 @@ from aerial_gym.physics.vehicle import Vehicle
 if TYPE_CHECKING:
     from aerial_gym.physics.fused.packing import StructField
 
-Acts = Callable[[Effect], bool] | None
-"""Condition for an effect to act; None: all act."""
+Acts = Callable[[Effect], bool] | None  # Condition for an effect to act; None: all act
 
 
 class VehicleRows(SimpleNamespace):

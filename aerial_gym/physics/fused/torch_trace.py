@@ -26,8 +26,7 @@ from aerial_gym.physics.fused.readers import compile_source
 QUICK_FUNCTIONS = {"inverse_root": inverse_root, "reciprocal": reciprocal, "root": root}
 """Functions that traced code may call."""
 
-Input = tuple[str, tuple[int, ...], torch.dtype]
-"""Path, row shape and type of an input of a trace."""
+Input = tuple[str, tuple[int, ...], torch.dtype]  # Path, row shape and type of an input of a trace
 
 RowsOfArguments = Callable[..., Tensor | tuple[Tensor, ...]]
 """Torch function of rows, with the arguments of a Warp function."""

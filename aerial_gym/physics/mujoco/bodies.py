@@ -20,11 +20,8 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.mjcf import Floor, solver_numbers, write_mjcf
 from aerial_gym.physics.vehicle import is_shared
 
-LARGEST = 1e9
-"""Numbers from here on are not passed to MuJoCo, which logs warnings to a file from 1e10 on."""
-
-MASS, INERTIA, COM, GRAVITY = 0, slice(1, 10), slice(10, 13), 13
-"""Columns of ``body_rows``."""
+LARGEST = 1e9  # Numbers from here on are not passed to MuJoCo, which logs warnings to a file from 1e10 on
+MASS, INERTIA, COM, GRAVITY = 0, slice(1, 10), slice(10, 13), 13  # Columns of `body_rows`
 
 
 def import_optional(module: str, *, backend: str) -> Any:

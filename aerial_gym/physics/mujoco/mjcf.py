@@ -26,9 +26,7 @@ HEAVY = 1e9
 TOLERANCE = 1e-11 / HEAVY
 """Solver tolerance with moving obstacles: MuJoCo scales it by the mean inertia, here that of the heavy bodies."""
 
-ON_LINKS = "2"
-"""Contact bit of obstacles and links; shapes of links without it touch each other only."""
-
+ON_LINKS = "2"  # Contact bit of obstacles and links; shapes of links without it touch each other only
 _TYPES = {"box": "box", "sphere": "sphere", "capsule": "capsule", "cylinder": "cylinder", "mesh": "mesh"}
 
 
@@ -80,12 +78,8 @@ def format_numbers(values: Iterable[float]) -> str:
 
 
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
-
-LEAST_RADIUS = 1e-9
-"""Radius of a contact point without one [m], because MuJoCo's spheres need a size."""
-
-IMPEDANCE_RATIO = 100.0
-"""Ratio of frictional to normal impedance; a sticking contact creeps less by this factor."""
+LEAST_RADIUS = 1e-9  # Radius of a contact point without one [m], because MuJoCo's spheres need a size
+IMPEDANCE_RATIO = 100.0  # Ratio of frictional to normal impedance; a sticking contact creeps less by this factor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,8 +231,7 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
     return body
 
 
-LEAST_IMPEDANCE = 1e-4
-"""MuJoCo's smallest impedance, and 1 minus its largest."""
+LEAST_IMPEDANCE = 1e-4  # MuJoCo's smallest impedance, and 1 minus its largest
 
 
 def contact_softness(cfg: ContactCfg, dt: float) -> float:

@@ -31,8 +31,7 @@ from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
 from aerial_gym.physics.solids import Solids
 from aerial_gym.physics.state import JointEfforts
 
-LEAST_MASS = 1e-9
-"""Mass [kg] and moments of inertia [kg m²] for links without any, because MuJoCo needs them."""
+LEAST_MASS = 1e-9  # Mass [kg] and moments of inertia [kg m²] for links without any, because MuJoCo needs them
 
 
 def template_mjcf(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0) -> str:

@@ -18,8 +18,7 @@ from aerial_gym.physics.fused.types import RotorTypes
 SEARCHES = 24
 """Largest number of secants of a line search; the slope is steep under sticking friction, and eight left rows unsolved."""
 
-FLAT = 1e-6
-"""Slope at the end of a line search, relative to its start: the resolution of float32."""
+FLAT = 1e-6  # Slope at the end of a line search, relative to its start: the resolution of float32
 
 
 def make_plain_solver(

@@ -70,9 +70,7 @@ def _make_link_hubs(model: Model, joints: JointTypes, link: int) -> wp.Function:
 
 
 cross = torch.linalg.cross
-
-KINDS = LinkEffect, LinkFluidEffect, LinkWrenchEffect
-"""Kinds of effects on links."""
+KINDS = LinkEffect, LinkFluidEffect, LinkWrenchEffect  # Kinds of effects on links
 
 
 def effect_links(model: Model) -> tuple[int, ...]:
