@@ -26,10 +26,7 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import ReusableLaunch, launch_side_by_side, on_torch_stream, split
 
 BLOCK_DIM = 64  # Threads per environment on a GPU
-
-MIN_PARTS_PER_THREAD = 8192
-"""Least number of parts per CPU thread; with fewer, the start of the thread (some 50 µs) costs more than it saves."""
-
+MIN_PARTS_PER_THREAD = 8192  # Least parts per CPU thread; with fewer the start of the thread (50 µs) costs more
 _ROUNDING = 1.0 + 1e-5  # Bounding spheres are larger by this factor, as in the shape table
 
 

@@ -21,8 +21,7 @@ _MARGIN = 1.0 + 1e-5  # Factor on bounding spheres, so that float32 rounding (6e
 _FLAT = 1e-4  # Added thickness of mesh bounding boxes per radius, so that a flat sheet has a volume
 
 
-RAY_TREE = {"bvh_constructor": "cubql", "bvh_leaf_size": 4}
-"""The fastest tree for rays on a GPU; Warp computes no winding numbers in it (docs/results/rendering.md)."""
+RAY_TREE = {"bvh_constructor": "cubql", "bvh_leaf_size": 4}  # Fastest for rays on a GPU, without winding numbers
 
 
 class ShapeTable:

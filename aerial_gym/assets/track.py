@@ -17,9 +17,7 @@ from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
-NUM_ATTEMPTS = 64
-"""Attempts to draw a place that keeps its distances; then the best attempt counts. If these distances leave 5 % of the area,
-4 % of all draws fail."""
+NUM_ATTEMPTS = 64  # Attempts to keep the distances; then the best counts. If they leave 5 % of the area, 4 % fail
 
 PLACE, IN_CORRIDOR, YAW, POSITION_OFFSET, EULER_OFFSET, POLE_PLACE, POLE_OFFSET = (wp.constant(i) for i in range(7))
 """Drawn quantities of a gate and of the pole before it."""

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from yourdfpy import URDF
     from yourdfpy.urdf import Geometry, Joint, Link, Material
 
-PACKAGE_LEVELS = 2
-"""Folders above that of a URDF in which packages are looked for: its package, as a rule, and the one that holds packages."""
-
+PACKAGE_LEVELS = 2  # Folders above a URDF in which packages are looked for: its package, and their folder
 MAX_LINKS = 10_000  # Of a URDF; a tree of links is walked one by one
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")

@@ -40,9 +40,7 @@ class CloseLoopCmd:
     effects: tuple[str, ...] | None = None
     """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/results/propellers.md)."""
 
-    material: float = 0.05
-    """An effect is named if a residual rises by this share without it, or may: its interval counts."""
-
+    material: float = 0.05  # An effect is named if a residual rises, or may rise, by this share without it
     seed: int = 0  # Seed of the resampling behind the 95 % intervals
 
     failures: bool = False

@@ -15,21 +15,14 @@ class EvaluateCmd:
     """Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, or an exported file (.onnx, .pt,
     .c)."""
 
-    task: str | None = None
-    """Registered task, a task file (.yaml) module:Name or file.py:Name; that of the training if not given."""
-
-    robot: str | None = None
-    """Registered robot, or a robot file, in place of the training's: a policy on the corrected vehicle."""
-
+    task: str | None = None  # Registered task, task file (.yaml), module:Name or file.py:Name; else the training's
+    robot: str | None = None  # Robot, or a robot file, in place of the training's: a policy on the corrected vehicle
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
     num_envs: int = 512  # Random starts
     device: str = "cpu"  # Torch device; auto takes the GPU if there is one
     seed: int = 1_000_003  # Seed of the starts; keep it apart from the seeds of trainings
     level: int | None = None  # Level at which the curriculum of the task stays; its highest if not given
-
-    watch: Path | None = None
-    """CSV file for the last 64 steps of rows that were NaN or infinite; play --replay shows it."""
-
+    watch: Path | None = None  # CSV file for the last 64 steps of rows with NaN or infinity; play --replay shows it
     json: bool = False  # Print one JSON object
 
     def run(self) -> int:

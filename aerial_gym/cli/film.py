@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 KINDS = (".gif", ".webp", ".png")  # Endings of files that hold moving pictures, written by Pillow
 WIDTH, HEIGHT, VIEW_DEG, FAR = 480, 270, 70.0, 60.0  # Pixels, angle of view across, and how far the camera sees [m]
-
-BEHIND, ABOVE, DOWN = 1.6, 0.7, 0.4
-"""Camera offset from the robot [m], world, and its downward pitch [rad], with the robot in the centre."""
-
+BEHIND, ABOVE, DOWN = 1.6, 0.7, 0.4  # Offset of the camera from the robot [m], world, and its downward pitch [rad]
 FOLLOWS_S = 0.3  # Time in which the camera follows the robot [s], so that the robot moves in the picture
 
 FRAMES_PER_S = 25.0

@@ -59,16 +59,9 @@ class JointCmd:
 
     file: Annotated[Path, tyro.conf.Positional]  # CSV table: time and angle of the joint, from before the release on
     release_s: float = 0.0  # Time of the release in the file [s]
-
-    columns: dict[str, str] = field(default_factory=dict)
-    """Column by quantity where the usual name is not used: time, angle."""
-
-    units: dict[str, str] = field(default_factory=dict)
-    """Unit by quantity where the name does not tell it: s, ms, us; rad, deg."""
-
-    out: Path | None = None
-    """Folder for report.md, figures, result.json and joint.yaml; nothing is written if not given."""
-
+    columns: dict[str, str] = field(default_factory=dict)  # Column by quantity without its usual name: time, angle
+    units: dict[str, str] = field(default_factory=dict)  # Unit by quantity if not in the name: s, ms, us; rad, deg
+    out: Path | None = None  # Folder for report.md, figures, result.json and joint.yaml; nothing if not given
     json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
@@ -139,9 +132,7 @@ class HoverCmd:
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
 
-    out: Path | None = None
-    """Folder for report.md, a figure, result.json and robot.yaml; nothing is written if not given."""
-
+    out: Path | None = None  # Folder for report.md, a figure, result.json and robot.yaml; nothing if not given
     json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
@@ -190,9 +181,7 @@ class InertiaCmd:
     """Logs of throws with gyro, accelerometer and the speed of the flywheel, one throw each, in any log format."""
 
     mass_kg: float | None = None  # Mass of the body [kg], without the device if that is thrown alone too
-
-    wheel_inertia_kg_m2: float | None = None
-    """Inertia of the flywheel about its axis [kg m²]: rotor and propeller or disc."""
+    wheel_inertia_kg_m2: float | None = None  # Inertia of the flywheel about its axis [kg m²]: rotor and propeller
 
     device: tuple[Path, ...] = ()
     """Throws of the device alone: IMU, battery and flywheel. Its inertia is then taken from that of the body."""

@@ -22,8 +22,7 @@ COLUMNS = [
 class PlayCmd:
     """Fly a trained policy and write its motion as CSV."""
 
-    policy: Path | None = None
-    """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
+    policy: Path | None = None  # Run folder of a training, for its last checkpoint, or one checkpoint in it
 
     replay: Path | None = None
     """In place of a policy: what a watch kept of rows that were not finite (``train --watch``, ``evaluate --watch FILE``)."""

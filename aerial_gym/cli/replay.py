@@ -17,9 +17,7 @@ class ReplayCmd:
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]  # Flight logs
-
-    out: Path | None = None
-    """Folder for replay.json, report.html, residuals.csv and profiles.csv; nothing is written if not given."""
+    out: Path | None = None  # Folder for replay.json, report.html, residuals.csv, profiles.csv; nothing if not given
 
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""

@@ -21,10 +21,7 @@ class CheckRobotCmd:
     """Say what a robot can do: hover, thrust to weight, authority about each axis, stable time steps of controllers."""
 
     robots: Annotated[tuple[str, ...], tyro.conf.Positional]  # Registered robots, or robot files (.yaml)
-
-    controllers: tuple[str, ...] | None = None
-    """Registered controllers to fly it with; all that have gains if not given."""
-
+    controllers: tuple[str, ...] | None = None  # Registered controllers to fly it with; default: all that have gains
     fly: bool = True  # Find the largest stable time step of each controller by flying; --no-fly answers at once
     picture: Path | None = None  # Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot
     json: bool = False  # Print one JSON object for each robot instead of tables
@@ -147,9 +144,7 @@ class ImportRobotCmd:
     rotor_links: str | None = None
     """Regular expression of links that are rotors, in a URDF without motors; names with motor, rotor or prop if not given."""
 
-    joints: bool = False
-    """Let revolute, continuous and prismatic joints move, but those of rotors; without it all are welded at zero."""
-
+    joints: bool = False  # Let revolute, continuous and prismatic joints move; otherwise all are welded at zero
     accept_losses: bool = False  # Import a vehicle although its wings, or the joints that tilt its rotors, are left out
     summary: str | None = None  # One line for people who choose a robot
 

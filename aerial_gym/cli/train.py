@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 
 TASK, TRAINER = "position_setpoint_task", "ppo"  # Default task and trainer
 CONSTANTS = ("num_envs", "seed", "robot", "controller", "backend", "encoder")  # Settings that a resumed training keeps
-
-LIMITS = ("max_time_s", "max_env_steps")
-"""Of a training; what is given on the command line replaces both of the settings."""
+LIMITS = ("max_time_s", "max_env_steps")  # Limits of a training; those of the command line replace both
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +36,8 @@ class TrainCmd:
     """Run folder, or one checkpoint in it, of a training with ppo with whose networks this one begins; observations of the task
     begin with those of that one's."""
 
-    out: Path = Path("runs/train")
-    """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""
-
-    resume: bool = False
-    """Continue the run in --out from its last checkpoint, with its own settings but for the limits given here."""
-
+    out: Path = Path("runs/train")  # Run folder: settings, checkpoints, TensorBoard files. New, unless --resume
+    resume: bool = False  # Continue the run in --out from its last checkpoint; only the limits given here change
     config: Path | None = None  # Settings in a YAML file, in place of the package's own for this task and trainer
     num_envs: int | None = None  # Environments side by side; where torchrun starts several processes, in each of them
     device: str | None = None  # Torch device; auto takes the GPU if there is one
@@ -65,9 +59,7 @@ class TrainCmd:
     """Keep the last 64 steps of rows that are NaN or infinite, and write them to non_finite.csv in --out; play --replay
     shows it."""
 
-    wandb: str | None = None
-    """Project of Weights & Biases that receives what TensorBoard does; WANDB_MODE=offline keeps it in --out."""
-
+    wandb: str | None = None  # Project of Weights & Biases; WANDB_MODE=offline keeps its data in --out
     json: bool = False  # Print the result as one JSON object
 
     def run(self) -> int:

@@ -40,10 +40,7 @@ class LeeGainsCfg:
     attitude: Vec3  # Torque per attitude error [N m/rad], >= 0, body axes
     rate: Vec3  # Torque per rate error [N m s/rad], >= 0, body axes
     max_yaw_rate: float  # Yaw rate commands are clamped to this [rad/s], > 0
-
-    max_inclination: float
-    """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2."""
-
+    max_inclination: float  # Largest tilt of position, velocity and acceleration control [rad], > 0 and < pi/2
     source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
@@ -68,9 +65,7 @@ class ControlCfg:
     """Natural frequencies about the body axes [rad/s], >= 0, in place of the derived ones; 0 leaves an axis alone."""
 
     attitude_damping: Vec3 | None = None  # Damping ratios about the body axes, >= 0, in place of the derived ones
-    position_frequency: Vec3 | None = None
-    """Natural frequencies along the world axes [rad/s], >= 0, in place of the derived ones."""
-
+    position_frequency: Vec3 | None = None  # Natural frequencies along world axes [rad/s], >= 0; default: derived
     position_damping: Vec3 | None = None  # Damping ratios along the world axes, >= 0, in place of the derived ones
     max_yaw_rate: float = pi / 3  # Limit of yaw rate commands [rad/s], > 0; default of the Aerial Gym Simulator
 
@@ -112,9 +107,7 @@ class RateLoopCfg:
     that direction. Missing values are derived (``control.gains``).
     """
 
-    rate_hz: float | None = None
-    """Rate [1/s], > 0; every physics step if not given. A whole number of physics steps must fit between."""
-
+    rate_hz: float | None = None  # Rate [1/s], > 0, a whole number of physics steps; default: every physics step
     proportional: Vec3 | None = None  # Angular acceleration per rate error [1/s], >= 0, body axes
     integral: Vec3 | None = None  # Growth of angular acceleration per rate error [1/s²], >= 0, body axes; 0 for none
 

@@ -35,10 +35,7 @@ class RandomizeCfg:
 
     how: str = "scale"  # One of `HOW`
     distribution: str = "uniform"  # One of `DISTRIBUTIONS`
-
-    low: float | tuple[float, ...] | None = None
-    """Lowest draw, one number or one for each component; in the unit of the quantity unless it is a factor."""
-
+    low: float | tuple[float, ...] | None = None  # Lowest draw, or of each component; unit of the quantity, or factor
     high: float | tuple[float, ...] | None = None  # Highest draw, likewise
     mean: float | tuple[float, ...] | None = None  # Of a normal distribution
     std: float | tuple[float, ...] | None = None  # Of a normal distribution, > 0

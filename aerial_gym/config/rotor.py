@@ -32,10 +32,7 @@ class RotorCfg:
     mode, and only there."""
 
     torque_ratio: float | None = None  # Drag torque per thrust [m], >= 0. Exactly one of this and `torque_map` is given
-
-    torque_map: Vec3 | None = None
-    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s], or coefficients of another ``rotor_map``; in speed mode."""
-
+    torque_map: Vec3 | None = None  # Drag torque q0 + q1 w + q2 w² [N m], or coefficients of another `rotor_map`
     reverse_thrust_map: Vec3 | None = None  # Thrust of a reversible rotor in reverse, of |w|; `thrust_map` if not given
     reverse_torque_map: Vec3 | None = None  # Likewise; default: `torque_map`, or `torque_ratio` times the reverse map
     time_constant_up: float  # First-order lag of a state that grows in size [s], > 0

@@ -28,8 +28,7 @@ from aerial_gym.control.timing import make_timing
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
-INTEGRAL_SHARE = 0.5
-"""Default limit of the integral, as a share of the torque available at hover; the rest remains for manoeuvres."""
+INTEGRAL_SHARE = 0.5  # Default limit of the integral, as a share of the torque available at hover
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from aerial_gym.physics.fused.allocation import NEGLIGIBLE
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle
 
-PRIORITY = (3, 4, 2, 5, 0, 1)
-"""Rows of the matrix by priority: roll and pitch torque, thrust, yaw torque, force forwards and to the left."""
+PRIORITY = (3, 4, 2, 5, 0, 1)  # Rows of the matrix by priority: roll and pitch torque, thrust, yaw torque, force x, y
 
 OF_ITS_OWN = 0.1
 """Least orthogonal share of a row that counts as a further independent axis. Any value below ``1 / sqrt(6)`` finds as many as

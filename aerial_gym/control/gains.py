@@ -28,13 +28,10 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
 GAINS = ("position", "velocity", "attitude", "rate")  # Fields of `LeeGains` that may be given and drawn, each (E, 3)
-
-LARGEST_INCLINATION = pi / 3
-"""Largest tilt with ample thrust [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""
+LARGEST_INCLINATION = pi / 3  # Largest tilt with ample thrust [rad]. Source: Aerial Gym Simulator 2.0.1
 
 
-LEAST_GRAVITY = 1.0
-"""Least apparent gravity of laws that tilt their thrust [m/s²]; lateral acceleration is then at most 1.7 m/s²."""
+LEAST_GRAVITY = 1.0  # Least apparent gravity of laws that tilt [m/s²], for a lateral acceleration of 1.7 m/s² at most
 
 
 def frequency_and_damping(lag: float, phase_margin: float) -> tuple[float, float]:

@@ -27,10 +27,7 @@ NUM_STARTS = 4  # Number of flights in a batch, from different corners of a cube
 LOOK = 0.05  # Time between two checks of a flight [s]
 LAST = 1.0  # Final part of a flight that must be at hover [s]
 QUIET = 0.1  # Share of `DISTURBANCE` that saturates no rotor
-
-LOST = 2.0
-"""Distance [m] at which a flight counts as lost: several times that of flights that return from ``DISTURBANCE``."""
-
+LOST = 2.0  # Distance [m] at which a flight counts as lost: several times that of flights that return
 SAMPLES = 40  # Number of times in the linear response
 ITERATIONS = 12  # Largest number of Newton iterations
 SETTLED = 1e-5  # Convergence limit of Newton's change: in the units of `AXES`, relative for rotors and memory

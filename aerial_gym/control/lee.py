@@ -19,9 +19,7 @@ from aerial_gym.math.rows import dot, unit_vector
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import share_row
 
-LEAST_LIFT = 0.1
-"""Least upward component of the force setpoint, as a share of the weight, so that the vehicle never turns over."""
-
+LEAST_LIFT = 0.1  # Least upward part of the force setpoint, as a share of the weight, so that no vehicle turns over
 SMALLEST_SQUARE = 1e-30  # Least square of a length in a quotient, which keeps it finite in float32
 
 

@@ -31,9 +31,7 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.torch_backend import advance_remembering
 from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
 
-AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
-"""Motion of the body [m, rad, m/s, rad/s]; attitude as a rotation vector."""
-
+AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")  # State of the body, in SI units
 BODY = len(AXES)  # Size of the body's part of the state vector, before the rotors
 NUDGE = 1e-5  # Step of central differences in the units of the axes; their error is its square
 INDEPENDENT = 1e-9  # Relative singular value of the commands' derivatives below which a combination of rotors is unused

@@ -52,9 +52,7 @@ simulated flight."""
 ROUND_OFF = 1e-7  # Tolerance of the spectral radius of a neutral mode around 1
 DT_RANGE = (1e-5, 1.0)  # Search range of the largest stable time step [s]
 HALVINGS = 24  # Bisections of the logarithm of that range: to 1e-6 of the time step
-
-FINEST_DELAY = 24
-"""Largest number of physics steps in a dead time for the search; finer ones change the lag by less than 5 %."""
+FINEST_DELAY = 24  # Most physics steps in a dead time for the search; finer ones change the lag by less than 5 %
 
 
 Corner = tuple[int, ...] | None  # End of the range of each drawn gain, 0 or 1; None for the declared gains

@@ -25,12 +25,8 @@ class StatefulController(ABC):
     action_names: tuple[str, ...]  # Meaning and unit of each entry of an action
     allocation: Allocation  # Allocation of wrenches to thrusts
     needs: LawNeeds  # Timing and memory
-
-    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
-    """Gains by their names in ``randomize:``; empty if all environments share one set."""
-
-    hover_action: Sequence[float] = ()
-    """Action at hover for the checks before flight; zeros if empty. An entry ``z [m]`` is the height."""
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})  # Gains by name in `randomize:`; empty if shared
+    hover_action: Sequence[float] = ()  # Action at hover for the checks; empty: zeros. `z [m]` is the height
 
     def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return the setpoint (E, S) of an action (E, U) and the new memory; by default the action.

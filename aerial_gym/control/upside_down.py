@@ -25,12 +25,8 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.state import BodyState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 
-GRID = 32
-"""Number of attitudes in each of roll and pitch; even, to avoid a possible equilibrium in the middle of a range."""
-
-INSET = 1e-3
-"""Distance of the outermost attitudes from the ends, as a share of the range, to avoid an equilibrium at an end."""
-
+GRID = 32  # Number of attitudes in each of roll and pitch; even, to avoid an equilibrium in the middle
+INSET = 1e-3  # Distance of the outermost attitudes from the ends, in ranges, to avoid an equilibrium there
 STILL = 1e-4  # Angular acceleration [rad/s²] below which a start counts as stuck: 10 s turn it by 0.3 degrees
 
 

@@ -27,9 +27,7 @@ from aerial_gym.task import task_registry
 from aerial_gym.task.images import TYPES
 from aerial_gym.task.terms.observations import LATENTS
 
-CHECKED, STEPS = 100_000, 10
-"""Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
-
+CHECKED, STEPS = 100_000, 10  # Observations of the comparison, in sequences of so many steps, which use a memory
 CHECKED_WITH_IMAGES = 10_000  # With how many where it sees images, each of which costs as much as hundreds of vectors
 SPREAD = 2.0  # Spread of random observations around the normaliser's mean, in its standard deviations
 

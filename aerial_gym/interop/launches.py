@@ -15,8 +15,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-MAX_WORKERS = 4
-"""Largest number of modules compiled at the same time. Each worker reads Warp's headers once, which takes 2 s."""
+MAX_WORKERS = 4  # Most modules compiled at the same time; each worker reads Warp's headers once, in 2 s
 
 NO_BFLOAT16 = "-DWP_NO_BFLOAT16="
 """Flag that removes the bfloat16 part of Warp's headers, a fifth of them; our kernels have none. Warp sets it for such modules

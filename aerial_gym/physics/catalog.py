@@ -21,8 +21,6 @@ for _name, _place in (
     _home = ImportPath(_place)
     BACKENDS.register_later(_name, _home.load, summary=_home.summary)
 
-ROTOR_MAPS: "Registry[RotorMap]" = Registry("rotor map")
-"""Functions of thrust, drag torque and speed of a rotor, by name (``RotorCfg.rotor_map``)."""
-
+ROTOR_MAPS: "Registry[RotorMap]" = Registry("rotor map")  # Functions of a rotor's speed by name (`RotorCfg.rotor_map`)
 _home = ImportPath("aerial_gym.physics.rotor_maps:PolynomialMap")
 ROTOR_MAPS.register_later("polynomial", _home.make, summary=_home.summary)

@@ -42,22 +42,12 @@ class LinkContacts:
 class Ground:
     """A horizontal plane, and the shapes of the vehicle that can touch it."""
 
-    height: float
-    """Height of the plane [m], world; minus infinity for an articulated vehicle with contact to obstacles only."""
-
+    height: float  # Height of the plane [m], world; minus infinity for contact to obstacles only
     spheres: Tensor  # Centres in the body frame and radii [m], (C, 4)
-
-    contact: Tensor
-    """Set to True, bool (E,), at ground contact in a substep; with ``cfg`` only at the speed of a crash.
-    Never cleared by the physics."""
-
+    contact: Tensor  # Set to True, (E,), at ground contact, with `cfg` at the speed of a crash. Never cleared here
     cfg: ContactCfg | None = None  # Parameters of the contact force; None without force
-
-    impulse: Tensor | None = None
-    """With ``cfg``: receives the sum of the impulses [N s], world, (E, 3). Never cleared by the physics."""
-
-    on_links: LinkContacts | None = None
-    """With ``cfg``, contacts of an articulated vehicle; ``spheres`` are then in the axes of their links."""
+    impulse: Tensor | None = None  # With `cfg`: sum of the impulses [N s], world, (E, 3). Never cleared here
+    on_links: LinkContacts | None = None  # Contacts of an articulated vehicle; `spheres` are in axes of links
 
 
 def touches_ground(ground: Ground, state: BodyState) -> Tensor:

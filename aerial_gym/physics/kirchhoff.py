@@ -16,9 +16,7 @@ from torch import Tensor
 from aerial_gym.math.rows import dot, inverse_3x3
 from aerial_gym.physics.rigid_body import multiply_rows
 
-ITERATIONS = 5
-"""Newton steps for the mean angular velocity. Each squares the error, initially ``dt / 2`` times the acceleration."""
-
+ITERATIONS = 5  # Newton steps for the mean angular velocity. Each squares the error, initially `dt / 2` times w'
 cross = torch.linalg.cross
 
 

@@ -39,14 +39,9 @@ class Model:
     effects: EffectsByKind  # All effects by kind; those on the vehicle's parameters are already applied to `vehicle`
     gravity: float  # Downward acceleration of free fall [m/s²]
     ground_height: float | Tensor  # Height of the ground [m], world, for effects near it, scalar or (E, 1)
-
-    ceiling_height: float | Tensor | None
-    """Height of the ceiling [m], world, for effects near it; None without ceiling. On the torch backend also (E, 1)."""
-
+    ceiling_height: float | Tensor | None  # Height of the ceiling [m], world; None without. On torch also (E, 1)
     other_position: Tensor  # Position of another vehicle with a downwash [m], world, (E, 3)
-
-    articulation: "Articulation | None" = None
-    """Joints and links; None for a rigid vehicle. ``vehicle`` is then that of the reference pose."""
+    articulation: "Articulation | None" = None  # Joints and links; `vehicle` is then that of the reference pose
 
     def to(self, dtype: torch.dtype) -> "Model":
         """Return the model in another float type."""

@@ -76,11 +76,8 @@ def body_wrench(
     )
 
 
-MOVES_OF_VEHICLE = ("com", "rotor_position", "rotor_axis")
-"""Fields of the vehicle that determine the motion in a condition."""
-
-_THRUST_MAPS = ("thrust_map", "reverse_thrust_map")
-"""Further fields that determine a condition; all others are only read there."""
+MOVES_OF_VEHICLE = ("com", "rotor_position", "rotor_axis")  # Fields that determine the motion in a condition
+_THRUST_MAPS = ("thrust_map", "reverse_thrust_map")  # Further ones that determine a condition
 
 
 def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
@@ -153,9 +150,7 @@ class ForceBreakdown:
 
     thrust: Tensor  # Thrusts of the rotors without effects [N], (E, R)
     thrusts: list[tuple[str, Tensor]]  # Additional thrust by each effect on the rotors [N], (E, R)
-
-    wrenches: list[tuple[str, Tensor]]
-    """Force [N] and torque about the centre of mass [N m] of each effect on the whole, body, (E, 6)."""
+    wrenches: list[tuple[str, Tensor]]  # Force [N] and torque [N m] of each effect on the whole, body, (E, 6)
 
     linear: list[tuple[str, Tensor, Tensor]] = field(default_factory=list)
     """Regressor (E, 6, P) and parameters (E, P) of each linear effect, with ``apart``."""

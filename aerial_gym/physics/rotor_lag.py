@@ -33,8 +33,7 @@ class LinearRotorSpeeds:
     rate: Tensor  # Rate of change of their states [rad/s²] or [N/s], (E, R)
 
 
-RotorCommand = Tensor | CommandSwitch | LinearRotorSpeeds
-"""Command of the rotors in a step: one constant (E, R), two successive ones, or measured speeds."""
+RotorCommand = Tensor | CommandSwitch | LinearRotorSpeeds  # Constant (E, R), two successive ones, or measured speeds
 
 
 def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:

@@ -56,24 +56,12 @@ class Vehicle:
     """Coefficients of the thrust in ``rotor_map``, (E, R, 3): of the polynomial c0, c1, c2 [N, N s, N s²] of the speed
     [rad/s]; in force mode 0, 1, 0 of the thrust."""
 
-    torque_map: Tensor
-    """Coefficients of the drag torque, (E, R, 3): q0, q1, q2 [N m, N m s, N m s²]; in force mode 0, ratio, 0."""
-
-    reverse_thrust_map: Tensor
-    """Coefficients of the thrust of a reversed rotor, of the magnitude of its speed, (E, R, 3); only for reversible rotors."""
-
+    torque_map: Tensor  # Coefficients of the drag torque, (E, R, 3): q0, q1, q2 [N m, N m s, N m s²] or 0, ratio, 0
+    reverse_thrust_map: Tensor  # Coefficients of a reversed rotor's thrust, of its absolute speed, (E, R, 3)
     reverse_torque_map: Tensor  # Coefficients of the drag torque of a reversed rotor, likewise, (E, R, 3)
-
-    time_constant_up: Tensor
-    """Time constant of a growing magnitude of the speed, in force mode of the thrust [s], (E, R)."""
-
-    time_constant_down: Tensor
-    """Time constant of a falling magnitude [s], (E, R); the same tensor as ``time_constant_up`` if both are equal."""
-
-    slew_rate: Tensor
-    """Largest rate of growth of the magnitude of the speed [rad/s²], in force mode of the thrust [N/s], (E, R); infinite for
-    no limit."""
-
+    time_constant_up: Tensor  # Time constant of a growing magnitude of speed, or thrust in force mode [s], (E, R)
+    time_constant_down: Tensor  # Time constant of a falling one [s], (E, R); the same tensor if both are equal
+    slew_rate: Tensor  # Largest growth of the magnitude of the speed [rad/s²], or thrust [N/s], (E, R); inf: any
     slew_rate_down: Tensor  # Largest rate of fall of the magnitude, likewise
     dead_band: Tensor  # Dead band [rad/s], in force mode [N], (E, R): commands of smaller magnitude stop the rotor
     rotor_radius: Tensor  # Radii of the propellers [m], (E, R); NaN if unknown

@@ -56,12 +56,8 @@ from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.vehicle import is_same_row, is_shared
 
 BLOCK_DIM = 128  # Threads of a block; measured in docs/results/performance.md
-
-ROW_GAP = 32
-"""Padding between packed rows; otherwise rows of a power of two of environments share a line of a CPU's cache."""
-
-MIN_STEPS_PER_THREAD = 4096
-"""Least number of environment substeps per CPU thread; with fewer, the start of the thread (some 50 µs) costs more."""
+ROW_GAP = 32  # Padding between packed rows; rows of a power of two would share a line of a CPU's cache
+MIN_STEPS_PER_THREAD = 4096  # Least substeps per CPU thread; with fewer the start of a thread (50 µs) costs more
 
 
 class _GroundArrays(NamedTuple):

@@ -44,10 +44,7 @@ class Evaluation:
     final_error_p95_m: float | None  # 95th percentile of it [m]
     final_error_max_m: float | None  # Largest of it [m]
     settled_rate: float  # Share of flights that came within the success radius and stayed
-
-    settling_time_mean_s: float | None
-    """Mean time from which a flight stays within the success radius [s], of those that settled."""
-
+    settling_time_mean_s: float | None  # Mean time from which a flight stays within the success radius [s]
     settling_time_p95_s: float | None  # 95th percentile of it [s]
 
     success_time_mean_s: float | None

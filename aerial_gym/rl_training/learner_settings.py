@@ -22,9 +22,7 @@ class LearnerCfg:
     policy_keys: tuple[str, ...] = ("observations",)
     """Inputs of the policy by key of the observation: vectors, images (C, H, W). Only ``ppo`` takes other keys."""
 
-    critic_keys: tuple[str, ...] = ()
-    """Inputs of the value; empty: those of the policy. ``ppo`` with ``separate_value_network`` only."""
-
+    critic_keys: tuple[str, ...] = ()  # Inputs of the value; default: the policy's. With separate value network
     initial_std: float = 1.0  # Standard deviation of the actions before learning, in units of the action, > 0
 
     min_std: float = 0.05
@@ -126,10 +124,7 @@ class ApgCfg(ReturnCfg):
     does not learn, and a window must be as long as the delay from an action to its reward."""
 
     gae_lambda: float = 0.95  # Weight lambda of the returns of the critic, 0 <= lambda <= 1
-
-    critic_learning_rate: float = 2.0e-3
-    """Initial learning rate of the critic, > 0. It falls in proportion to that of the policy."""
-
+    critic_learning_rate: float = 2.0e-3  # Initial learning rate of the critic, > 0; it falls with that of the policy
     critic_epochs: int = 16  # Passes of the critic over the samples of a window, >= 1
     critic_minibatches: int = 4  # Number of minibatches of the critic per pass, >= 1
 

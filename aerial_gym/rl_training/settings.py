@@ -34,8 +34,7 @@ ALIKE = {
 }
 """Tasks without settings of their own, and the task whose settings they use."""
 
-SECTIONS = ("ppo", "apg", "distill", "numbers")
-"""Fields of ``TrainingCfg`` with the numbers of a learner; a training has one of them."""
+SECTIONS = ("ppo", "apg", "distill", "numbers")  # Fields of `TrainingCfg` with the numbers of a learner, one each
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,10 +33,7 @@ class ConfigField:
     native: str  # Counterpart in this package, for the documentation; ``-`` for none
     remark: str = ""  # Difference, or reason for the missing counterpart
     read: Callable[[Any], object]  # Value in a class generated from a configuration
-
-    write: Callable[[Values], Changes] | None = None
-    """Changes of the configuration for another value, from all values of the class; None without any."""
-
+    write: Callable[[Values], Changes] | None = None  # Changes of the configuration from all values; None without any
     refused: bool = False  # Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged
 
 

@@ -37,9 +37,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers.file_vehicle import make_collision, part_collision_shape
 from aerial_gym.sensors import IMUS, SENSORS
 
-FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
-"""URDF folder in a class generated from a robot of this package; it need not exist."""
-
+FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"  # URDF folder in classes of our robots; it need not exist
 MATRIX, DIRECTIONS = "control_allocator_config.allocation_matrix", "control_allocator_config.motor_directions"
 _MOTORS = "control_allocator_config.num_motors"
 _RATIO = "control_allocator_config.motor_model_config.thrust_to_torque_ratio"

@@ -22,8 +22,7 @@ SCALES = {
 """Unit of ``p_roll``, ``i_roll``, ``d_roll``, ``f_roll``: share of the motors' range per rad/s, rad, rad/s² and rad/s² of the
 setpoint. Source: Betaflight 4.5, ``pid.h``; a hundredth for f, ``pid_init.c``."""
 
-YAW_INTEGRAL = 2.5
-"""Factor on the unit of ``i_yaw``. Source: Betaflight 4.3 to 4.6, ``pid_init.c``, without ``use_integrated_yaw``."""
+YAW_INTEGRAL = 2.5  # Factor on the unit of `i_yaw`. Source: Betaflight 4.3 to 4.6, `pid_init.c`, without integrated yaw
 
 
 @dataclass(frozen=True, kw_only=True)

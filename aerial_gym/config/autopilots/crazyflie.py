@@ -48,10 +48,7 @@ class CrazyfliePidCfg(AutopilotTuning):
     Three numbers are of x, y, z, or of roll, pitch, yaw.
     """
 
-    rate_hz: float | None = None
-    """Rate of the attitude and rate loops [1/s]; every physics step if not given. The Crazyflie: 500, and position and
-    velocity 100."""
-
+    rate_hz: float | None = None  # Rate of the attitude and rate loops [1/s]. Default: every physics step; there 500
     position_kp: Vec3 | None = None  # Velocity per position error [1/s]: `posCtlPid.xKp`, `yKp`, `zKp`
     position_ki: Vec3 = (0.0, 0.0, 0.0)  # Per integrated one [1/s²]: `posCtlPid.xKi`, ..
 
@@ -97,10 +94,7 @@ class CrazyflieLeeCfg(AutopilotTuning):
     KR: Vec3 | None = None  # Torque per attitude error [N m/rad]; that of a Crazyflie is 0.007, about z 0.008
     Kw: Vec3 | None = None  # Per rate error [N m s/rad]; that of a Crazyflie is 0.00115, about z 0.002
     KI: Vec3 = (0.0, 0.0, 0.0)  # Per integrated attitude error [N m/(rad s)]; that of a Crazyflie is 0.03
-
-    KI_limit: Vec3 | None = None
-    """Largest integrated attitude error [rad s]. If not given half of the torque at hover is left to it. There it is free."""
-
+    KI_limit: Vec3 | None = None  # Largest integrated attitude error [rad s]. Default: half the hover torque
     source: str = "Derived: aerial_gym.control.crazyflie.parameters"  # Source of the numbers
 
 
@@ -115,9 +109,7 @@ class BrescianiniCfg(AutopilotTuning):
         ("rate_hz", "tau_xy", "tau_z", "tau_rp", "tau_rp_rate", "tau_yaw_rate", "coll_max", "omega_rp_max", "omega_yaw_max")
     )  # fmt: skip
 
-    rate_hz: float | None = None
-    """Rate of the body-rate loop [1/s]; every physics step if not given. The Crazyflie: 500, and the rest 100."""
-
+    rate_hz: float | None = None  # Rate of the body-rate loop [1/s]. Default: every physics step; there 500
     tau_xy: float | None = None  # Time constant of the position [s], along world x and y
     zeta_xy: float | None = None  # Its damping ratio [-]
     tau_z: float | None = None  # Along z

@@ -29,13 +29,9 @@ from aerial_gym.control.timing import make_timing
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
-RELAXED_FROM = radians(40.0)
-"""High-passed setpoint at which I-term relax stops the integral [rad/s]. Source: Betaflight 4.5, ``pid.c``, 40 deg/s."""
-
+RELAXED_FROM = radians(40.0)  # High-passed setpoint that stops the integral [rad/s]. Source: Betaflight 4.5, `pid.c`
 RATE_LIMIT = radians(1998.0)  # Largest rate setpoint of the sticks [rad/s]. Source: Betaflight 4.5, `rc.c`, 1998 deg/s
-
-THROTTLE_STEP = 0.001
-"""Resolution of the throttle command [-]; a smaller throttle is zero. Source: Betaflight 4.5, ``rc.c``, 1000 to 2000 us."""
+THROTTLE_STEP = 0.001  # Least throttle, its resolution [-]. Source: Betaflight 4.5, `rc.c`, 1000 to 2000 us
 
 
 def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:

@@ -47,9 +47,7 @@ class _Crazyflie(StatefulController):
 
     _widths: tuple[int, int]  # Numbers of memory of the inner and the outer level
     _derived_type: type[GainsOfVehicle] = GainsOfVehicle  # Type of the derived gains
-
-    _make_gains: Callable[[Any, Any], Any]
-    """Function from the autopilot's parameters and the derived gains to the gains."""
+    _make_gains: Callable[[Any, Any], Any]  # From the autopilot's parameters and derived gains to the gains
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive timing and gains from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""

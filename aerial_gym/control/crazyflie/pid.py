@@ -22,9 +22,7 @@ MOST_THRUST = 65535.0  # Largest PWM of a motor [counts]
 MOST_MOMENT = 32767.0  # Largest moment about any axis [counts]
 LEEWAY = 1.1  # Factor by which the velocity setpoint may exceed the velocity limit
 OUTER_NUMBERS = 6  # Memory of position and velocity: an integral of each (3)
-
-INNER_NUMBERS = 12
-"""Memory of attitude and rates: an integral of each (3), previous attitude and rates [deg, deg/s] (3 each)."""
+INNER_NUMBERS = 12  # Memory of attitude and rates: an integral of each, previous angles and rates [deg, deg/s], 3 each
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -174,8 +174,7 @@ RATE_NUMBERS = 19
 """Memory of the rate controller: integral (3), angular acceleration (3), previous body rates (3), state of the low-pass of
 body rates (6), unallocated torque (3), yaw torque (1); then six numbers of each notch."""
 
-FADING_RATE = radians(400.0)
-"""Rate error at which the integral stops [rad/s]. Source: PX4, ``RateControl::updateIntegral``."""
+FADING_RATE = radians(400.0)  # Rate error at which the integral stops [rad/s]. Source: PX4, `updateIntegral`
 
 
 def rate_torque(

@@ -20,9 +20,7 @@ from aerial_gym.physics.fused.allocation import NEGLIGIBLE
 
 ROLL, PITCH, YAW, THRUST = range(4)  # Columns of the mixing matrix
 WEAK = 0.2  # Normalised coefficient of a motor in a command below which the command does not desaturate that motor
-
-YAW_MARGIN = 0.15
-"""Excess over the upper limit, as a share of the motor's range, up to which yaw is kept and thrust reduced instead."""
+YAW_MARGIN = 0.15  # Excess over the upper limit, in motor ranges, up to which yaw is kept and thrust reduced
 
 
 class MixerOutput(NamedTuple):

@@ -39,10 +39,7 @@ class Scalar:
     """One number of a row: its operation and arguments."""
 
     kind: str  # ``input`` (one row), ``shared`` (by all rows), ``constant``, or the name of an operation
-
-    args: tuple[int | float | bool, ...]
-    """Numbers of other scalars; position and entry of an input; value of a constant."""
-
+    args: tuple[int | float | bool, ...]  # Numbers of scalars; position and entry of an input; a constant's value
     dtype: torch.dtype
 
 
@@ -72,10 +69,7 @@ class Trace:
     """Scalars, row shape and type of each output."""
 
     widths: dict[int, int] = field(default_factory=dict)  # Number of entries in a row of each input, by position
-
-    lifted: list[Tensor] = field(default_factory=list)
-    """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""
-
+    lifted: list[Tensor] = field(default_factory=list)  # Tensors from elsewhere, (E, ...) or shared, as further inputs
     sources: list[Tensor] = field(default_factory=list)  # The same with all rows (E, ...), by their order
     calls: list["FunctionCall"] = field(default_factory=list)  # Functions of the scalars of kind ``call K``, by K
     simplifies: bool = False  # Whether products with 0 and 1, sums with 0 and operations on constants are replaced

@@ -13,13 +13,8 @@ from typing import Any
 import warp as wp
 
 LARGEST = 128  # Largest width of a staged row: with the 64 threads of a block it fills 33 KB of shared memory
-
-MOST_STAGED = 180
-"""Largest total width of all staged rows of a kernel, each with an odd pitch: 46 KB of a block's 48 KB. Further rows are
-written directly."""
-
-FEW = 8192
-"""Number of rows below which every thread writes its own: they do not fill an H200, and staging only delays them."""
+MOST_STAGED = 180  # Widest staged rows of a kernel: 46 KB of a block's 48 KB; further rows are written directly
+FEW = 8192  # Rows below which every thread writes its own: they do not fill an H200, staging only delays them
 
 _STORE = """
     constexpr int count = sizeof(value) / 4, pitch = count | 1;  // odd: neighbouring rows begin in different banks

@@ -20,8 +20,7 @@ from aerial_gym.physics.articulated.motion import LinkPoses
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-PLACES = 2.0**-24
-"""Round-off of a position in float32; an inertia with a lever of that share of the vehicle's size is unknown."""
+PLACES = 2.0**-24  # Round-off of a position in float32; an inertia with a lever of that share of the size is unknown
 
 
 def check_motion_inertias(tree: Tree, links: Links, reference: Tensor, held: Tensor, names: tuple[str, ...]) -> None:

@@ -25,10 +25,7 @@ from aerial_gym.physics.articulated.joint_laws import Drive, Effort
 from aerial_gym.physics.articulated.tree import TreeState
 
 ROUNDS = 12  # Rounds of Newton's method; snakes of ten joints under random commands take at most 6
-
-TOLERANCE = 1e-6
-"""Tolerance of an effort against its law, as a share of the limit, before it is held constant; above float32 rounding."""
-
+TOLERANCE = 1e-6  # Tolerance of an effort against its law, per limit, before it is held; above float32 rounding
 EffortStep = Callable[[Effort], TreeState]  # A step under efforts of joints taken at its end
 
 

@@ -32,10 +32,7 @@ class Equations:
     """``mass a = force`` for the accelerations ``a`` of the coordinates of motion."""
 
     mass: Tensor  # M, symmetric and positive definite, (E, N, N)
-
-    force: Tensor
-    """Applied forces minus velocity terms, (E, N): force [N] and torque [N m] on the base, efforts of joints."""
-
+    force: Tensor  # Applied forces minus velocity terms, (E, N): force [N], torque [N m], efforts of joints
     places: LinkPoses
     motion: LinkMotion
 

@@ -14,8 +14,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-STICK_RATE = 1e-3
-"""Rate below which dry friction is proportional to the rate [rad/s]; a sticking joint creeps within it."""
+STICK_RATE = 1e-3  # Rate below which dry friction is proportional to it [rad/s]; a sticking joint creeps
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,8 +37,7 @@ class ActuationDelay(DelayEffect):
         return params[:, 0]
 
 
-LEAST_SQUARE = 1e-6
-"""Least discriminant over E², for loads beyond the largest power; keeps the slope of the root finite."""
+LEAST_SQUARE = 1e-6  # Least discriminant over E² beyond the largest power, for a finite slope of the root
 
 
 def speed_factor(voltage: Tensor, nominal: Tensor, gain: Tensor) -> Tensor:

@@ -65,17 +65,13 @@ class Effect(ABC):
 
     # Set by the kind of effect.
     acts_on: ClassVar[ActsOn]
-    order: ClassVar[int | None] = None
-    """Rank of its parameters and memory among the effects of a step; None for an effect outside the step."""
-    single: ClassVar[str] = ""
-    """Name of the thing that a vehicle has at most one of; empty if a vehicle may have several such effects."""
+    order: ClassVar[int | None] = None  # Rank of its numbers among the effects of a step; None outside the step
+    single: ClassVar[str] = ""  # Name of what a vehicle has at most one of; empty if it may have several
     additive: ClassVar[bool] = False  # Whether it adds thrust, force or wind, which are zero at neutral parameters
     accelerates: ClassVar[bool] = False  # Whether the acceleration in a given state depends on its memory
     replayed: ClassVar[bool] = False  # Whether identification computes its memory along a flight by ``replay``
-    needs_com: ClassVar[bool] = False
-    """Whether it depends on the position of the centre of mass or on the sum of all forces."""
-    moves_with_body: ClassVar[bool] = False
-    """Whether the steppers integrate its memory together with the vehicle. It then has the highest ``order``."""
+    needs_com: ClassVar[bool] = False  # Whether it depends on the centre of mass or on the sum of all forces
+    moves_with_body: ClassVar[bool] = False  # Whether steppers integrate its memory. It has the highest `order`
 
     # Set by the effect itself.
     name: ClassVar[str]
@@ -83,15 +79,12 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     """In the order of the columns P. An instance has its own if they are named after parts of a robot (``of``)."""
     excitation: ClassVar[str]  # Quantities that must vary in a flight to make the effect visible
-    confused_with: ClassVar[tuple[str, ...]]
-    """Names of effects with a similar signature, which must be weighed against this one."""
+    confused_with: ClassVar[tuple[str, ...]]  # Effects with a similar signature, to be weighed against this one
     contains: ClassVar[tuple[str, ...]] = ()
     """Special cases of this effect with as many parameters. Selection prefers them if the flights do not distinguish."""
     memory: ClassVar[tuple[float, ...]] = ()  # Values of its memory per environment right after a reset
-    drifting: ClassVar[tuple[int, ...]] = ()
-    """Indices in ``memory`` of numbers that grow throughout a flight, such as the drawn charge."""
-    rotor_memory: ClassVar[tuple[float, ...]] = ()
-    """Values of its memory per rotor right after a reset; all rotors of the first number come first."""
+    drifting: ClassVar[tuple[int, ...]] = ()  # Indices of remembered numbers that grow in a flight, such as charge
+    rotor_memory: ClassVar[tuple[float, ...]] = ()  # Memory per rotor after a reset; all first numbers come first
     needs: ClassVar[tuple[Literal["position", "lin_vel", "ceiling_height", "other_position"], ...]] = ()
     """Quantities that a flight or the scene must provide."""
     needs_radius: ClassVar[bool] = False  # Whether it depends on the radius of the rotors
@@ -107,13 +100,11 @@ class Effect(ABC):
     of its force. On a vehicle with joints it acts on the links that carry rotors, by their motion."""
     on_joints: ClassVar[bool] = True
     """Whether a vehicle with joints can have it. Unless ``at_hubs``, it acts on the base in the reference pose."""
-    on_rigid: ClassVar[bool] = True
-    """Whether a vehicle without joints, or one that the code takes as rigid, can have it."""
+    on_rigid: ClassVar[bool] = True  # Whether a vehicle without joints, or one taken as rigid, can have it
     instead: ClassVar[tuple[str, ...]] = ()  # Effects to use in its place on a vehicle that cannot have it
     medium: ClassVar[Literal["air", "water"]] = "air"  # Fluid in which it matters; flights are in air
     random: ClassVar[bool] = False  # Whether it is random, so that it predicts no row of a flight
-    by_default: ClassVar[bool] = True
-    """Whether selection considers it by default; False if other effects together have the same signature."""
+    by_default: ClassVar[bool] = True  # Whether selection considers it; False if others together look the same
 
     @property
     def is_candidate_of_selection(self) -> bool:

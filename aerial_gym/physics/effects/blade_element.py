@@ -22,16 +22,11 @@ bisection brackets the root first. The final error is below 1e-4 of the inflow o
 
 FAST = 0.8  # Descent rate, as a share of the induced velocity of hover, above which bisection comes first
 SLOWEST = 1.0  # Least rotor speed in the formulas [rad/s]
-
-LEAST = 1e-6
-"""Least coefficient of thrust in hover and of induced velocity, and square of the least velocity in units of the tip speed."""
-
+LEAST = 1e-6  # Least thrust coefficient in hover, least induced velocity, least square of the velocity per tip speed
 SHARE, SOLIDITY, SLOPE, TWIST, LOCK, FLAP = range(6)
 SOLIDITY_OF_TWO_BLADES = 0.1  # Area of the blades per area of the disc of a plastic propeller with two blades
 KINEMATIC_VISCOSITY = 1.461e-5  # Of the standard atmosphere at sea level [m²/s] (ISO 2533)
-
-REFERENCE_SLOPE, REFERENCE_REYNOLDS = 3.3, 5e4
-"""Lift slope [1/rad] at a Reynolds number, by climbs of three propellers in a wind tunnel."""
+REFERENCE_SLOPE, REFERENCE_REYNOLDS = 3.3, 5e4  # Lift slope [1/rad] at a Reynolds number, by three propellers' climbs
 
 REYNOLDS_EXPONENT = 0.11
 """Exponent of the lift slope in the Reynolds number. Static thrust of 136 propellers goes with the speed to the power 2.09

@@ -26,10 +26,7 @@ class Condition:
     ang_vel: Tensor  # Angular velocity [rad/s], body, (E, 3)
     rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
     rotor_thrust: Tensor  # Rotor thrusts [N], (E, R)
-
-    rotor_acc: Tensor
-    """Angular accelerations of the rotors about their axes, positive where they speed up [rad/s²], (E, R)."""
-
+    rotor_acc: Tensor  # Angular accelerations of the rotors, positive where they speed up [rad/s²], (E, R)
     ground_height: float | Tensor  # Height of the ground [m], world; or (E, 1)
     ceiling_height: float | Tensor  # Height of the ceiling [m], world; not a number where there is none; or (E, 1)
     other_position: Tensor  # Another vehicle, whose wake streams down [m], world, (E, 3)

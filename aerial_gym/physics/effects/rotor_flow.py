@@ -196,9 +196,7 @@ class CeilingEffect(RotorEffect):
         return condition.rotor_thrust * strength / (room.square() - strength)
 
 
-LEAST_SQUARE = 1e-6
-"""Term added to the square of the induced velocity [m²/s²], which keeps the slope finite without thrust."""
-
+LEAST_SQUARE = 1e-6  # Added to the square of the induced velocity [m²/s²], for a finite slope without thrust
 LEAST = -8.0  # Fastest descent in the formula, in induced velocities
 
 

@@ -8,9 +8,7 @@ from aerial_gym.math.rows import dot
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.kinds.load import LoadEffect, SuspensionMotion
 
-FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
-"""Initial lengths of links in fits [m]; their frequencies differ by a factor of 1.3."""
-
+FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)  # Initial lengths of links in fits [m]; frequencies 1.3 times apart
 LIGHTEST = 1e-3  # Lightest payload in fits, as a share of the vehicle's mass
 STRONGEST = 0.1  # Strongest damping in fits, per mass of the vehicle [1/s]
 LEAST_MASS = 1e-6  # Least mass in the equation of the swing [kg]; a lighter payload still pulls by its own weight

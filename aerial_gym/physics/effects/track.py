@@ -20,9 +20,7 @@ class RotorSpeedsOfFlight:
     rotor_speed: Tensor  # True rotor speeds [rad/s], (T, R)
     step: float  # Time between two rows [s]
     begins_on_ground: bool  # Whether the vehicle is on the ground in the first row
-
-    settled: float = 1.0
-    """Initial memory of a flight that begins in the air, as a share of its steady value in hover; logs do not give it."""
+    settled: float = 1.0  # Initial memory of a flight that begins in the air, per steady value in hover
 
 
 def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:

@@ -11,8 +11,7 @@ NEGLIGIBLE = wp.constant(1.0e-6)
 """Relative size of round-off: of differences to their sum, and of entries of the pseudo-inverse times the largest entry of the
 matrix for that force or torque, which is near 1 for a rotor with a part in it."""
 
-UNLIMITED = wp.constant(1.0e9)
-"""Thrust limit along body z [N] of a rotor without part in it; finite, for finite gradients."""
+UNLIMITED = wp.constant(1.0e9)  # Thrust limit along body z [N] of a rotor without part in it, for finite gradients
 
 
 def make_thrusts_by_priority(num_rotors: int, *, idle: bool, differentiable: bool) -> wp.Function:

@@ -120,8 +120,7 @@ def make_hub_loads(model: Model, constants: Constants, rotors: Sequence[int], or
     return trace_to_warp("hub_loads", arguments, hub_loads, returns, constants=constants)
 
 
-_ROTOR_FIELDS = ("rotor_", "thrust_map", "torque_map", "reverse_")
-"""Beginnings of the names of fields with a rotor dimension that effects read."""
+_ROTOR_FIELDS = ("rotor_", "thrust_map", "torque_map", "reverse_")  # Beginnings of fields with a rotor dimension
 
 
 def _breakdown(

@@ -41,10 +41,7 @@ class FusedLaw:
     num_actions: int  # U
     struct: Any  # ``wp.struct`` of the fields
     fields: tuple[LawField, ...]
-
-    prepare: wp.Function | None
-    """``wp.func`` (action, struct) -> vector, computed once per launch; None for the action itself."""
-
+    prepare: wp.Function | None  # `wp.func` (action, struct) -> vector, once per launch; None: the action itself
     num_prepared: int  # Length of that vector
 
     command: wp.Function
@@ -103,8 +100,7 @@ class _Reads:
         )
 
 
-MAPS = ("thrust_map", "reverse_thrust_map")
-"""Followed tensors whose zeros stay: randomisation multiplies the map of a rotor by a factor."""
+MAPS = ("thrust_map", "reverse_thrust_map")  # Tensors whose zeros stay: randomisation multiplies maps by a factor
 
 
 class _Structure:

@@ -27,9 +27,7 @@ QUICK_FUNCTIONS = {"inverse_root": inverse_root, "reciprocal": reciprocal, "root
 """Functions that traced code may call."""
 
 Input = tuple[str, tuple[int, ...], torch.dtype]  # Path, row shape and type of an input of a trace
-
-RowsOfArguments = Callable[..., Tensor | tuple[Tensor, ...]]
-"""Torch function of rows, with the arguments of a Warp function."""
+RowsOfArguments = Callable[..., Tensor | tuple[Tensor, ...]]  # Torch function of rows with the arguments of Warp's
 
 WAY_OUT = (
     "A Warp function needs the same arithmetic in every environment: replace branches on values by torch.where, and "

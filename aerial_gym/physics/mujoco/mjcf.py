@@ -20,8 +20,7 @@ from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.solids import Solid, Solids
 
-HEAVY = 1e9
-"""Mass [kg] and moment of inertia [kg m²] of a moving obstacle; a vehicle of 1 kg moves it by a share of 1e-9."""
+HEAVY = 1e9  # Mass [kg] and inertia [kg m²] of a moving obstacle; a vehicle of 1 kg moves it by a share of 1e-9
 
 TOLERANCE = 1e-11 / HEAVY
 """Solver tolerance with moving obstacles: MuJoCo scales it by the mean inertia, here that of the heavy bodies."""
@@ -89,9 +88,7 @@ class Floor:
     height: float  # Height of the plane [m], world; minus infinity without one
     spheres: Sequence[Sequence[float]]  # Centres x, y, z in the axes of the base, and radii [m]; 0 for a point
     friction: float  # Coulomb coefficient
-
-    on_links: LinkContacts | None = None
-    """Contacts of an articulated vehicle: links of the spheres, pairs of shapes, and obstacles."""
+    on_links: LinkContacts | None = None  # Contacts of an articulated vehicle: links, pairs of shapes, obstacles
 
     @property
     def solids(self) -> Solids | None:

@@ -15,9 +15,7 @@ from aerial_gym.rl_training.encoder.scenes import ImageSet
 from aerial_gym.sensors.encoder.file import Autoencoder, Encoder
 
 NEAR_M = 3.0  # Distance below which a pixel is near [m]: the path of 1.5 s at 2 m/s
-
-MOST_EXACT = 4096
-"""Pixels up to which principal components come from the covariance itself; beyond, from a randomised decomposition."""
+MOST_EXACT = 4096  # Pixels up to which principal components come from the covariance; beyond, randomised
 
 ACTIVE = 0.01
 """Variance of a latent's mean above which it tells images apart. Source: Burda, Grosse, Salakhutdinov (2016), Importance
@@ -33,9 +31,7 @@ class ImageErrors:
 
     rms_m: float  # Root of the mean squared error [m]
     mean_m: float  # Mean absolute error [m]
-
-    near_rms_m: float | None
-    """Root of the mean squared error of pixels that are nearer than ``NEAR_M`` [m]; None if there is none."""
+    near_rms_m: float | None  # RMS error of pixels nearer than `NEAR_M` [m]; None if there is none
 
 
 def image_errors(told: Tensor, target: Tensor, *, largest: float) -> ImageErrors:

@@ -15,15 +15,12 @@ class EncoderTrainingCfg:
     envs: tuple[str, ...] = ("env_with_obstacles",)
     """Registered environments, or environment files, for the scenes; each has an equal share of the images."""
 
-    robot: str = "base_quadrotor_with_coarse_camera"
-    """Registered robot, or a robot file; its first camera or lidar takes the images."""
+    robot: str = "base_quadrotor_with_coarse_camera"  # Robot, or robot file; its first camera or lidar takes images
 
     target: str = "distance"
     """``distance``: the image itself; ``collision``: how far a ball as large as the robot could fly along each ray."""
 
-    radius_m: float | None = None
-    """Radius of that ball [m], > 0; how far the robot reaches from its origin if not given."""
-
+    radius_m: float | None = None  # Radius of that ball [m], > 0; default: reach of the robot from its origin
     train_images: int = 20_000  # Images to learn from, >= 1
     test_images: int = 2_000  # Images of other scenes, to measure with, >= 1
     epochs: int = 40  # Passes over the images, >= 1

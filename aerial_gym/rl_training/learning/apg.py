@@ -36,8 +36,7 @@ from aerial_gym.rl_training.policies.policy import Gaussian
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
-BETAS = (0.7, 0.95)
-"""Decay rates of Adam for the policy, whose gradients grow as the critic learns; as in Xu et al. (2022), table 4."""
+BETAS = (0.7, 0.95)  # Decay rates of Adam for the policy, as in Xu et al. (2022), table 4: its gradients grow
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,8 +135,7 @@ def _check_finite(tensors: Iterable[tuple[str, Tensor]], where: str) -> None:
             )
 
 
-Weights = tuple[list[tuple[Tensor, Tensor]], Tensor | None, Tensor | None]
-"""Weight and bias of each layer; mean and variance of the observation, or None."""
+Weights = tuple[list[tuple[Tensor, Tensor]], Tensor | None, Tensor | None]  # Layers; mean and variance, or None
 
 
 def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Policy:

@@ -13,9 +13,7 @@ from torch import Tensor, nn
 from torch.nn.functional import linear
 
 SIZES = (16, 32, 64)  # Numbers of memory for which the weights stay in registers
-
-TILE, WARPS = 16, 4
-"""Environments that a block takes through all steps, the least that Triton multiplies, and its warps."""
+TILE, WARPS = 16, 4  # Environments of a block, the least that Triton multiplies, and its warps
 
 
 def unroll_memory(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:

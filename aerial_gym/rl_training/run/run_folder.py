@@ -38,9 +38,7 @@ VERSIONS = "versions.json"  # File with a line for every session: a folder witho
 KEPT_CHECKPOINTS = 2  # The last one, and the one before it in case the disk damages the last
 
 _log = logging.getLogger(__name__)
-
-PACKAGES = ("aerial-gym", "torch", "numpy", "gymnasium", "warp-lang")
-"""Packages whose versions are recorded, besides the libraries of the trainers."""
+PACKAGES = ("aerial-gym", "torch", "numpy", "gymnasium", "warp-lang")  # Packages with recorded versions
 
 
 class RunFolder:

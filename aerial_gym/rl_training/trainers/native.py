@@ -20,8 +20,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import TensorboardScalars
 from aerial_gym.task import Task
 
-WARM_UP_ITERATIONS = 2
-"""Iterations before the recording, in which kernels are compiled and memory is taken; they count as all others do."""
+WARM_UP_ITERATIONS = 2  # Iterations before the recording, for compilation and memory; they count as others
 
 
 class IterationGraph:

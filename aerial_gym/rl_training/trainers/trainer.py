@@ -45,10 +45,7 @@ class Trainer(ABC):
     several_processes: ClassVar[bool] = False  # Whether several processes can learn together
     takes_teacher: ClassVar[bool] = False  # Whether it needs a trained policy, `TrainingCfg.teacher`
     takes_initial: ClassVar[bool] = False  # Whether it can begin with networks of another run, `TrainingCfg.initial`
-
-    any_inputs: ClassVar[bool] = False
-    """Whether it trains policies with memory, images and separate keys for policy and critic."""
-
+    any_inputs: ClassVar[bool] = False  # Whether it trains with memory, images and separate critic keys
     differentiable: ClassVar[bool] = False  # Whether it needs gradients through the task
     captures_task: ClassVar[bool | None] = None  # Whether the task records a CUDA graph of its step; None: on GPUs
 

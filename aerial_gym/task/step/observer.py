@@ -18,8 +18,7 @@ from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
 
-STEPS, DRAWS = "fault_steps", "fault_draws"
-"""Begin and duration of each fault, (E, 2 F); a share and offsets of each, (E, F (1 + W))."""
+STEPS, DRAWS = "fault_steps", "fault_draws"  # Begin and duration of faults, (E, 2 F); shares and offsets
 
 
 class SensorFaults:

@@ -51,10 +51,7 @@ class ActionRegistry(Registry[Action]):
 
 
 ACTIONS = ActionRegistry("action")  # Transforms by the name that a task configuration uses
-
-ROTOR_RANGE = "rotor_range"
-"""Name of an ``affine``, or ``four_places``, with the numbers of the robot's rotors (``task.rotor_range``)."""
-
+ROTOR_RANGE = "rotor_range"  # An `affine`, or `four_places`, with the numbers of the robot's rotors
 NEGLIGIBLE = 1e-12  # Share of a thrust below which a root has no gradient of use
 
 

@@ -16,9 +16,7 @@ from aerial_gym.task.terms.gate_path import gate_path_length
 from aerial_gym.task.terms.term import TermRegistry
 
 REWARDS = TermRegistry("reward term")  # Terms by the name that a task configuration uses
-
-VELOCITY = LAWS["velocity"].action
-"""Command of which entries 0 to 3 are forward, left and upward velocity, and yaw rate."""
+VELOCITY = LAWS["velocity"].action  # Command: forward, left and upward velocity, and yaw rate
 
 
 def bell(x: Tensor, height: float, width: float) -> Tensor:

@@ -12,9 +12,7 @@ import numpy as np
 from mujoco_scene import static_model
 
 PACKAGES = ("mujoco",)
-
-FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
-"""From our cameras' frame, x forward and z up, to MuJoCo's, -z forward and y up."""
+FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])  # Our camera's frame to MuJoCo's, -z forward
 
 
 def make_renderer(

@@ -15,9 +15,7 @@ from aerial_gym.physics.articulated.fused.joint_formulas import LimitFunctions, 
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.fused.types import RotorTypes
 
-SEARCHES = 24
-"""Largest number of secants of a line search; the slope is steep under sticking friction, and eight left rows unsolved."""
-
+SEARCHES = 24  # Most secants of a line search; sticking friction is steep, and eight left rows unsolved
 FLAT = 1e-6  # Slope at the end of a line search, relative to its start: the resolution of float32
 
 
