@@ -61,7 +61,7 @@ def pause_garbage_collection() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ImportPath:
-    """A class or other object of a module, by its path ``package.module:Name``."""
+    """A class, function or other object of a module, by its path ``package.module:Name``."""
 
     place: str
 
@@ -75,7 +75,7 @@ class ImportPath:
         return self.load()()
 
     def summary(self) -> str:
-        """Return the ``summary`` in the class body, or else the first line of the docstring, without an import."""
+        """Return the ``summary`` in the body, or else the first line of the docstring, without an import."""
         module, _, name = self.place.partition(":")
         top, *inner = module.split(".")
         spec = find_spec(top)  # of the inner modules, it would import their packages
@@ -84,7 +84,7 @@ class ImportPath:
         file = Path(spec.submodule_search_locations[0]).joinpath(*inner)
         file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        body = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
+        body = next(n for n in tree.body if isinstance(n, (ast.ClassDef, ast.FunctionDef)) and n.name == name)
         for node in body.body:
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "summary":
                 return ast.literal_eval(node.value)

@@ -18,7 +18,9 @@ KINDS = {
     "controllers": (ImportPath("aerial_gym.control:CONTROLLERS"),),
     "sensors": (ImportPath("aerial_gym.sensors:SENSORS"), ImportPath("aerial_gym.sensors:IMUS")),
     "imus": (ImportPath("aerial_gym.sensors:IMUS"),),
+    "control-laws": (ImportPath("aerial_gym.control:CONTROL_LAWS"),),
     "effects": (ImportPath("aerial_gym.physics:EFFECTS"),),
+    "rotor-maps": (ImportPath("aerial_gym.physics:ROTOR_MAPS"),),
     "backends": (ImportPath("aerial_gym.physics:BACKENDS"),),
     "tasks": (ImportPath("aerial_gym.task:task_registry"),),
     "log-formats": (ImportPath("aerial_gym.registry.log_formats:LOG_READERS"),),
@@ -26,10 +28,15 @@ KINDS = {
 }  # fmt: skip
 """Registries by kind. None of them imports torch or Warp for its names."""
 
+LEE = ("position", "pose", "steering", "velocity", "acceleration", "attitude", "rates")
+
 UNREGISTERED = {
-    "effects": {"learned_residual": ImportPath("aerial_gym.physics.effects.learned_residual:LearnedResidual")}
-}
-"""Entries that are no names to build from: a learned residual has the numbers of its robot file."""
+    "effects": {"learned_residual": ImportPath("aerial_gym.physics.effects.learned_residual:LearnedResidual")},
+    "control-laws": {law: ImportPath(f"aerial_gym.control.lee:{law}_control") for law in LEE}
+    | {"thrust": ImportPath("aerial_gym.control.controllers:ThrustController"),
+       "rotor_speed": ImportPath("aerial_gym.control.controllers:RotorSpeedController")},
+}  # fmt: skip
+"""Names outside a registry: a learned residual has the numbers of its robot file; laws of this package are in ``LAWS``."""
 
 PARTS_OF_TASKS = {
     "observation-terms": (ImportPath("aerial_gym.task:OBSERVATIONS"),),
@@ -47,9 +54,9 @@ class ListCmd:
     """List what is registered, with one line each."""
 
     kind: str | None = None
-    """sims, environments, robots, controllers, sensors, imus, effects, backends, tasks, trainers or log-formats; all of
-    these if not given. Or parts of tasks: observation-terms, reward-terms, termination-terms, task-buffers, commands,
-    actions."""
+    """sims, environments, robots, controllers, control-laws, sensors, imus, effects, rotor-maps, backends, tasks, trainers or
+    log-formats; all of these if not given. Or parts of tasks: observation-terms, reward-terms, termination-terms,
+    task-buffers, commands, actions."""
 
     json: bool = False  # Print one JSON object instead of a table
 

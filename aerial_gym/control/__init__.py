@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.control.catalog import CONTROLLERS
-    from aerial_gym.control.controllers import CONTROL_LAWS, Controller, LeeController, make_controller
+    from aerial_gym.control.catalog import CONTROL_LAWS, CONTROLLERS
+    from aerial_gym.control.controllers import Controller, LeeController, make_controller
     from aerial_gym.control.loop_check import check_closed_loop
     from aerial_gym.control.stateful import StatefulController
     from aerial_gym.control.timing import make_timing

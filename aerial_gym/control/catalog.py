@@ -1,6 +1,8 @@
-"""The table of registered controllers."""
+"""The tables of registered controllers and of control laws of other packages."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, family_files, load
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
@@ -10,7 +12,13 @@ from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.registry import Registry
 
+if TYPE_CHECKING:
+    from aerial_gym.control.controllers import Controller
+
 CONTROLLERS: Registry[ControllerCfg] = Registry("controller")
+
+CONTROL_LAWS: "Registry[Callable[..., Controller]]" = Registry("control law")
+"""Laws of other packages by their names in ``ControllerCfg.law``: classes, called like those of ``WITH_MEMORY``."""
 
 AERIAL_GYM_GAINS = load(LeeGainsCfg, CONFIG_DIR / "controllers" / "lee_gains.yaml")
 """Explicit gains of the Aerial Gym Simulator, one set for every robot: ``replace(controller, gains=AERIAL_GYM_GAINS)``."""

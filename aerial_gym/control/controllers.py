@@ -3,7 +3,7 @@
 Letters: E environments, R rotors.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Protocol
 
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.catalog import CONTROL_LAWS
 from aerial_gym.control.gains import GAINS, gains_with_own_rows, make_gains
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.timing import has_memory
@@ -19,7 +20,6 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.lazy import ImportPath
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
-from aerial_gym.registry import Registry
 
 WITH_MEMORY = {
     None: ImportPath("aerial_gym.control.cascade:CascadeController"),
@@ -50,10 +50,6 @@ class Controller(Protocol):
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return commanded rotor speeds [rad/s], (E, R)."""
         ...
-
-
-CONTROL_LAWS: Registry[Callable[..., Controller]] = Registry("control law")
-"""Laws of other packages by their names in ``ControllerCfg.law``: classes with the arguments of ``WITH_MEMORY``'s."""
 
 
 class ThrustController:

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg
-from aerial_gym.control.controllers import CONTROL_LAWS, Controller
+from aerial_gym.control.catalog import CONTROL_LAWS
+from aerial_gym.control.controllers import Controller
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES
 from aerial_gym.errors import ConfigError

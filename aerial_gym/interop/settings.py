@@ -42,7 +42,7 @@ def resolve_device(name: str | torch.device) -> torch.device:
 
 
 def plain_device(name: str | torch.device) -> torch.device:
-    """Return the torch device of a name as tensors report it: ``cpu:0`` is ``cpu``."""
+    """Return the torch device of a name, without the index of a CPU, as tensors report it: ``cpu:0`` becomes ``cpu``."""
     device = torch.device(name)
     return torch.device("cpu") if device.type == "cpu" else device
 

@@ -47,8 +47,8 @@ POSITION_SHARE = {"euler": 1.0, "rk4": 0.5}
 """s by integrator: displacement at the end of the step per ``dt`` times the change of velocity."""
 
 
-def displacement_share(integrator: str, *, in_fluid: bool) -> float:
-    """Return s of an integrator, 1/2 for a vehicle with added mass (``integrators.euler_in_fluid``)."""
+def displacement_per_velocity_change(integrator: str, *, in_fluid: bool) -> float:
+    """Return s, the displacement of a step per ``dt`` and change of velocity; 1/2 with added mass (``euler_in_fluid``)."""
     return 0.5 if in_fluid else POSITION_SHARE[integrator]
 
 
@@ -72,7 +72,7 @@ def push(
         contacts: Gaps, levers and normals in ``state``.
         state: Motion after a step of ``dt`` [s] without contact.
         dt: Length of the step [s].
-        share: From ``displacement_share``.
+        share: From ``displacement_per_velocity_change``.
     """
     mass = model.vehicle.mass
     rotation = quat_to_matrix(state.attitude)

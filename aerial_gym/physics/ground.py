@@ -68,7 +68,7 @@ def push_off_ground(
         before: Motion at the start of the step, which gives the approach speed.
         after: Motion at the end without contact.
         dt: Length of the step [s].
-        share: From ``contact.displacement_share``.
+        share: From ``contact.displacement_per_velocity_change``.
     """
     contacts = ground_contacts(ground, model, after)
     crashes = detect_crash(contacts, cfg, before, after)

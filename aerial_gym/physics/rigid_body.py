@@ -352,7 +352,7 @@ def accelerations(
     condition: Condition | None = None,
     answers: EffectCache[Condition] | None = None,
 ) -> Accelerations:
-    """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
+    """Return the readings of ideal inertial sensors at the body origin in a state; each row may be a moment of a flight log.
 
     ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R), 0 by default. ``load`` is direction and rate of
     a load's link, world, (E, 6). ``remembered`` is the memory of effects on wind, rotors or the body, by name, (E, M).

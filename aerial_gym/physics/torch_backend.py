@@ -16,7 +16,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
-from aerial_gym.physics.contact import displacement_share
+from aerial_gym.physics.contact import displacement_per_velocity_change
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
@@ -191,7 +191,7 @@ class TorchBackend:
             check_integrator_and_ground(integrator, ground, self.capabilities)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook, self._efforts = hook, efforts
-        self._share = displacement_share(integrator, in_fluid=bool(model.effects[FluidEffect]))
+        self._share = displacement_per_velocity_change(integrator, in_fluid=bool(model.effects[FluidEffect]))
         self._memory, self.law_memory, self._random, self._crept = None, None, random, None
         self._places: tuple[dict[str, Tensor], ...] = ({}, {}, {})
         self.set_model(model)

@@ -26,7 +26,7 @@ from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectSupport
-from aerial_gym.physics.contact import displacement_share
+from aerial_gym.physics.contact import displacement_per_velocity_change
 from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
@@ -216,7 +216,7 @@ class WarpBackend:
         impulse = ground.impulse
         if impulse is None:  # unread
             impulse = torch.zeros(self._num_envs if ground.cfg is not None else 1, 3, device=self._device)
-        share = displacement_share(self._integrator, in_fluid=bool(self._model.effects[FluidEffect]))
+        share = displacement_per_velocity_change(self._integrator, in_fluid=bool(self._model.effects[FluidEffect]))
         return _GroundArrays(
             wp.from_torch(ground.spheres, dtype=wp.vec4),
             ground.height,

@@ -26,7 +26,7 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics import BodyState
-from aerial_gym.physics.contact import displacement_share
+from aerial_gym.physics.contact import displacement_per_velocity_change
 from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, displace, make_velocity_change
 from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.integrators import MassState
@@ -223,7 +223,7 @@ class SceneContact:
         self._data = around = make_struct(
             SceneSurroundings,
             near=contact_scene(scene, robot.spheres, robot.shapes),
-            law=contact_parameters(cfg, displacement_share(integrator, in_fluid=robot.in_fluid)),
+            law=contact_parameters(cfg, displacement_per_velocity_change(integrator, in_fluid=robot.in_fluid)),
             crashes=crashes_out,
             impulse=vector_view("impulse_out", impulse_out, (*envs, 3), device=device),
         )

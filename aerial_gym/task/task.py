@@ -178,7 +178,7 @@ class Task:
         self._check_capture()
         self._capture_at_reset = False
         level = None if self.curriculum is None else self.curriculum.state()
-        self._start_episodes(self._all)
+        self._reset_environments(self._all)
         parts = [self._judge.rows, self._observer.rows, *([self._memory] if self._memory else [])]
         with on_device(self.device):
             check_untraced_terms(parts, self.values)
@@ -245,7 +245,7 @@ class Task:
             self.env.restart(seed)
             if self.curriculum is not None:
                 self.curriculum.restart()
-        self._start_episodes(self._all)
+        self._reset_environments(self._all)
         if self.values.graph is not None:
             self.detach()
         self._watch.count_rows()
@@ -293,11 +293,11 @@ class Task:
         if self.curriculum is not None:
             self.curriculum.count(judged["ended"], judged["success"])
         self._watch.record_step(actions, judged["ended"])
-        self._start_episodes(judged["ended"], counted=True)
+        self._reset_environments(judged["ended"], counted=True)
         return self._read_observation(), judged["reward"], judged["terminated"], judged["truncated"], info
 
-    def _start_episodes(self, mask: Tensor, *, counted: bool = False) -> None:
-        """Start episodes in the environments of ``mask``: robot, obstacles, target and the room around it."""
+    def _reset_environments(self, mask: Tensor, *, counted: bool = False) -> None:
+        """Reset the environments of ``mask`` for new episodes: robot, obstacles, target and the room around it."""
         self.env.reset(mask, counted=counted, place=self._command.place)
         mask = self.env.random.mask
         self._command.draw(mask)
@@ -329,7 +329,7 @@ class Task:
         """
         few = torch.arange(self.num_envs, device=self.device) % 100 == 0
         entries: dict[str, Callable[[], None]] = {"physics": self.env.fly, "collision": self.env.collide}
-        entries["reset"] = partial(self._start_episodes, few)
+        entries["reset"] = partial(self._reset_environments, few)
         if self.env.sensor_manager.casters:
             entries["rendering"] = self._read_sensors
         return entries

@@ -75,13 +75,14 @@ def time_parts(task: Task, actions: torch.Tensor, *, repeats: int) -> dict[str, 
     times = {}
     for name, call in task.parts().items():
         _mix_episode_ages(task, actions)
-        calls = max(1, min(MAX_CALLS, int(SPAN_S / _clock_time(call, 2, task.device))))
+        calls = max(1, min(MAX_CALLS, int(SPAN_S / _wall_time_of_last_call(call, 2, task.device))))
         batch = make_batch(call, calls, task.device)
         figures = []
         for _ in range(repeats):
             _mix_episode_ages(task, actions)
             figures.append(
-                (_gpu_time(batch) if task.device.type == "cuda" else _clock_time(batch, 1, task.device)) / calls
+                (_gpu_time(batch) if task.device.type == "cuda" else _wall_time_of_last_call(batch, 1, task.device))
+                / calls
             )
         times[name] = statistics.median(figures)
     return times
@@ -94,8 +95,8 @@ def _mix_episode_ages(task: Task, actions: torch.Tensor) -> None:
         task.step(actions)
 
 
-def _clock_time(call: Callable[[], None], times: int, device: torch.device) -> float:
-    """Return the time of a call [s] without the first of several, which may compile."""
+def _wall_time_of_last_call(call: Callable[[], None], times: int, device: torch.device) -> float:
+    """Return the wall time [s] of the last of several calls; the first one may compile."""
     spans = []
     for _ in range(times):
         begin = time.perf_counter()

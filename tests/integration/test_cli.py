@@ -11,9 +11,11 @@ import pytest
 from aerial_gym import __version__
 from aerial_gym.cli.main import COMMANDS, RENAMED
 from aerial_gym.config import CONFIG_DIR
+from aerial_gym.control import CONTROL_LAWS
+from aerial_gym.control.laws import LAWS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import EFFECTS, effects
+from aerial_gym.physics import EFFECTS, ROTOR_MAPS, effects
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from tests.integration.commands import run
 
@@ -38,13 +40,15 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     status, out, _ = run(capsys, "list", "--json")
     assert status == 0
     result = json.loads(out)
-    kinds = "sims environments robots controllers sensors imus effects backends tasks trainers log-formats"
-    assert set(kinds.split()) == set(result)
+    kinds = "sims environments robots controllers control-laws sensors imus effects rotor-maps backends tasks trainers"
+    assert {*kinds.split(), "log-formats"} == set(result)
     assert set(result["imus"]) == {"base_imu", "bmi088", "vn100"} < set(result["sensors"])
     assert result["controllers"]["no_control"] == "thrust of each rotor [N]"
     assert "base_sim_headless" in result["sims"]
     assert SIMS.get("base_sim_headless").dt == SIMS.get("base_sim").dt
     assert {*EFFECTS.names(), "learned_residual"} == set(result["effects"])
+    assert {*LAWS, *CONTROL_LAWS, "thrust", "rotor_speed"} == set(result["control-laws"])
+    assert list(ROTOR_MAPS) == list(result["rotor-maps"])
 
 
 def test_every_configuration_of_the_package_is_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,7 +122,7 @@ class PidController(_CrazyflieInCounts):
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for thrust and angles."""
-        memory = torch.where(begins, pid.memory_of_first_run(state), memory)
+        memory = torch.where(begins, pid.initial_memory_of_attitude_loops(state), memory)
         moment, memory = pid.inner_loop(state, setpoint[:, 1:], memory, self.gains, dt=self.timing.inner_period)
         return self._speeds(setpoint[:, :1], moment), memory
 

@@ -93,8 +93,8 @@ def inner_loop(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, 
     return moment.clamp(-MOST_MOMENT, MOST_MOMENT), torch.cat((leant, spun, angles, rates), dim=-1)
 
 
-def memory_of_first_run(state: BodyState) -> Tensor:
-    """Return the initial memory of ``turn`` at a state, (E, 12)."""
+def initial_memory_of_attitude_loops(state: BodyState) -> Tensor:
+    """Return the memory of attitude and rate loops before their first run, (E, 12): no integrals, present angles and rates."""
     zero = torch.zeros_like(state.position)
     return torch.cat((zero, zero, *_angles_and_rates_in_degrees(state)), dim=-1)
 

@@ -112,7 +112,7 @@ class AddedMass(FluidEffect):
     medium = "water"
 
     def added_mass(self, params: Tensor) -> Tensor:
-        """Return the parameters."""
+        """Return the mass of the water along each body axis [kg], (E, 3): the parameters."""
         return params
 
     def wrench_with_fluid(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from aerial_gym.math.warp_functions import vector_type
 
 @dataclass(frozen=True)
 class RotorTypes:
-    """Types of a vehicle with R rotors."""
+    """Warp types whose size is the number of rotors R of a vehicle: vector, matrix and structs."""
 
     vector: Any  # One number per rotor
     rows: Any  # Three numbers per rotor, (R, 3)

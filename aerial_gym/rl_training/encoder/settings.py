@@ -39,10 +39,10 @@ class EncoderTrainingCfg:
         enough = bool(self.envs) and min(self.train_images, self.test_images) >= len(self.envs)
         require(self, "envs", enough, "needs at least one environment, and an image of each in both sets")
         require(self, "seed", 0 <= self.seed < 2**32 - 1, "must be >= 0 and less than 2**32 - 1")
-        self.network(rows=1, columns=1)
+        self.autoencoder_cfg(rows=1, columns=1)
 
-    def network(self, *, rows: int, columns: int) -> AutoencoderCfg:
-        """Return the shape of the network for images of a size."""
+    def autoencoder_cfg(self, *, rows: int, columns: int) -> AutoencoderCfg:
+        """Return the configuration of the autoencoder for images of ``rows`` x ``columns`` pixels."""
         return AutoencoderCfg(
             rows=rows, columns=columns, latents=self.latents, channels=self.channels, activation=self.activation
         )

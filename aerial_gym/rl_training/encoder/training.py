@@ -58,7 +58,7 @@ class EncoderFit:
         _, rows, columns = images.seen.shape
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(cfg.seed)
-            network = Autoencoder(cfg.network(rows=rows, columns=columns))
+            network = Autoencoder(cfg.autoencoder_cfg(rows=rows, columns=columns))
         self.network = network.to(images.seen.device)  # The autoencoder
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=cfg.learning_rate)  # Adam
         self.epochs = 0  # Epochs that are done

@@ -106,7 +106,7 @@ def outside_bounds(robot_position: Tensor, env_bounds_min: Tensor, env_bounds_ma
 def left_arena(
     robot_position: Tensor, env_bounds_min: Tensor, env_bounds_max: Tensor, sim_steps: Tensor, *, lift_off_steps: int
 ) -> Tensor:
-    """Return whether the robot is outside its environment's bounds; the lower bound counts only after take-off, (E,)."""
+    """Return whether the robot is outside its environment's bounds, (E,); the floor counts only after ``lift_off_steps``."""
     low, high = (robot_position < env_bounds_min), (robot_position > env_bounds_max).any(dim=-1)
     return low[:, :2].any(dim=-1) | high | (low[:, 2] & (sim_steps > lift_off_steps))
 

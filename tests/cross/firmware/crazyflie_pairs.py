@@ -17,8 +17,8 @@ from aerial_gym.control.crazyflie.pid import (
     OUTER_NUMBERS,
     PidGains,
     PidLevel,
+    initial_memory_of_attitude_loops,
     inner_loop,
-    memory_of_first_run,
     outer_loop,
 )
 from aerial_gym.control.lee import LeeGains, position_control
@@ -152,7 +152,7 @@ def pid_pair(vectors: dict[str, Tensor]) -> Pair:
         if told is None or k % 5 == 0:
             told, outer = outer_loop(state, goal, outer, own, dt=5 * DT)
         if inner is None:  # the firmware begins with no rates before
-            inner = torch.cat((memory_of_first_run(state)[:, :9], torch.zeros_like(at)), dim=-1)
+            inner = torch.cat((initial_memory_of_attitude_loops(state)[:, :9], torch.zeros_like(at)), dim=-1)
         moment, inner = inner_loop(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
         result.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
     return torch.stack(result), _nose_down(vectors["pid"]).transpose(0, 1)

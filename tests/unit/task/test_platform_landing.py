@@ -93,7 +93,7 @@ def test_the_vehicle_belongs_a_link_above_the_place_of_the_load() -> None:
         assert seen.shape == (500, 21)
         torch.testing.assert_close(seen[:, 15:18], torch.stack((0.0 * length, 0.0 * length, -length), dim=-1))
         before = task.target_position.clone()
-        task._start_episodes(torch.arange(500) < 250, counted=False)
+        task._reset_environments(torch.arange(500) < 250, counted=False)
         assert torch.equal(before[250:], task.target_position[250:])
 
 

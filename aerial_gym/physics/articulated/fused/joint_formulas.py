@@ -87,8 +87,8 @@ class LimitFunctions:
     pushes: wp.Function  # (efforts of dry friction, rates) -> whether any acts along its rate
 
 
-def make_limited(articulation: Articulation) -> LimitFunctions:
-    """Return the functions of a vehicle's drives and dry friction."""
+def make_effort_limit_functions(articulation: Articulation) -> LimitFunctions:
+    """Return the Warp functions of the effort limits of a vehicle's drives and dry friction."""
     joints, has_drive = vector_type(articulation.num_joints), bool(articulation.driven)
     laws = _end_laws(articulation, torch.zeros(1, articulation.num_joints).to(articulation.friction), 0.0)
     count = laws.demand.shape[1]
@@ -100,7 +100,7 @@ def make_limited(articulation: Articulation) -> LimitFunctions:
         idle[: articulation.num_joints] = driven
     constants = {"asked": driven, "side": idle}
 
-    def trace(
+    def trace_law_to_warp(
         name: str, arguments: Mapping[str, Any], function: Any, returns: list[Any], *, in_time: bool = True
     ) -> Any:
         known = {key: value for key, value in constants.items() if key in arguments}
@@ -142,14 +142,14 @@ def make_limited(articulation: Articulation) -> LimitFunctions:
     side = {"asked": joints, "side": sides_type}
     return LimitFunctions(
         sides_type,
-        trace("ask_drives", {"pos": joints, "command": command}, ask, [joints], in_time=False),
-        trace("find_sides", rates, sides, [sides_type]),
-        trace("find_tangent", side, tangent, [joints] * 2),
-        trace("contradicts_sides", {**side, "rates": joints}, contradicts, [bool]),
-        trace("line_slope", {**rates, "effort": joints, "way": joints}, line_slope, [float]),
-        trace("limited_efforts", rates, efforts, [joints] * 2),
-        trace("tangent_efforts", {**side, "rates": joints}, tangent_efforts, [joints] * 2),
-        trace("has_driving_friction", {"friction": joints, "rates": joints}, pushes, [bool], in_time=False),
+        trace_law_to_warp("ask_drives", {"pos": joints, "command": command}, ask, [joints], in_time=False),
+        trace_law_to_warp("find_sides", rates, sides, [sides_type]),
+        trace_law_to_warp("find_tangent", side, tangent, [joints] * 2),
+        trace_law_to_warp("contradicts_sides", {**side, "rates": joints}, contradicts, [bool]),
+        trace_law_to_warp("line_slope", {**rates, "effort": joints, "way": joints}, line_slope, [float]),
+        trace_law_to_warp("limited_efforts", rates, efforts, [joints] * 2),
+        trace_law_to_warp("tangent_efforts", {**side, "rates": joints}, tangent_efforts, [joints] * 2),
+        trace_law_to_warp("has_driving_friction", {"friction": joints, "rates": joints}, pushes, [bool], in_time=False),
     )
 
 

@@ -63,7 +63,7 @@ def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Func
     return of_law, of_drives
 
 
-def make_base(model: Model) -> wp.Function:
+def make_base_inertia(model: Model) -> wp.Function:
     """Return the function of the base's inertia: (vehicle, angular velocity, velocity) -> ``Inertia``."""
     articulation, vehicle_type = model.articulation, rotor_types_of_model(model).vehicle
     assert articulation is not None
@@ -77,11 +77,11 @@ def make_base(model: Model) -> wp.Function:
     )
 
     @wp.func
-    def base(vehicle: vehicle_type, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
+    def base_inertia(vehicle: vehicle_type, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
         mass, com, about = numbers(vehicle)
         return rigid_inertia(mass, com, about, ang_vel, lin_vel)
 
-    return base
+    return base_inertia
 
 
 def make_jointed_kernel(
@@ -120,7 +120,7 @@ def make_jointed_kernel(
     ahead, in_fluid = articulation.solves_limits, bool(model.effects[LinkFluidEffect])
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs, centered=ahead or in_fluid)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
-    base, floating = make_base(model), articulation.tree.floating
+    base, floating = make_base_inertia(model), articulation.tree.floating
     (initialise_creep, advance_creep), num_creep = make_creep(articulation), articulation.num_creep
     num_joints = articulation.num_joints
     dashpot_type, held_type = dashpots_type(articulation), joints.held

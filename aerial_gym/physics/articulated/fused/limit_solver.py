@@ -11,7 +11,7 @@ import warp as wp
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.complementarity import ROUNDS
-from aerial_gym.physics.articulated.fused.joint_formulas import LimitFunctions, make_limited
+from aerial_gym.physics.articulated.fused.joint_formulas import LimitFunctions, make_effort_limit_functions
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
 from aerial_gym.physics.fused.types import RotorTypes
 
@@ -71,7 +71,7 @@ def make_limit_solver(
     Args:
         in_fluid: Whether velocity terms depend on the velocity of the base.
     """
-    laws, rubs = make_limited(articulation), articulation.rubs
+    laws, rubs = make_effort_limit_functions(articulation), articulation.rubs
     ask, sides, tangent, contradicts = laws.ask, laws.sides, laws.tangent, laws.contradicts
     limited_efforts, tangent_efforts, pushes = laws.efforts, laws.tangent_efforts, laws.pushes
     line_search, sides_type = make_line_search(articulation.num_joints, laws), laws.sides_type

@@ -28,7 +28,7 @@ from aerial_gym.physics.fused.types import RotorTypes
 
 @dataclass(frozen=True)
 class JointTypes:
-    """Types of a vehicle with D joints."""
+    """Warp types whose size is the number of joints D of a vehicle: a vector and two structs."""
 
     vector: Any  # One number per joint
     way_back: Any  # `wp.struct` of the numbers of each joint that the outward pass needs

@@ -58,7 +58,7 @@ def test_a_drawn_heading_covers_the_turn_and_is_new_in_every_episode() -> None:
 def test_headings_of_running_episodes_stay() -> None:
     task = make_task(8)
     before, begins = task.values["target_yaw"].clone(), torch.arange(8) % 3 == 0
-    task._start_episodes(begins, counted=False)
+    task._reset_environments(begins, counted=False)
     assert torch.equal(task.values["target_yaw"] != before, begins)
 
 
@@ -305,7 +305,7 @@ def test_points_are_drawn_in_the_box_by_mask_and_by_environment() -> None:
     assert np.array_equal(few[0], knots[:3])
     assert np.array_equal(few[1], times[:3])
     mask = torch.arange(400) % 2 == 0
-    task._start_episodes(mask)
+    task._reset_environments(mask)
     again, later = read_draws(task)
     assert np.array_equal(again[~mask], knots[~mask])
     assert np.array_equal(later[~mask], times[~mask])

@@ -87,7 +87,7 @@ def test_a_reset_copies_its_mask_once() -> None:
 
     task = begin("navigation_task", 2)
     with Masks() as masks:
-        task._start_episodes(torch.tensor([True, False]))
+        task._reset_environments(torch.tensor([True, False]))
     assert masks.copied == 1
 
 
