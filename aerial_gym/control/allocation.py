@@ -178,7 +178,6 @@ class Allocation:
         """Compute the allocation of a declared vehicle.
 
         Args:
-            gravity: Downward acceleration of free fall [m/s²].
             saturation: Rule at rotor limits: priorities, or a clamp of each thrust.
             effectiveness: Matrix of the ``nominal`` vehicle, or of the ``actual`` one once ``follow`` is called.
         """

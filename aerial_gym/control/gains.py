@@ -57,8 +57,6 @@ def derive_gains(
     rotors give at hover (``sqrt`` of the angular acceleration). So weak yaw is slow, and without yaw torque it is uncontrolled.
 
     Args:
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step of the control law [s].
         extra_lag: Additional delay of attitude over body rates [s]; it slows attitude and leaves the rate gain unchanged.
     """
     first = vehicle.inertia[0]

@@ -91,7 +91,6 @@ def distances_from_start(rest: RestState, *, rotors: Tensor, dt: float) -> Tenso
 
     Args:
         rotors: Their states at the start, constant until the first command arrives, (R,).
-        dt: Physics step [s].
     """
     loop, begin = rest.loop, rest.start - rest.state
     sent = ((rotors - loop.command) @ loop.rotor_combinations).repeat(1, loop.slots)

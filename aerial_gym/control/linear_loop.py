@@ -117,7 +117,6 @@ class DiscreteLoop:
             model: Vehicles with their effects, in float64 on the CPU, with equal whole steps of dead time.
             make_law: Returns the law for a declared vehicle of any number of rows.
             declared: The vehicle of the law; all rows equal the first.
-            dt: Time step [s].
         """
         self._model, self._declared, self._make_law = model, declared, make_law
         self.dt = dt

@@ -138,8 +138,6 @@ class ClosedLoop:
         """Find the hover thrusts and the controlled axes.
 
         Args:
-            gravity: Downward acceleration of free fall [m/s²].
-            names: Names of robot and controller for messages.
             drawn: Ranges of drawn gains by name.
             model: Vehicles in float64 on the CPU, with equal dead time, in place of the robot with its effects.
 

@@ -137,7 +137,6 @@ def tune_attitude(
         vehicle: Identified or drawn vehicle; the slower of rotor rise and fall counts.
         bandwidth: [rad/s], of all axes or of roll, pitch and yaw. The yaw authority of the rotors is not checked.
         delay: Dead time of the rotors [s], as in the effect ``actuation_delay``; scalar or (E,).
-        dt: Time step of the control law [s].
 
     Raises:
         ConfigError: As in ``tuned``.

@@ -37,11 +37,6 @@ def check_starts(
 
     ``ControllerCfg.if_unstable = "warn"`` makes it a warning.
 
-    Args:
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step [s].
-        names: Of robot and controller, for the message.
-
     Raises:
         ConfigError: If there are such attitudes.
     """

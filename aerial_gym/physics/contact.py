@@ -71,7 +71,6 @@ def push(
     Args:
         contacts: Gaps, levers and normals in ``state``.
         state: Motion after a step of ``dt`` [s] without contact.
-        dt: Length of the step [s].
         share: From ``displacement_per_velocity_change``.
     """
     mass = model.vehicle.mass

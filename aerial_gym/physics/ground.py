@@ -67,7 +67,6 @@ def push_off_ground(
         model: Mass, inertia and centre of mass.
         before: Motion at the start of the step, which gives the approach speed.
         after: Motion at the end without contact.
-        dt: Length of the step [s].
         share: From ``contact.displacement_per_velocity_change``.
     """
     contacts = ground_contacts(ground, model, after)

@@ -88,9 +88,6 @@ def speeds_and_wrench_of_step(
 
     It combines the rotors at the end of the step with the motion at its start.
 
-    Args:
-        dt: Length of the step [s].
-
     Returns:
         Speeds [rad/s], and force without gravity and load [N] with torque about the centre of mass [N m], body, each (E, 3).
     """

@@ -30,7 +30,6 @@ def coast_change(
         inertia: Of hull and water about the centre of mass [kg m²], (E, 3, 3).
         lin_vel: Velocity of the centre of mass through the water [m/s], body, (E, 3).
         ang_vel: Angular velocity [rad/s], body, (E, 3).
-        dt: Length of the step [s].
 
     Returns:
         In body axes of the start: the displacement beyond that of the initial velocity [m], (E, 3), and the change of velocity

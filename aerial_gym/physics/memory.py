@@ -69,7 +69,6 @@ def begin_substep(
         rotor_speed: Rotor speeds [rad/s], (E, R).
         command: Commanded rotor speeds in this substep [rad/s], (E, R); or a ramp of known speeds, on which no effect on
             commands acts.
-        dt: Its length [s].
     """
     random = state_of_count(memory.random.stream(Purpose.EFFECTS), memory.since)
     span = torch.tensor(dt, dtype=torch.float64)  # on the CPU: an argument of any device's operations

@@ -61,7 +61,6 @@ def lag_acceleration(
         tau_up: Time constant for a command above the speed [s], (E, R).
         tau_down: Time constant for a command below [s], (E, R).
         jump: Command minus the speed at the start of the step [rad/s], (E, R).
-        dt: Length of the step [s].
 
     Source:
         Derived: linear first-order equation.

@@ -26,7 +26,6 @@ class SubstepRows:
             substep: Function whose parameters must keep their memory.
             state: Example state.
             action: Example action, (E, number of actions).
-            dt: Length of the substep [s].
             ground: Ground whose ``contact`` is set; None without ground.
 
         Raises:

@@ -211,7 +211,6 @@ class SceneContact:
 
         Args:
             state: Its motion, written in place where it touches something.
-            dt: Length of a substep [s].
             crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.
             impulse_out: Receives the sum of the impulses [N s], world, (E, 3); never cleared here.
             moving: The instances of the scene as they move; None if nothing moves.

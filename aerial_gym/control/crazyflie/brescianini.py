@@ -54,7 +54,6 @@ def outer_loop(
     feed-forward.
 
     Args:
-        gravity: Downward acceleration of free fall [m/s²].
         max_inclination: Largest tilt of a [rad], whose vertical part is then at least a tenth of gravity; None: no limit, for
             targets with an acceleration upwards.
     """

@@ -48,7 +48,6 @@ def geometric_control(
     Args:
         target: Target without its body rates.
         kept: Memory of the previous run, (E, 6); zeros after a reset.
-        dt: Period of the runs [s].
     """
     far, turned = kept.split(3, dim=-1)
     lee = gains.lee

@@ -65,8 +65,6 @@ def mellinger_control(
 
     Args:
         kept: Memory of the previous run, (E, 8); zeros after a reset.
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Period of the runs [s].
         max_inclination: Largest tilt of F [rad], whose vertical part is then at least a tenth of the weight; None: as in
             the Crazyflie, which turns over for a target far below.
     """

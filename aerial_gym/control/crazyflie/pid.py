@@ -62,7 +62,6 @@ def outer_loop(
     Args:
         position: Wanted, world [m], (E, 3).
         kept: Memory of the previous run, (E, 6); zeros after a reset.
-        dt: Period of the runs [s].
     """
     far, drift = kept.split(3, dim=-1)
     still, heading = torch.zeros_like(position), yaw_from_quat(state.attitude)
@@ -83,7 +82,6 @@ def inner_loop(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, 
     Args:
         wanted: Roll, pitch and yaw [deg], (E, 3).
         kept: Memory of the previous run, (E, 12); ``fresh`` after a reset.
-        dt: Period of the runs [s].
     """
     leant, spun, angles_before, rates_before = kept.split(3, dim=-1)
     angles, rates = _angles_and_rates_in_degrees(state)

@@ -68,7 +68,6 @@ def velocity_control(
         error: Velocity error [m/s], world, (E, 3).
         integral: Integral before the run [m/s²], world, (E, 3).
         acceleration: Measured [m/s²], world, (E, 3).
-        dt: Period of the runs [s].
 
     Returns:
         Acceleration [m/s²], thrust as a share of the largest [-], and the integral [m/s²]. The integral stops at a limit of
@@ -202,7 +201,6 @@ def update_integral(integral: Tensor, error: Tensor, short: Tensor, gain: Tensor
         short: Sign of the unallocated torque in the previous run, (E, 3); 0 if all was allocated.
         gain: I [1/rad], (E, 3).
         limit: [-], (E, 3).
-        dt: Period of the runs [s].
     """
     useful = torch.where(short * error > 0.0, 0.0, error)
     fading = (1.0 - (useful / FADING_RATE).square()).clamp_min(0.0)

@@ -58,7 +58,6 @@ def equations(
     """Return the equations of motion.
 
     Args:
-        gravity: Downward acceleration of free fall [m/s²].
         wrench: Force [N] on each link at its origin and torque [N m], axes of the link, (E, L, 6); none if not given.
         effort: Of each joint [N m] or [N], (E, D); none if not given.
     """

@@ -48,7 +48,6 @@ def articulated_step(
     Args:
         state: Motion of the base, joints and rotors.
         joint_command: Commands of the drives, (E, C).
-        dt: Length of the step [s].
         crept: Positions of creep dashpots, (E, N, D); None without creep.
         stepper: Integrator of the tree, by default ``implicit_euler``.
         applied: Receives the applied efforts of drives and dry friction.

@@ -39,7 +39,6 @@ class Effort:
 
         Args:
             rate: Rates q' at the start, (E, D).
-            dt: Length of the step [s].
         """
         soft = self.stiffness * dt
         return self.value - soft * rate, dt * (self.damping + soft)

@@ -53,8 +53,6 @@ def implicit_euler(
     ``(M + C dt + K dt²) a = f - h - K q' dt``.
 
     Args:
-        dt: Length of the step [s].
-        gravity: Downward acceleration of free fall [m/s²].
         drive: Drives of joints; other joints have zero gains.
         friction: Result of ``joint_laws.dry_friction``; None without friction.
         wrench: Constant wrenches as for ``equations``, (E, L, 6).
@@ -99,7 +97,6 @@ def step_within_limits(
     Args:
         step: Function of a step from ``state`` with efforts of joints at its end and the velocity terms of a motion.
         drive: Drives of joints; None without drives.
-        dt: Length of the step [s].
         centered: Whether velocity terms use the rates in the middle of the step without drives and friction, too.
         applied: Receives the applied efforts.
     """

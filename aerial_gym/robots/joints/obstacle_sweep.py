@@ -109,7 +109,6 @@ class LinkObstacleSweep:
 
         Args:
             links: Receives the link poses after each substep.
-            dt: Length of a substep [s].
             crashes_out: Set, bool, (E,), where a link touches at the speed of a crash; never cleared here.
             moving: The instances of the scene as they move; None if nothing moves.
         """
