@@ -347,12 +347,6 @@ def test_the_default_lift_slope_is_that_of_the_reynolds_number_at_hover(rotors: 
     assert EFFECTS.get("blade_element").neutral(bare)[2] == 3.3
 
 
-def test_a_climb_of_the_apc_is_that_of_the_tunnel_from_slow_to_fast() -> None:
-    """With a lift slope of 4, 3.66 at the reference, within 7 points of the loss of static thrust at the same speed."""
-    points = ((0.089, 0.1201), (0.199, 0.1019), (0.308, 0.0833), (0.378, 0.0704), (0.445, 0.0562), (0.599, 0.0176))
-    assert np.abs(replace(APC, tunnel=points).errors(3.66, static=APC.static_at_rpm)).max() < 7.0
-
-
 def test_the_mirror_image_flies_the_mirror_image() -> None:
     """The other sense of turning and the other sideways velocity: y-force, roll and yaw change sign, nothing else does."""
     a = loads([0.12, 0.07, -0.02])

@@ -381,14 +381,6 @@ def test_a_touch_within_a_step_is_kept_though_the_body_is_free_at_its_end(backen
     assert rig.crashes.all()
 
 
-@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
-def test_the_offset_of_the_centre_of_mass_does_not_move_the_ground(backend) -> None:
-    state = start(2, height=torch.tensor([0.11, 0.09]), dtype=F32)
-    rig = GroundRig(backend(), None, state, robot=make_robot(com=(0.0, 0.0, 0.2)))
-    rig.run(1e-4, 1e-4)
-    assert rig.crashes.tolist() == [False, True]
-
-
 @pytest.mark.slow
 def test_gradients_through_landing_and_sliding() -> None:
     """gradcheck of the state after a touchdown with friction, for initial motion and commands, away from its kinks."""

@@ -1,13 +1,13 @@
 """Boxes and capsules on the ground: they rest, tip, roll and slide as closed forms say, in both backends, and as in MuJoCo."""
 
-from math import atan2, cos, exp, sin
+from math import atan2, exp
 
 import pytest
 import torch
 
 from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.environment import ContactCfg
-from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
 from aerial_gym.physics import TorchBackend, WarpBackend
@@ -30,19 +30,6 @@ pytestmark = pytest.mark.usefixtures("single_thread")
 
 def point_rows(*shapes: CollisionShape) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in contact_points(shapes, device=CPU).tolist())
-
-
-@pytest.mark.parametrize(("backend", "dtype"), WARP_SOONER)
-def test_a_box_at_rest_keeps_place_and_attitude(backend, dtype: torch.dtype) -> None:
-    """Set down turned by 0.7 rad, it sinks by ``sinking / 4`` on four corners, and neither creeps nor turns in 3 s."""
-    attitude = quat_from_euler(torch.tensor([0.0, 0.0, 0.7], dtype=dtype))
-    rig = GroundRig(backend(), ROUGH, start(height=0.12, dtype=dtype, attitude=attitude), spheres=point_rows(CRATE))
-    rig.run(0.5, 0.01)
-    before = rig.state.position.clone(), rig.state.attitude.clone()
-    rig.run(3.0, 0.01)
-    assert rig.state.position[0, 2].item() == pytest.approx(0.12 - 0.25e-3, abs=2e-6)
-    torch.testing.assert_close(rig.state.position, before[0], rtol=0.0, atol=1e-6)
-    torch.testing.assert_close(rig.state.attitude, before[1], rtol=0.0, atol=2e-6)
 
 
 @pytest.mark.parametrize(("backend", "dtype"), WARP_SOONER)
@@ -82,16 +69,6 @@ def test_a_capsule_rolls_about_its_long_axis_and_slides_along_it(backend, dtype:
     assert rig.state.ang_vel[1].abs().max() < 1e-3
 
 
-def test_a_box_slides_down_to_rest_in_the_stopping_distance() -> None:
-    plate = point_rows(BoxCfg(size=(0.4, 0.4, 0.04)))
-    state = start(height=0.02 - 0.25e-3, dtype=F32, lin_vel=(1.2, 0.0, 0.0))
-    rig = GroundRig(WarpBackend(), ROUGH, state, spheres=plate)
-    rig.run(2.0, 0.002)
-    assert rig.state.position[0, 0].item() == pytest.approx(1.2**2 / (2.0 * 0.5 * GRAVITY), rel=2e-2)
-    assert rig.state.ang_vel.abs().max() < 1e-4
-    torch.testing.assert_close(euler_from_quat(rig.state.attitude), torch.zeros(1, 3), rtol=0.0, atol=1e-4)
-
-
 @pytest.mark.parametrize("speed", [0.5, 1.5])
 def test_a_flat_landing_takes_its_friction_of_the_impact(speed: float) -> None:
     """Falling h it meets the ground at ``v_z = sqrt(2 g h)`` and loses ``mu v_z`` of its speed at once, then slides to rest.
@@ -107,27 +84,10 @@ def test_a_flat_landing_takes_its_friction_of_the_impact(speed: float) -> None:
     torch.testing.assert_close(euler_from_quat(rig.state.attitude), torch.zeros(1, 3), rtol=0.0, atol=1e-4)
 
 
-def test_one_step_of_a_box_is_that_of_torch() -> None:
-    """Fused kernel against float64: 64 tilted boxes that land with speed and spin, one step of 10 ms. Tolerances are those
-    of ``tests/cross/test_contact.py``: float32 with the penalty, one on the edge of a branch left out."""
-    g = torch.Generator().manual_seed(3)
-    euler = 0.3 * torch.randn(64, 3, dtype=F64, generator=g)
-    v, w = (0.4 * torch.randn(64, 3, dtype=F64, generator=g) for _ in range(2))
-    height = 0.13 + 0.02 * torch.randn(64, dtype=F64, generator=g)
-    result = []
-    for backend, dtype in BOTH:
-        state = start(64, height=height, dtype=dtype, attitude=quat_from_euler(euler), lin_vel=v, ang_vel=w)
-        rig = GroundRig(backend(), ROUGH, state, spheres=point_rows(CRATE))
-        rig.run(0.01, 0.01)
-        result.append((torch.cat(rig.state.tensors(), -1).double(), rig.impulse.double(), rig.crashes))
-    truth, fused = result
-    assert 16 < truth[2].sum() < 64
-    assert fused[2].tolist() == truth[2].tolist()
-    assert (fused[0] - truth[0]).abs().amax(dim=1).sort().values[:-1].max() < 2e-4
-    assert (fused[1] - truth[1]).abs().amax(dim=1).sort().values[:-1].max() < 1e-4
-
-
 MUJOCO_CASES = {
+    "ball": (
+        SphereCfg(center=(0.0, 0.0, 0.0), radius=0.1), '<geom type="sphere" size="0.1" mass="0"/>', (1.0, 0.4, 0.0), 0.15,
+    ),
     "chest": (
         BoxCfg(size=(0.3, 0.3, 0.1)), '<geom type="box" size="0.15 0.15 0.05" mass="0"/>', (0.6, 0.25, 0.0), 0.05,
     ),
@@ -140,9 +100,10 @@ MUJOCO_CASES = {
 
 @pytest.mark.parametrize("case", MUJOCO_CASES)
 def test_sliding_rolling_and_landing_agree_with_mujoco(case: str) -> None:
-    """Where and how a pushed chest, a pushed log and a dropped plate are after 0.6 s; compliances as in tests/cross. None of
-    them tips: how far a box rocks on its edge depends on the compliance of either engine (``CRATE``, whose edge is within
-    the friction cone, goes 24 to 30 mm for ``sinking`` of 4 to 0.25 mm here, 33 to 36 mm there)."""
+    """Where and how a dropped ball, a pushed chest, a pushed log and a dropped plate are after 0.6 s. Both engines have
+    compliances of about 1 mm and 10 ms. None of them tips: how far a box rocks on its edge depends on the compliance of
+    either engine (``CRATE``, whose edge is within the friction cone, goes 24 to 30 mm for ``sinking`` of 4 to 0.25 mm
+    here, 33 to 36 mm there)."""
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
     shape, geom, velocity, height = MUJOCO_CASES[case]
     model = mujoco.MjModel.from_xml_string(f"""
@@ -164,20 +125,6 @@ def test_sliding_rolling_and_landing_agree_with_mujoco(case: str) -> None:
     assert abs(rig.state.position[0, 2].item() - reference[2].item()) < 2e-3
     torch.testing.assert_close(rig.state.lin_vel[0].double(), torch.tensor(data.qvel[:3]), rtol=0.0, atol=0.03)
     torch.testing.assert_close(rig.state.ang_vel[0].double(), torch.tensor(data.qvel[3:]), rtol=0.05, atol=0.05)
-
-
-def test_the_tilted_fall_of_a_plate_begins_as_the_closed_form() -> None:
-    """Touching with its lowest edge, frictionless: the impact gives the plate spin towards lying flat, whatever its yaw."""
-    for yaw in (0.0, 1.0):
-        attitude = quat_from_euler(torch.tensor([0.2, 0.0, yaw]))
-        lowest = 0.2 * sin(0.2) + 0.02 * cos(0.2)
-        state = start(height=lowest + 0.001, dtype=F32, attitude=attitude, lin_vel=(0.0, 0.0, -0.5))
-        rig = GroundRig(
-            WarpBackend(), ContactCfg(friction=0.0), state, spheres=point_rows(BoxCfg(size=(0.4, 0.4, 0.04)))
-        )
-        rig.run(0.02, 0.001)
-        assert rig.state.ang_vel[0, 0] < -0.5
-        assert rig.state.ang_vel[0, 1:].abs().max() < 1e-3
 
 
 PLATE = BoxCfg(size=(0.4, 0.4, 0.04))

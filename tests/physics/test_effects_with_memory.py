@@ -8,11 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import Randomness
@@ -29,7 +26,6 @@ from aerial_gym.physics.effects.actuation import speed_factor, voltage_under_loa
 from aerial_gym.physics.memory import begin_substep, end_substep, link_state_of_load, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from tests.builders import simulation
 from tests.physics.swing import fly_remembering
 from tests.physics.vehicles import (
     BATTERY,
@@ -43,7 +39,6 @@ from tests.physics.vehicles import (
     single,
     strong_effects,
 )
-from tests.repetitions import rare_values
 
 TAU_UP, TAU_DOWN = 0.03, 0.05
 """Of ``asymmetric_robot`` [s]."""
@@ -78,23 +73,6 @@ def test_delayed_commands_act_exactly_that_much_later(delay: float, integrator: 
         state, memory = fly_remembering(model, memory, state, [held], dt, integrator)
         expected = speed_after_delay((step + 1) * dt, delay, 500.0, commands)
         assert abs(state.rotor_speed[0, 0].item() - expected) < 1e-9, step
-
-
-@pytest.mark.parametrize("integrator", rare_values(INTEGRATORS, ["rk4"]))
-def test_the_kernel_delays_each_environment_by_its_own_delay(integrator: str) -> None:
-    delays, dt = torch.tensor([[0.0], [0.005], [0.0173], [0.1]]), 0.002
-    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=4)
-    backend, state = WarpBackend(), single(rest_state(4, rotor_speed=[500.0] * 4))
-    model = build_model(vehicle, [(EFFECTS.get("actuation_delay"), delays)])
-    backend.allocate(model, SpeedControl(), integrator=integrator)
-    action, levels = torch.zeros(4, 4), [900.0, 300.0, 700.0, 650.0]
-    commands = [(0.03 * k, level) for k, level in enumerate(levels)]
-    for step in range(22):
-        action.fill_(levels[min(step // 3, 3)])
-        backend.step(state, action, dt, 5)
-        for env, delay in enumerate(delays[:, 0].tolist()):
-            expected = speed_after_delay((step + 1) * 5 * dt, delay, 500.0, commands)
-            assert abs(state.rotor_speed[env, 1].item() - expected) < 0.02, (step, env)
 
 
 def test_rotors_without_lag_follow_the_delayed_command() -> None:
@@ -358,26 +336,3 @@ def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
             stepper.step(state, torch.full((2, 4), 800.0), 0.01, 3)
         ends.append(state.lin_vel)
     torch.testing.assert_close(ends[0], ends[1], atol=1e-5, rtol=1e-5)
-
-
-def test_a_model_without_such_effects_remembers_nothing() -> None:
-    backend, state = TorchBackend(), random_state(2)
-    backend.allocate(make_model({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), SpeedControl(), integrator="rk4")
-    backend.step(state, torch.full((2, 4), 800.0, dtype=F64), 0.01, 2)
-    assert backend._memory is None
-
-
-def simulator(
-    backend: str, effects: dict[str, dict[str, float]], *, ceiling: float | None, seed: int = 3
-) -> EnvManager:
-    """Return a simulation of a vehicle that need not hover under all of its effects."""
-    return simulation(
-        replace(asymmetric_robot(), effects=effects),
-        replace(CONTROLLERS.get("lee_velocity_control"), if_unstable="warn"),
-        env=replace(ENVIRONMENTS.get("empty_env"), ceiling_height=ceiling), seed=seed, backend=backend,
-    )  # fmt: skip
-
-
-def test_a_robot_that_needs_a_ceiling_is_refused_where_there_is_none() -> None:
-    with pytest.raises(ConfigError, match="effect ceiling_effect: there is no ceiling"):
-        simulator("torch", {"ceiling_effect": {"k": 1.0}}, ceiling=None)

@@ -143,20 +143,6 @@ def test_a_reset_mends_the_masked_rows_until_their_moment(name: str, backend: ty
     torch.testing.assert_close(begun.rotor_speed[mask].double(), expected(0.05)[mask], atol=2e-3, rtol=0.0)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_as_declared_nothing_fails(name: str) -> None:
-    robot = asymmetric_robot()
-    effect = EFFECTS.get(name)
-    model = make_model(name, [effect.neutral(robot)])
-    assert effect.parse_params(dict(zip((p.name for p in effect.parameters), effect.neutral(robot), strict=True)))
-    state, told = rest_state(rotor_speed=[START] * 4), torch.full((1, 4), TOLD, dtype=F64)
-    end, _ = fly_remembering(model, make_memory(model, 0.005), state, [told] * 40, 0.005)
-    torch.testing.assert_close(
-        end.rotor_speed, torch.full((1, 4), lag_speed(START, TOLD, 0.2), dtype=F64), atol=1e-9, rtol=0
-    )
-    assert not effect.is_candidate_of_selection
-
-
 @pytest.mark.parametrize(("moment", "last_whole"), [(0.0124, 2), (0.0126, 3)])
 def test_it_fails_at_the_boundary_between_substeps_that_is_nearest(moment: float, last_whole: int) -> None:
     dt, model = 0.005, make_model("motor_failure", [(1.0, 0.0, moment)])

@@ -66,19 +66,6 @@ def test_white_noise_has_its_density_at_every_rate(dt: float) -> None:
     assert (torch.corrcoef(pairs.T) - torch.eye(18)).abs().max() < 5.0 / len(pairs) ** 0.5
 
 
-@pytest.mark.parametrize(("dt", "steps"), [pytest.param(0.01, 40, marks=pytest.mark.slow), (0.1, 4)])
-def test_a_bias_walks_by_its_density_at_every_rate(dt: float, steps: int) -> None:
-    """Variance sigma_b² t after t = 0.4 s; the bias is added to what is measured."""
-    rig = ImuRig(
-        replace(IDEAL, accel_bias_walk=NOISY.accel_bias_walk, gyro_bias_walk=NOISY.gyro_bias_walk), 20_000, dt=dt
-    )
-    rig.reset()
-    for _ in range(steps):
-        rig.imu.measure()
-    assert_spread(rig.imu.bias, torch.tensor([*NOISY.accel_bias_walk, *NOISY.gyro_bias_walk]) * sqrt(dt * steps))
-    close(rig.measurement - rig.imu.bias, [0.0, 0.0, G, 0.0, 0.0, 0.0], 2e-6)
-
-
 def test_noise_and_walk_are_independent() -> None:
     """No correlation among the 12 draws of a sample."""
     count = 20_000

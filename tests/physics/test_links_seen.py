@@ -21,7 +21,6 @@ from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, InitialSta
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, RangeSensorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.shape import ROBOT_ID
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
@@ -378,15 +377,6 @@ def test_links_that_pass_through_each_other_within_a_step_crash(device) -> None:
     manager.step(torch.zeros(2, 4, device=device))
     assert float(manager.gtd["dof_position"][0, 0]) == pytest.approx(1.9, abs=0.1)
     assert manager.gtd["crashes"].all()
-
-
-def test_rods_of_a_snake_are_a_side_of_their_square_apart(device) -> None:
-    snake = ROBOTS.get("snakey")
-    robot = replace(snake, collision=replace(snake.collision, between_links=True))
-    controller = CONTROLLERS.get("no_control")
-    manager = simulation(robot, controller, num_envs=1, device=device, seed=1)
-    manager.reset()
-    assert manager.gtd["robot_link_clearance"].item() == pytest.approx(1.0 - 2.0 * 0.02, abs=1e-5)
 
 
 def test_links_without_a_pair_and_shapes_without_a_link_are_refused() -> None:

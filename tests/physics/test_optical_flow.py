@@ -52,31 +52,6 @@ def close(result: Tensor, right: Tensor, down: Tensor) -> None:
     torch.testing.assert_close(result, expected, rtol=0.0, atol=4e-6 * float(expected.abs().max() + 1.0))
 
 
-@pytest.mark.parametrize("cfg", [PINHOLE, STEREO])
-@pytest.mark.parametrize("rates", [(0.7, 0.0, 0.0), (0.0, 0.7, 0.0), (0.0, 0.0, 0.7), (0.3, -0.5, 0.9)])
-def test_a_turning_pinhole_camera_has_the_flow_of_its_rates_whatever_it_sees(
-    cfg: CameraCfg, rates: tuple[float, float, float], device: torch.device
-) -> None:
-    """With U = u / f, V = v / f and roll, pitch, yaw rates p, q, r: du = p v + f (r (1 + U²) - q U V),
-    dv = -p u + f (r U V - q (1 + V²)); near, far and for nothing at all."""
-    u, v = pixels(cfg)
-    a, b, (p, q, r) = u / FOCAL, v / FOCAL, rates
-    right = p * v + FOCAL * (r * (1.0 + a * a) - q * a * b)
-    down = -p * u + FOCAL * (r * a * b - q * (1.0 + b * b))
-    for depth in (0.5, 5.0, 50.0):
-        close(sense_flow(cfg, make_wall(depth, device), rates=rates), right, down)
-
-
-@pytest.mark.parametrize("depth", [0.5, 4.0])
-def test_flying_at_a_wall_spreads_its_image_from_where_the_camera_goes(depth: float, device: torch.device) -> None:
-    """du = (u - u0) vx / Z with the focus of expansion u0 = -f vy / vx, v0 = -f vz / vx."""
-    velocity = (2.0, -0.6, 0.5)
-    u, v = pixels(PINHOLE)
-    right = (u + FOCAL * velocity[1] / velocity[0]) * velocity[0] / depth
-    down = (v + FOCAL * velocity[2] / velocity[0]) * velocity[0] / depth
-    close(sense_flow(PINHOLE, make_wall(depth, device), velocity=velocity), right, down)
-
-
 def test_noise_and_limits_of_the_distance_leave_the_flow_alone(device: torch.device) -> None:
     scene, velocity = make_wall(4.0, device), (1.0, 0.5, 0.0)
     noisy = replace(PINHOLE, noise=NoiseCfg(std_c=0.3, dropout=0.3), min_range=4.5)

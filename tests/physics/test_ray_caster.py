@@ -16,8 +16,7 @@ from aerial_gym.assets import PARKED_Z, Scene
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ShapeError
-from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import MISS_ID, RayCaster, SensorImages, SensorManager
+from aerial_gym.sensors import MISS_ID, RayCaster, SensorImages
 from aerial_gym.sensors.mounts import Carrier
 from tests.physics.sensor_rig import make_caster, make_scene, shoot
 from tests.physics.test_collision import random_unit_quaternions, rotation
@@ -25,7 +24,6 @@ from tests.physics.test_collision import random_unit_quaternions, rotation
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-4
-UNWRITTEN = -12345
 
 CAMERA = CameraCfg(
     summary="test camera", width=48, height=37, hfov_deg=80.0, min_range=0.0, max_range=20.0, kind="range",
@@ -341,32 +339,6 @@ def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.de
     caster.cast()
     for env, expected in enumerate((shifted, nominal, shifted)):
         assert torch.equal(depth[env], expected[env])
-
-
-def test_sensor_manager_declares_an_image_per_camera_and_writes_all(device: torch.device) -> None:
-    scene = make_clutter(2, device)
-    gtd = GlobalTensorDictionary(device=device, sizes={"E": 2})
-    position, attitude = (t.to(device) for t in level(2))
-    small = replace(CAMERA, width=8, height=6, segmentation=False, kind="depth")
-    manager = SensorManager(
-        {"front": CAMERA, "small": small},
-        gtd,
-        scene,
-        Carrier(position=position, attitude=attitude),
-        num_envs=2,
-        device=device,
-    )
-    assert tuple(gtd) == ("depth_range_pixels", "segmentation_pixels", "small_depth_range_pixels")
-    assert gtd["depth_range_pixels"].shape == (2, 1, CAMERA.height, CAMERA.width)
-    assert gtd["segmentation_pixels"].dtype == torch.int32
-    assert gtd["small_depth_range_pixels"].shape == (2, 1, 6, 8)
-    for key in gtd:
-        gtd[key].fill_(UNWRITTEN)
-    manager.capture()
-    assert all((gtd[key] != UNWRITTEN).all() for key in gtd)
-    manager.reset(torch.ones(2, dtype=torch.bool, device=device))
-    with pytest.raises(ShapeError, match=r"mask is \(3,\) torch.bool"):
-        manager.reset(torch.ones(3, dtype=torch.bool, device=device))
 
 
 def test_wrong_tensors_are_refused_with_shape_and_expectation(device: torch.device) -> None:

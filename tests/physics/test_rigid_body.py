@@ -131,13 +131,3 @@ def test_what_effects_see_in_a_state_serves_all_models_of_the_vehicle() -> None:
     result, known = accelerations(model, state), accelerations(model, state, condition=condition_in(bare, state, still))
     assert torch.equal(result.specific_force, known.specific_force)
     assert torch.equal(result.ang_acc, known.ang_acc)
-
-
-def test_a_condition_with_another_thrust_keeps_what_follows_from_the_motion() -> None:
-    model, state = build_model(vehicle_from_config(asymmetric_robot(), num_envs=2, dtype=F64)), random_state(2)
-    condition = condition_in(model, state, torch.zeros_like(state.rotor_speed))
-    hubs = condition.hub_velocity
-    other = condition.with_thrust(2.0 * condition.rotor_thrust)
-    assert other.hub_velocity is hubs
-    assert torch.equal(other.rotor_thrust, 2.0 * condition.rotor_thrust)
-    assert torch.equal(other.axial_velocity, condition.axial_velocity)

@@ -110,24 +110,6 @@ def test_flying_at_a_wall_each_column_has_the_range_of_its_own_time(
     assert (result[ahead < 0.0] == -1.0).all()
 
 
-@pytest.mark.parametrize("columns", [2, 3, 8, 16, 24, 40])
-def test_columns_that_share_a_pose_have_that_of_the_middle_of_their_time(columns: int, device: torch.device) -> None:
-    cfg, speed = replace(SECTOR, scan_columns=columns), 8.0
-    caster = shoot(cfg, make_wall(6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
-    expected = (6.0 + speed * middle_ages(cfg)) / caster.direction[..., 0].cpu().double()
-    torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=1e-6)
-
-
-def test_the_column_of_the_capture_has_no_distortion_and_lever_arms_count(device: torch.device) -> None:
-    """A lidar at (l, 0) on a body that yaws at r was at l (cos r t, -sin r t): the wall was l (1 - cos r t) further."""
-    cfg, rate, lever = replace(SECTOR, position=(2.0, 0.0, 0.0)), 4.0, 2.0
-    caster = shoot(cfg, make_wall(6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
-    level = (caster.direction[..., 0] ** 2 + caster.direction[..., 1] ** 2).sqrt().cpu().double()
-    turned = rate * ages(cfg)
-    expected = (6.0 - lever * torch.cos(turned)) / (level * torch.cos(azimuths(cfg) - turned))
-    torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=3e-6, atol=0.0)
-
-
 def meet(shape: ShapeCfg, start: Tensor, ray: Tensor) -> Tensor:
     """Return the distance at which rays enter a shape in its own frame, inf for a miss, (...); float64."""
     if shape.kind == "plane":

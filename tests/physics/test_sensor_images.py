@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.assets import Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, LightCfg, NoiseCfg, StereoCfg
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SensorManager
@@ -433,6 +433,8 @@ def test_every_image_stands_in_the_gtd_under_its_key(device: torch.device) -> No
     assert gtd["lidar_point_cloud_pixels"].shape == (1, 1, 4, 36, 3)
     ahead = gtd["lidar_point_cloud_pixels"][0, 0, ..., 0]
     assert ahead[ahead != 0.0].min() > 3.99
+    with pytest.raises(ShapeError, match=r"mask is \(3,\) torch.bool"):
+        manager.reset(torch.ones(3, dtype=torch.bool, device=device))
     late = replace(CAMERA, latency_s=0.1)
     with pytest.raises(ConfigError, match=r"sensor late: latency_s = 0.1 needs the length of a step"):
         SensorManager({"late": late}, gtd, scene, Carrier(**pose), num_envs=1, device=device)

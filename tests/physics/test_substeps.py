@@ -198,20 +198,6 @@ class SphereFlight:
         self.test.step()
 
 
-def test_a_touch_in_one_substep_alone_is_a_crash() -> None:
-    """Environment e stands at the plate after substep e and else 1 m or more away; the last one never does. The plate
-    reaches 0.025 m, the sphere 0.1 m: clear is 0.875 m, or 5 m on the far way."""
-    way = torch.full((K + 1, K + 1, 3), 0.0)
-    way[..., 0] = 1.0
-    for e in range(K):
-        way[e + 1, e, 0] = 0.1
-    way[1, 0, 0], way[2:, 0, 0] = 0.1, 5.125  # from the plate to far away
-    flight = SphereFlight(PLATE, way)
-    assert flight.crashes.tolist() == [True] * K + [False]
-    expected = [5.0] + [0.875] * (K - 2) + [-0.025, 0.875]
-    torch.testing.assert_close(flight.distance, torch.tensor(expected), rtol=0.0, atol=1e-6)
-
-
 @pytest.mark.parametrize("shape", [PLATE, ShapeCfg(kind="plane"), TREE, "mesh"], ids=lambda s: getattr(s, "kind", s))
 def test_a_still_part_is_passed_over_only_if_no_substep_can_touch_it(shape: ShapeCfg | str, tmp_path: Path) -> None:
     """Random ways of every length, beside distances at 50 places of each substep. Between two of these places the distance

@@ -29,7 +29,7 @@ from aerial_gym.physics.model import Model
 from tests.builders import simulation
 from tests.physics.rotor_types import FORCE, REVERSIBLE, with_rotor
 from tests.physics.sensor_rig import make_scene
-from tests.physics.vehicles import F64, asymmetric_robot, single
+from tests.physics.vehicles import F64, asymmetric_robot
 
 RADIUS, MASS = 0.1, 0.8
 K = {"ground_effect": 2.0, "ceiling_effect": 1.5}
@@ -100,24 +100,6 @@ def test_surfaces_far_away_or_absent_do_nothing() -> None:
     torch.testing.assert_close(far, push(make_model(), body_state(1e6, -1.5)), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("names", "ceiling"),
-    [pytest.param(("ground_effect",), None, marks=pytest.mark.slow), (("ground_effect", "ceiling_effect"), 0.3)],
-)
-def test_the_kernel_tells_the_surfaces_apart(names, ceiling) -> None:
-    for thrust in (1.2, -1.2):
-        model = make_model(*names, ceiling_height=ceiling).to(torch.float32)
-        backend, state = WarpBackend(), single(body_state(0.1, thrust))
-        backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), model.vehicle, 9.81), integrator="euler")
-        backend.step(state, torch.full((1, 4), thrust), 0.001, 1)
-        felt = 4.0 * thrust * gain("ground_effect", 0.1) if thrust > 0.0 else 4.0 * thrust
-        if ceiling is not None:
-            one, other = (0.1, 0.2) if thrust > 0.0 else (0.2, 0.1)
-            felt = 4.0 * thrust * (gain("ground_effect", one) + gain("ceiling_effect", other) - 1.0)
-        expected = 0.001 * (felt / MASS - model.gravity)
-        assert state.lin_vel[0, 2].item() == pytest.approx(expected, rel=2e-6)
-
-
 CPU = torch.device("cpu")
 BOX, BALL = ShapeCfg(kind="box", size=(0.8, 0.4, 0.2)), ShapeCfg(kind="sphere", radius=0.5)
 
@@ -168,14 +150,6 @@ def test_each_environment_has_its_own_ground_and_follows_it(backend) -> None:
         stepper.step(state, told, 0.001, 1)
         felt = torch.tensor([4.0 * 1.2 * gain("ground_effect", room) for room in rooms])
         torch.testing.assert_close(state.lin_vel[:, 2], 0.001 * (felt / MASS - model.gravity), rtol=2e-5, atol=1e-7)
-
-
-def test_a_tensor_of_one_height_is_that_height() -> None:
-    vehicle = vehicle_from_config(level_robot(), num_envs=1, dtype=F64)
-    rows = [(EFFECTS.get("ground_effect"), torch.tensor([[2.0]], dtype=F64))]
-    model = build_model(vehicle, rows, ground_height=torch.tensor([[0.3]], dtype=F64))
-    expected = torch.tensor([0.0, 0.0, 6.0 * gain("ground_effect", 0.2)], dtype=F64)
-    torch.testing.assert_close(push(model, body_state(0.5, 1.5)), expected, rtol=1e-12, atol=1e-12)
 
 
 def over_a_platform(backend: str, *, differentiable: bool = False, speed: float = 4.0) -> EnvManager:

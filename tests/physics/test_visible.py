@@ -13,7 +13,7 @@ from aerial_gym.assets import ENVIRONMENTS, Scene
 from aerial_gym.config.environment import CheckerCfg, EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import CollisionCfg, RobotCfg, load_robot
-from aerial_gym.config.shape import GROUND_ID, ROBOT_ID
+from aerial_gym.config.shape import ROBOT_ID
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
@@ -156,36 +156,6 @@ def test_what_cannot_be_seen_is_refused(device) -> None:
         replace(OPEN_AIR, ground_color=(2.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_semantic_id = 100: must be 0 to 99"):
         replace(OPEN_AIR, ground_height=0.0, ground_semantic_id=100)
-
-
-def test_every_pixel_below_the_horizon_of_dynamic_env_has_the_depth_of_its_ground(device) -> None:
-    """Depth h / -d_z along a ray times its x, to 1e-4 m, with all obstacles parked; then none behind the ground with them."""
-    cfg = replace(ENVIRONMENTS.get("dynamic_env"), ground_height=-0.3)
-    for count, env in ((0, cfg), (40, ENVIRONMENTS.get("dynamic_env"))):
-        manager = build(BASE, env, device)
-        manager.asset_manager.set_num_obstacles(count)
-        manager.reset()
-        assert manager.gtd["env_actions"].shape == (2, 40, 6)
-        assert manager.gtd["vec_root_tensor"].shape == (2, 41, 13)
-        pose = manager.gtd["robot_position"], manager.gtd["robot_orientation"]
-        depth, ids = take_image(
-            replace(CAMERA, kind="depth", euler=(0.0, 0.2, 0.0)), manager.asset_manager.scene, *pose
-        )
-        for e in range(2):
-            tilt = rotation(quat_from_euler(torch.tensor([0.0, 0.2, 0.0])))
-            rays = pixel_rays(CAMERA)
-            fall = -(rays @ (rotation(pose[1][e].cpu()) @ tilt).T)[:, 2].reshape(37, 48)
-            height = float(pose[0][e, 2]) - (env.ground_height or 0.0)
-            exact = np.where(fall > 0.0, height / np.where(fall > 0.0, fall, 1.0) * rays[:, 0].reshape(37, 48), np.inf)
-            on_ground = (ids[e] == GROUND_ID).numpy()
-            np.testing.assert_allclose(depth[e].numpy()[on_ground], exact[on_ground], atol=1e-4)
-            if count == 0:
-                assert (on_ground == (exact < 20.0)).all()
-                assert on_ground.sum() > 500
-            else:
-                rest = (ids[e] >= 100).numpy()
-                assert rest.sum() > 50
-                assert (depth[e].numpy()[rest] <= exact[rest] + 1e-4).all()
 
 
 def test_the_clearance_counts_the_ground_and_obstacles_are_placed_as_without_it(device) -> None:

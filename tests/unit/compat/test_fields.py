@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
-from aerial_gym.compat.config.fields import STANDS_FOR, ConfigField, ConfigTable, values_equal
+from aerial_gym.compat.config.fields import STANDS_FOR, ConfigField, ConfigTable
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
@@ -277,9 +277,3 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
     assert drawn.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
     assert not controllers.gain_randomization(controllers.LAWS["NoControl"], Quick)
     assert_refused(ConfigError, "controller class", controllers.translate_controller, type("MyLaw", (), {}), Quick)
-
-
-def test_same_compares_numbers_to_a_millionth() -> None:
-    assert values_equal([1.0, 2], (1.0 + 1e-9, 2.0))
-    for one, other in (([1.0], [1.0001]), ([1.0], 1.0), ("ab", ("a", "b"))):
-        assert not values_equal(one, other)

@@ -12,13 +12,11 @@ from aerial_gym import Task, task_registry
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.export import export
-from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.export import write_policy
 from aerial_gym.export.layout import Layout, policy_layout
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import load_encoder
 from tests.refusals import assert_refused
 from tests.unit.export.policies import training
 from tests.unit.task.hover import build_task
@@ -138,10 +136,3 @@ def test_latents_are_a_vector_whose_encoder_is_a_second_file(tmp_path: Path) -> 
     assert encoder_file.largest_difference == 0.0
     files = [each.file.name for each in write_policy(policy, made, tmp_path, ["c99"], check=False)]
     assert files == ["latents.c", "latents_encoder.c"]
-
-
-def test_onnx_encoder_gives_what_torch_gives(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnxscript")
-    file = write_encoder("collision_40x24", tmp_path / "encoder.onnx")
-    assert compare_encoder(load_encoder("collision_40x24"), file).worst.holds

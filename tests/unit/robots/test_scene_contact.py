@@ -1,20 +1,15 @@
 """Contact as an environment asks for it: landing, walls, the force in the GTD, the IMU, and what is refused."""
 
 from dataclasses import replace
-from math import cos, radians, sin
 
-import numpy as np
 import pytest
 import torch
-import warp as wp
 
 from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager
 from aerial_gym.config.environment import AssetCfg, ContactCfg, EnvironmentCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler
-from aerial_gym.robots.contact_pairs import ContactPairs
-from aerial_gym.robots.crossings import CORNER_ANGLE, CORNER_REMAINDER, MAX_PLANES, PASSES, ROUNDS, shift_out_of_planes
 from tests.builders import simulation
 
 WALL = AssetCfg(
@@ -122,29 +117,3 @@ def test_skids_are_below_the_sphere() -> None:
     collision = ROBOTS.get("base_quadrotor_on_skids").collision
     sphere = collision.spheres[0]
     assert all(skid.center[2] - skid.radius < sphere.center[2] - sphere.radius - 0.01 for skid in collision.capsules)
-
-
-@wp.kernel(enable_backward=False)
-def _shift(normal_a: wp.vec3, normal_b: wp.vec3, shift_out: wp.array[wp.vec3]):
-    """Shift a robot 1 m below plane a and on plane b, with floors on both planes."""
-    pairs = ContactPairs()
-    pairs.gaps[0] = -1.0
-    pairs.normals[0] = normal_a
-    pairs.normals[1] = normal_b
-    shift_out[0] = shift_out_of_planes(pairs, wp.vec4(), 2, wp.vec3())
-
-
-@pytest.mark.parametrize("degrees", [90.0, 60.0, 45.0, 30.0])
-def test_a_pass_leaves_the_squared_cosine_of_the_corner(degrees: float) -> None:
-    """After n passes ``cos(a)^(2 n)`` of the depth is left below plane a, and nothing below plane b."""
-    a, b = np.array([1.0, 0.0, 0.0]), np.array([-cos(radians(degrees)), sin(radians(degrees)), 0.0])
-    out = wp.zeros(1, dtype=wp.vec3, device="cpu")
-    wp.launch(_shift, dim=1, inputs=[wp.vec3(*a), wp.vec3(*b)], outputs=[out], device="cpu")
-    shift = out.numpy()[0]
-    assert 1.0 - a @ shift == pytest.approx(cos(radians(degrees)) ** (2 * PASSES), abs=1e-6)
-    assert b @ shift == pytest.approx(0.0, abs=1e-6)
-
-
-def test_numbers_of_passes_and_rounds_follow_from_the_corner() -> None:
-    assert cos(CORNER_ANGLE) ** (2 * PASSES) == pytest.approx(CORNER_REMAINDER)
-    assert int(ROUNDS) == MAX_PLANES + 1 == 4  # vectors of four hold the planes

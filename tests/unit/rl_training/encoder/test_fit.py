@@ -46,16 +46,6 @@ def test_going_on_is_as_if_it_had_never_ended() -> None:
         torch.testing.assert_close(actual, reference, atol=0.0, rtol=0.0)
 
 
-def test_seed_says_all() -> None:
-    def train(seed: int) -> torch.Tensor:
-        fit = EncoderFit(replace(CFG, seed=seed), edges())
-        fit.run_epoch()
-        return fit.network.mean.weight.detach()
-
-    torch.testing.assert_close(train(3), train(3), atol=0.0, rtol=0.0)
-    assert not torch.equal(train(3), train(4))
-
-
 def make_images(seen: Tensor, target: Tensor | None = None) -> ImageSet:
     return ImageSet(seen=seen, target=seen if target is None else target, env=torch.zeros(len(seen)))
 

@@ -9,13 +9,14 @@ from torch import Tensor
 
 from aerial_gym import Task, task_registry
 from aerial_gym.rl_training.evaluation import evaluate
+from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.policies.load import check_fits, make_network, policy_from_payload
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.learners import ApgTrainer, PpoTrainer
 from aerial_gym.rl_training.trainers.native import NativeTraining
 from tests.repetitions import frequent_values
-from tests.unit.rl_training.learning import test_apg, test_ppo
+from tests.unit.rl_training.learning import test_apg, test_distill, test_ppo
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.hover import camera_task
 
@@ -115,6 +116,11 @@ def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_be
 Make = Callable[[TrainingCfg, Task], NativeTraining[Any]]
 SHARED = {"separate_value_network": False, "entropy_coef": 1e-3}
 
+
+def make_distillation(cfg: TrainingCfg, task: Task) -> NativeTraining[Any]:
+    return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), test_distill.damping()))
+
+
 TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
     "ppo, separate": (test_ppo.settings(), PpoTrainer().make_training),
     "ppo, shared": (test_ppo.settings(separate_value_network=False, clip_value=True), PpoTrainer().make_training),
@@ -122,10 +128,11 @@ TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
     "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), PpoTrainer().make_training),
     "apg": (test_apg.settings(), ApgTrainer().make_training),
     "apg, a critic": (test_apg.settings(terminal_value=True, normalize_value=True), ApgTrainer().make_training),
+    "distill": (test_distill.settings(), make_distillation),
 }
 
 
-@pytest.mark.parametrize("name", frequent_values(TRAININGS, ("ppo, recurrent and shared", "apg, with a critic")))
+@pytest.mark.parametrize("name", frequent_values(TRAININGS, ("ppo, recurrent and shared", "apg, a critic", "distill")))
 def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(name: str) -> None:
     cfg, make = TRAININGS[name]
     chosen = {"differentiable": True} if cfg.trainer == "apg" else {"capture": False}

@@ -13,8 +13,6 @@ from aerial_gym.rl_training.learning import learner
 from aerial_gym.rl_training.learning.learner import FlatAdam, bound_excess, generalized_advantages
 from aerial_gym.rl_training.learning.ppo import Ppo, adapt_rate, clipped_objective, squared_error
 from aerial_gym.rl_training.policies.load import make_network
-from aerial_gym.rl_training.trainers.learners import PpoTrainer
-from aerial_gym.task import task_registry
 from tests.refusals import assert_refused
 
 GAMMA, LAMBDA = 0.9, 0.8
@@ -149,25 +147,6 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
     row1 = [1 + 0.9 * 1, 1.0, 1 + 0.9 * 1, 1.0]
     torch.testing.assert_close(samples.in_time["target"], torch.tensor([row0, row1]).T)
     assert learner.sums.tolist() == [8.0, 3.0, 3.0 + 2.0 + 2.0, 7.0]
-
-
-@pytest.mark.slow
-def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reward per step of the episodes that end late, against those of a policy that does not learn: 1.3 against 0.6."""
-    cfg = settings(512, num_minibatches=8)
-
-    def late_reward() -> float:
-        with task_registry.make_task(cfg.task, num_envs=512, device="cpu", seed=0, capture=False) as task:
-            training = PpoTrainer().make_training(cfg, task)
-            sums = []
-            for _ in range(60):
-                training.advance()
-                sums.append(training.learner.sums.tolist())
-        return (sums[59][2] - sums[39][2]) / (sums[59][3] - sums[39][3])
-
-    learned = late_reward()
-    monkeypatch.setattr(Ppo, "_run_epoch", lambda *_: None)
-    assert learned > 1.5 * late_reward() > 0.0
 
 
 def test_settings_that_do_not_fit_trainer_or_task_are_refused() -> None:

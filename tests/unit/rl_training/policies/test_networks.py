@@ -114,18 +114,6 @@ def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: s
         torch.testing.assert_close(actual, reference, atol=1e-5, rtol=1e-5)
 
 
-def test_errors_go_back_through_a_sequence_up_to_where_the_episode_began() -> None:
-    body = NetworkBody(NetworkBodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6, normalize=False))
-    seen, begins = randn(6, 2, 5).requires_grad_(), torch.zeros(6, 2, dtype=torch.bool)
-    begins[3, 1] = True
-    features, _ = body.sequence_outputs({"observations": seen}, torch.zeros(2, 6), begins)
-    features[-1].sum().backward()
-    assert seen.grad is not None
-    felt = (seen.grad != 0.0).any(dim=-1)
-    assert felt[:, 0].all()
-    assert felt[:, 1].tolist() == [False, False, False, True, True, True]
-
-
 def test_a_policy_forgets_where_it_is_told_to_and_nowhere_else() -> None:
     policy = Policy(recurrent(), 2)
     seen = {"observations": randn(3, 5)}
