@@ -9,7 +9,6 @@ import warp as wp
 
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest
 from aerial_gym.sensors import RayCaster, SensorImages
 from aerial_gym.sensors.mounts import Carrier
@@ -20,7 +19,6 @@ from aerial_gym.workloads.memory import array_bytes
 from aerial_gym.workloads.scene_meshes import SceneMeshes
 from aerial_gym.workloads.scenes import make_scene
 from tests.integration.commands import run, run_bench
-from tests.physics.vehicles import ON_RIGID
 from tests.refusals import assert_refused
 from tests.repetitions import frequent_values
 
@@ -78,28 +76,6 @@ def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -
     assert "effects          none" in out
 
 
-@pytest.mark.parametrize(("argv", "message"), [
-    (("physics", "--controller", "lee_position_contrl"), "Did you mean 'lee_position_control'?"),
-    (("physics", "--backend", "wrp"), "no physics backend 'wrp'"),
-    (("physics", "--effects", "rotor_drg"), "no effect 'rotor_drg'"),
-    (("physics", "--robot", "base_quadrotr"), "no robot 'base_quadrotr'"),
-    (("physics", "--integrator", "rk5"), "no integrator 'rk5'. Known: euler, rk4"),
-    (("physics", "--num-envs", "0"), "--num-envs = 0: must be at least 1"),
-    (("physics", "--threads", "0"), "--threads = 0: must be at least 1"),
-    (("physics", "--dt-s", "0"), "--dt-s = 0.0: must be > 0"),
-    (("physics", "--repeat-time-s", "nan"), "--repeat-time-s = nan: must be > 0"),
-    (("physics", "--device", "tpu9"), "must be auto, cpu, cuda"),
-    (("task", "--task", "position_setpoint_tsk"), "Did you mean 'position_setpoint_task'"),
-    (("task", "--repeats", "0"), "--repeats = 0: must be at least 1"),
-])  # fmt: skip
-def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
-    device = () if "--device" in argv else ("--device", "cpu")
-    status, out, err = run(capsys, "bench", *argv, *device)
-    assert (status, out) == (2, "")
-    assert message in err
-    assert "Traceback" not in err
-
-
 OFTEN = ("crazyflie_pid_control", "lee_position_control", "pid_attitude_control")
 """Of each kind one: an autopilot, a law, and a law with memory."""
 
@@ -113,21 +89,6 @@ def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
     for _ in range(flight.batches_per_stretch):
         flight.run_batch()
     flight.check(started=True)
-
-
-@pytest.mark.slow
-def test_all_effects_together_keep_flying_for_a_stretch() -> None:
-    """All that ``tinyprop`` has the numbers for, in open air; without ground effect, as flights begin about z = 0."""
-    names = [name for name in ON_RIGID if name not in ("battery_sag", "ceiling_effect", "ground_effect")]
-    flight = small_flight(robot="tinyprop", effects=names, num_envs=2)
-    for _ in range(flight.batches_per_stretch):
-        flight.run_batch()
-    flight.check(started=True)
-
-
-def test_effects_that_lack_something_are_refused_by_name() -> None:
-    assert_refused(ConfigError, "effect battery_sag: the robot file must give", small_flight, effects=("battery_sag",))
-    assert_refused(ConfigError, "effect ceiling_effect", small_flight, robot="tinyprop", effects=("ceiling_effect",))
 
 
 def test_threads_and_a_stretch_are_put_back() -> None:

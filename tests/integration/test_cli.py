@@ -113,6 +113,13 @@ LOGS = ("--train", "a.csv", "--test", "b.csv", "--out", "never")
     (("robot", "check", "."), "."),
     (("robot", "import", "nowhere.urdf", "--out", "o.yaml"), "nowhere.urdf"),
     (("close-loop", "--robot", "missing.yaml", *LOGS), "missing.yaml: no such file"),
+    (("bench", "physics", "--controller", "lee_position_contrl"), "Did you mean 'lee_position_control'?"),
+    (("bench", "physics", "--integrator", "rk5"), "no integrator 'rk5'. Known: euler, rk4"),
+    (("bench", "physics", "--num-envs", "0"), "--num-envs = 0: must be at least 1"),
+    (("bench", "physics", "--threads", "0"), "--threads = 0: must be at least 1"),
+    (("bench", "physics", "--dt-s", "0"), "--dt-s = 0.0: must be > 0"),
+    (("bench", "physics", "--repeat-time-s", "nan"), "--repeat-time-s = nan: must be > 0"),
+    (("bench", "task", "--repeats", "0"), "--repeats = 0: must be at least 1"),
 ])  # fmt: skip
 def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
     status, out, err = run(capsys, *argv)

@@ -59,34 +59,6 @@ def make_task(num_envs: int = 256, **options) -> Task:
     return task_registry.make_task("position_setpoint_task", num_envs=num_envs, device="cuda:0", seed=0, **options)
 
 
-def test_a_captured_step_is_the_eager_step() -> None:
-    """Both begin with the same seed; actions differ from step to step; an episode ends on the way in some environments."""
-    result = []
-    for capture in (False, True):
-        task = make_task(capture=capture)
-        task.reset(seed=3)
-        task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps - 5
-        g = torch.Generator(device="cuda:0").manual_seed(1)
-        for _ in range(20):
-            obs, reward, *_ = task.step(torch.rand(256, 4, device="cuda:0", generator=g) - 0.5)
-        result.append((obs["observations"].clone(), reward.clone(), task.env.gtd["sim_steps"].clone()))
-        assert task.is_captured == capture
-    torch.testing.assert_close(result[1][0], result[0][0], rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(result[1][1], result[0][1], rtol=1e-3, atol=1e-3)
-    assert torch.equal(result[1][2], result[0][2])
-
-
-def test_randomness_advances_at_every_replay() -> None:
-    task = make_task()
-    task.reset()
-    starts = []
-    for _ in range(2):
-        task.env.gtd["sim_steps"].fill_(task.cfg.episode_len_steps - 1)
-        task.step(torch.zeros(256, 4, device="cuda:0"))
-        starts.append(task.env.gtd["robot_position"].clone())
-    assert (starts[0] != starts[1]).any(dim=-1).all()
-
-
 def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def waits(robot_position: torch.Tensor) -> torch.Tensor:

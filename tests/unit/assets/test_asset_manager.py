@@ -16,8 +16,6 @@ from aerial_gym.config.robot import SphereCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import euler_from_quat
-from aerial_gym.sensors import MISS_ID, SENSORS, SensorManager
-from aerial_gym.sensors.mounts import Carrier
 from tests.builders import simulation
 from tests.unit.assets.managers import ANYWHERE, MIDDLE, begin, box_environment, every, make_manager
 
@@ -68,21 +66,6 @@ def test_inner_faces_of_walls_lie_on_the_bounds(device: torch.device) -> None:
     assert manager.scene.semantic_id[:, WALLS].tolist() == [[9, 10, 11, 12, 13, 14]] * 50
     own = [*range(100, 103), *range(109, 144)]
     assert manager.scene.semantic_id[:, [*range(3), *range(9, 44)]].tolist() == [own] * 50
-
-
-def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -> None:
-    manager, gtd, (lower, upper) = make_manager(OBSTACLES, 8, device)
-    manager.set_num_obstacles(0)
-    begin(manager, every(8, device))
-    attitude = torch.tensor([0.0, 0.0, 0.0, 1.0], device=device).repeat(8, 1)
-    camera = {"camera": replace(SENSORS.get("depth_camera_64"), max_range=20.0, min_range=0.0)}
-    body = Carrier(position=0.5 * (lower + upper), attitude=attitude)
-    sensors = SensorManager(camera, gtd, manager.scene, body, num_envs=8, device=device)
-    sensors.capture()
-    ids = gtd["segmentation_pixels"]
-    assert (ids != MISS_ID).all()
-    assert (ids == 9).flatten(1).any(dim=1).all()
-    assert (ids != 10).all()
 
 
 def test_reset_leaves_other_environments_bit_for_bit(device: torch.device) -> None:

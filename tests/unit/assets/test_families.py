@@ -135,14 +135,6 @@ def test_a_compound_moves_and_turns_rigidly(seed: int) -> None:
     torch.testing.assert_close(result.double(), expected, atol=1e-5, rtol=0.0)  # float32 at 10 m
 
 
-def test_parts_show_their_own_semantic_id_or_that_of_their_asset() -> None:
-    box = ShapeCfg(kind="box", size=(1.0, 1.0, 1.0))
-    compound = ShapeCfg(kind="compound", parts=(PartCfg(shape=box, semantic_id=4), PartCfg(shape=box)))
-    index = torch.zeros(1, dtype=torch.int32)
-    scene = Scene([compound], shape_index=index, semantic_id=index + 30, asset_state=torch.zeros(2, 1, 13))
-    assert scene.arrays.semantic_id.numpy().tolist() == [[4, 30]] * 2
-
-
 ASSET = AssetCfg(
     name="forest", family=FamilyCfg(name="trees", variants=5), count=3,
     position_ratio_low=(0.0, 0.0, 0.0), position_ratio_high=(1.0, 1.0, 0.0),

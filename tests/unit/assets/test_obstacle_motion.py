@@ -216,28 +216,3 @@ def test_wrong_env_actions_are_refused() -> None:
 def test_impossible_motions_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         build(MotionCfg, fields, where="test")
-
-
-def test_a_step_keeps_the_memory_where_it_is() -> None:
-    made, gtd = manager(TWIST)
-    places = {key: tensor.data_ptr() for key, tensor in gtd.items()}
-    made.take_actions(torch.zeros(5, 3, 6))
-    move_obstacles(made, 0.01)
-    assert {key: tensor.data_ptr() for key, tensor in gtd.items()} == places
-
-
-def test_a_camera_sees_where_obstacles_are_after_the_step() -> None:
-    env = simulate("dynamic_env", robot_name="base_quadrotor_with_camera")
-    image, obstacles = env.gtd["depth_range_pixels"], env.gtd["env_asset_state_tensor"]
-    before = obstacles.clone()
-    twists = 3.0 * torch.randn(4, 40, 6, generator=torch.Generator().manual_seed(0))
-    env.step(torch.zeros(4, 4), env_actions=twists)
-    env.render()
-    seen, after = image.clone(), obstacles.clone()
-    torch.testing.assert_close(after[..., :3], before[..., :3] + env.dt * twists[..., :3], rtol=0.0, atol=1e-4)
-    obstacles.copy_(before)
-    env.render()
-    assert ((image - seen).abs() > 0.01).flatten(1).any(dim=1).all()
-    obstacles.copy_(after)
-    env.render()
-    assert torch.equal(image, seen)

@@ -93,14 +93,6 @@ def test_the_vehicle_is_that_of_the_file_and_hides_what_it_says(tmp_path: Path) 
         nominal_vehicle(other)
 
 
-def test_setpoints_are_within_reach_and_the_same_for_a_seed() -> None:
-    points = draw_setpoints(20, seed=3)
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=2)
-    assert points.shape == (SETPOINTS, 20, 3)
-    assert bool(((steps >= 0.5) & (steps <= 1.1)).all())
-    assert np.array_equal(points, draw_setpoints(20, seed=3))
-
-
 @pytest.mark.slow
 def test_a_vehicle_that_only_falls_is_lost() -> None:
     """0.7 N a rotor carry 77 % of the weight: it falls by ½ (1 - 0.766) g t², 1.5 m after 1.1 s."""

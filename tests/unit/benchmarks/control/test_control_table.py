@@ -21,12 +21,7 @@ from benchmarks.control.control_table import (
     END,
     ControlTableCmd,
     Refusal,
-    controllers_table,
     fly_all,
-    joints_table,
-    refusals_table,
-    steps_table,
-    wind_table,
 )
 from benchmarks.control.robot_table import table_robots
 
@@ -35,48 +30,6 @@ FLIGHT = ControlFlight(
     overshoot=0.0, tilt_rad=0.1, wind_error=0.4946, wind_largest=0.51, limit_share=0.92, limit_settling_s=inf,
     limit_overshoot=0.046, limit_error=180.0, response=(0.5, 1.0),
 )  # fmt: skip
-
-
-def test_steps_by_robot_with_lost_vehicles_and_refusals() -> None:
-    foreign = replace(FLIGHT, robot="lmf2", overshoot=0.08, error=1e-5)
-    refusals = [
-        Refusal("tinyprop", "magpie_position_control", "base_sim", "robot tinyprop ... is nearly unstable"),
-        Refusal("base_rov", "magpie_position_control", "base_sim", "law 'position': moves sideways by leaning"),
-    ]
-    rows = steps_table([FLIGHT, foreign], refusals, ["magpie_position_control", "magpie_rates_control"]).splitlines()
-    assert rows == [
-        "| robot | `magpie_position_control` |", "| --- | --- |", "| `magpie` | 4.7, 0%, 0.0058, **lost** |",
-        "| `lmf2` | 4.7, 8%, < 0.001 |", "| `tinyprop` | refused |", "| `base_rov` | unfit |",
-    ]  # fmt: skip
-    refusals += [replace(r, controller="magpie_velocity_control") for r in refusals]
-    names = "`magpie_position_control`, `magpie_velocity_control`"
-    assert refusals_table(refusals).splitlines()[-1] == f"| {names} | `base_rov` | `tinyprop` |"
-
-
-def test_controllers_are_compared_over_their_robots_at_each_sim() -> None:
-    law = replace(FLIGHT, controller="lee_position_control", limit_error=0.0)
-    rest = [replace(law, robot=f"r{i}", settling_s=2.0 + i, overshoot=0.01 * i, error=0.1 * i) for i in range(3)]
-    lost = replace(rest[0], sim="base_sim_2ms", limit_error=11.0)
-    foreign = replace(FLIGHT, robot="lmf2", error=9.0)
-    rows = controllers_table([*rest, lost, foreign]).splitlines()
-    assert rows[2:] == ["| `lee_position_control` | 3 | 0.2 m (`r2`) | 3, 2% | 2, 0%, 1 lost | - |"]
-
-
-def test_error_in_wind_and_of_joints_by_controller() -> None:
-    law = replace(FLIGHT, controller="lee_position_control", wind_error=0.49, wind_largest=0.5)
-    falls = replace(law, controller="px4_position_control", wind_error=0.1)
-    rows = wind_table([law, replace(law, robot="lmf2", wind_error=0.45), replace(law, law="rates"), falls, wet(law)])
-    assert rows.splitlines()[2:] == [
-        "| `lee_position_control` | 2 | 0.47 m | 0.49 m (`magpie`) | 94% |",
-        "| `px4_position_control` | 1 | 0.1 m | 0.1 m (`magpie`) | 20% |",
-    ]
-    held = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=0.091, limit_error=0.1)
-    fell = replace(held, controller="lee_rates_control", error=inf, tilt_rad=2.0, overshoot=inf, limit_error=inf)
-    assert joints_table([held, fell]).splitlines()[-1] == "| `morphy` | 2 | 1 | 1 | 1 | 0.091 |"
-
-
-def wet(flight: ControlFlight) -> ControlFlight:
-    return replace(flight, wind_error=nan, wind_largest=nan)
 
 
 def test_what_is_refused_is_not_flown() -> None:

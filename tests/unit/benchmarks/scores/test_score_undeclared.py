@@ -8,9 +8,8 @@ import tyro
 from scipy.stats import binom
 
 from benchmarks.scores import score_undeclared
-from benchmarks.scores.score_table import clopper_pearson, result_tables, right_line, share_text
-from benchmarks.scores.score_undeclared import CLASSIC, Job, ScoreCmd, judge_verdict, run_jobs
-from benchmarks.undeclared import EFFECTS, UNKNOWN
+from benchmarks.scores.score_table import clopper_pearson, share_text
+from benchmarks.scores.score_undeclared import Job, ScoreCmd, judge_verdict, run_jobs
 
 CLEAN = {"specific_force": {"unit": "m/s²", "x": {"rms": 3.0, "noise_floor": 2.0}}}
 
@@ -73,22 +72,6 @@ def plan_jobs(**flags: object) -> list[Job]:
     return ScoreCmd(**{"seeds": (1, 2)} | flags).plan_jobs()
 
 
-def test_cases_are_those_that_were_requested() -> None:
-    jobs = plan_jobs()
-    assert [job.hidden for job in jobs[:7]] == [(), *((name,) for name in CLASSIC)]
-    assert len(jobs) == 14
-    jobs = plan_jobs(effects=("all",), unknown=True, pairs=["com_offset+gusts"], sizes=["small", "large"])
-    controls = {job.features for job in jobs if not job.hidden}
-    assert controls == {(), ("battery",), *(("battery", f) for f in ("low", "ceiling", "heights", "other"))}
-    assert len(jobs) == 2 * (6 + 2 * (len(EFFECTS) + len(UNKNOWN) + 1))
-    assert len({job.key for job in jobs}) == len(jobs)
-    alone = plan_jobs(effects=("all",), controls=True)
-    assert {job.features for job in alone} == controls
-    assert len(alone) == 2 * 6
-    with pytest.raises(ValueError, match=r"no effect \['com'\]. Known: all, rotor_drag"):
-        plan_jobs(effects=["com"])
-
-
 def fake_row(job: Job) -> dict[str, object]:
     truth = {name: {"a": 1.0} for name in job.hidden}
     given = verdict("explained" if truth else "none", **{name: {"a": (1.1, 0.1)} for name in truth})
@@ -112,20 +95,6 @@ def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(list(run_jobs(jobs, processes=1, out=tmp_path))) == len(jobs) == 4
     assert made[3:] == jobs[1:]
     assert json.loads((tmp_path / f"{jobs[3].key}.json").read_text())["hidden"] == "rotor_drag"
-
-
-def test_tables_count_the_rows() -> None:
-    jobs = plan_jobs(effects=["rotor_drag", "gusts"], unknown=True)
-    rows = [fake_row(job) for job in jobs]
-    assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"
-    text = result_tables(rows)
-    assert "| rotor_drag | 2 of 2 | - |" in text
-    missed = [{**row, "judgement": "missed", "named": []} if row["hidden"] == "gusts" else row for row in rows]
-    assert "| gusts | 0 of 2 | moderate: 2 missed |" in result_tables(missed)
-    assert "| gusts | a | 2 | 0.1 | 0.1 | 10.00% | 2 of 2 (100 %, 16 to 100) |" in text
-    assert "| battery | 2 | 0 of 2 (0 %, 0 to 84) | - |" in text
-    assert "| unknown_time | moderate | 2 | 0 of 2 (0 %, 0 to 84) | - | explained | - |" in text
-    assert "Time of a case: 1 s to fly (at most 1), 2 s in the loop (at most 2)." in text
 
 
 def test_the_command_prints_the_tables(monkeypatch, capsys) -> None:
