@@ -145,7 +145,6 @@ class HoverCmd:
         return _report_study(self, study, (*self.baseline, *self.flights, *self.test, *self.repeats))
 
     def _study_thrust(self, robot: "RobotCfg | None", layout: "LogMapping | None") -> "Study":
-        from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
         from aerial_gym.sim2real.teststand.studies import study_hover
 
         if self.test or self.repeats or self.added_mass_kg is not None:
@@ -155,8 +154,7 @@ class HoverCmd:
             raise ConfigError("identify hover needs a mass: give --robot or --mass-kg")
         with progress_bar() as progress:
             progress("reading flights", 0.1)
-            flights = tuple(Path(flight) for path in self.flights for flight in flight_paths(path))
-            return study_hover(flights, layout=layout, mass=mass, mass_std=self.mass_std_kg, robot=robot)
+            return study_hover(self.flights, layout=layout, mass=mass, mass_std=self.mass_std_kg, robot=robot)
 
     def _study_balance(self, robot: "RobotCfg | None", layout: "LogMapping | None") -> "Study":
         from aerial_gym.sim2real.teststand.studies import study_balance

@@ -81,13 +81,11 @@ class PlotLogCmd:
 
     def run(self) -> int:
         """Write the page."""
-        from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
-        from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+        from aerial_gym.sim2real.logs.readers.flight_log import open_log
         from aerial_gym.sim2real.report.log_plot import write_log_page
         from aerial_gym.sim2real.wording import text
 
-        mapping = _find_mapping(self.mapping)
-        flights = [read_flight_log(path, mapping=mapping) for path in flight_paths(self.log)]
+        flights = list(open_log(self.log, _find_mapping(self.mapping)).flights())
         notes = dict.fromkeys(text(note) for flight in flights for note in flight.notes)
         write_log_page(self.out, self.log.name, flights, list(notes))
         print(self.out)

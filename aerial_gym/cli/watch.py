@@ -12,6 +12,7 @@ from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
     from aerial_gym.config.robot import RobotCfg
+    from aerial_gym.sim2real.arrays import Array
     from aerial_gym.sim2real.failures.watch import Alarm, FlightWatch
     from aerial_gym.sim2real.logs.readers.csv_lines import CsvHeader
 
@@ -23,7 +24,7 @@ class WatchCmd:
     """Name a failure in flight, with rotor, size and time, from the rows of a log as they come."""
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
-    log: Annotated[str, tyro.conf.Positional]  # Flight log (CSV of this package's layout), or - for stdin
+    log: Annotated[str, tyro.conf.Positional]  # Flight log of any format, FILE#2 for one of its flights; - for stdin
     follow: bool = False  # Wait for more rows at the end of the file, until interrupted
     false_alarm_hours: float = 100.0  # Mean flight time between two false alarms [h], at least
     json: bool = False  # Print one JSON object a line in place of sentences
@@ -32,9 +33,13 @@ class WatchCmd:
         """Print a line for each failure at its detection; return the exit status."""
         from aerial_gym.interop import one_thread
         from aerial_gym.robots.catalog import robot_by_name
-        from aerial_gym.sim2real.logs.readers.follow import file_lines, stdin_lines
+        from aerial_gym.sim2real.logs.readers.follow import file_lines, is_log_of_flights, stdin_lines
 
         robot = robot_by_name(self.robot)
+        if self.log != "-" and not self.follow and is_log_of_flights(self.log):
+            with one_thread():
+                self._watch_logged_flights(robot)
+            return 0
         lines = stdin_lines() if self.log == "-" else file_lines(Path(self.log), follow=self.follow)
         with one_thread():
             for number, flight in enumerate(_lines_of_flights(lines)):
@@ -44,23 +49,26 @@ class WatchCmd:
                     break
         return 0
 
-    def _watch_flight(self, robot: "RobotCfg", lines: Iterator[str]) -> bool:
-        """Print a line for each failure in the lines of one flight, then a summary; return False if it was interrupted."""
-        from aerial_gym.errors import DataError
-        from aerial_gym.sim2real.failures.watch import NAMED, FlightWatch
-        from aerial_gym.sim2real.logs.readers.csv_lines import find_header
+    def _watch_logged_flights(self, robot: "RobotCfg") -> None:
+        """Print a line for each failure in the flights of a binary log, or in the selected flight of any log."""
+        from aerial_gym.sim2real.failures.watch import FlightWatch
+        from aerial_gym.sim2real.logs.conversion import flight_table
+        from aerial_gym.sim2real.logs.flights import scale_relative_commands
+        from aerial_gym.sim2real.logs.readers.flight_log import open_log
+
+        for flight in open_log(self.log).flights():
+            table = flight_table(scale_relative_commands(flight, robot))
+            watch = FlightWatch(robot, list(table), name=flight.name, false_alarm_hours=self.false_alarm_hours)
+            self._print_alarms(watch, _alarms_of_rows(watch, table.to_numpy()))
+
+    def _print_alarms(self, watch: "FlightWatch", alarms: "Iterator[Alarm]") -> bool:
+        """Print a line for each alarm, then a summary; return False if it was interrupted."""
+        from aerial_gym.sim2real.failures.watch import NAMED
         from aerial_gym.sim2real.wording import render_findings, text
 
-        numbered, named, interrupted = enumerate(lines, start=1), 0, False
-        header = find_header((line for _, line in numbered), "t")
-        if header is None and self.follow:  # restarted before its first line was written
-            return True
-        if header is None:
-            raise DataError(f"{self.log}: holds no header line")
-        name = "flight" if self.log == "-" else Path(self.log).stem
-        watch = FlightWatch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
+        named, interrupted = 0, False
         try:
-            for alarm in _alarms_of_lines(watch, header, numbered, self.log, refuse=not self.follow):
+            for alarm in alarms:
                 named += alarm.stage == NAMED
                 sentence = f"{alarm.stage} at {alarm.told_s:.2f} s: {text(alarm.failure.finding)}"
                 print(json_line(render_findings(alarm.as_mapping())) if self.json else sentence, flush=True)
@@ -70,6 +78,28 @@ class WatchCmd:
             interrupted = True
         print(f"watched {watch.watched_s:.1f} s: {named or 'no'} failure{'' if named == 1 else 's'}", file=sys.stderr)
         return not interrupted
+
+    def _watch_flight(self, robot: "RobotCfg", lines: Iterator[str]) -> bool:
+        """Print a line for each failure in the lines of one flight, then a summary; return False if it was interrupted."""
+        from aerial_gym.errors import DataError
+        from aerial_gym.sim2real.failures.watch import FlightWatch
+        from aerial_gym.sim2real.logs.readers.csv_lines import find_header
+
+        numbered = enumerate(lines, start=1)
+        header = find_header((line for _, line in numbered), "t")
+        if header is None and self.follow:  # restarted before its first line was written
+            return True
+        if header is None:
+            raise DataError(f"{self.log}: holds no header line")
+        name = "flight" if self.log == "-" else Path(self.log).stem
+        watch = FlightWatch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
+        return self._print_alarms(watch, _alarms_of_lines(watch, header, numbered, self.log, refuse=not self.follow))
+
+
+def _alarms_of_rows(watch: "FlightWatch", rows: "Array") -> "Iterator[Alarm]":
+    for row in rows:
+        yield from watch.add(row)
+    yield from watch.finish()
 
 
 def _lines_of_flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:

@@ -2,12 +2,15 @@
 
 import io
 import json
+from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from aerial_gym.cli.main import main
 from benchmarks.undeclared import CaseFiles, make_case
 from benchmarks.undeclared import PlantFailure as Hidden
+from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 HIDDEN = {
     "train_1": Hidden(kind="motor_failure", motor=2, scale=0.85, time=4.4),
@@ -42,6 +45,17 @@ def test_a_failure_is_named_soon(flight: str, files: CaseFiles, capsys: pytest.C
     for name in ("motor", "scale", "time"):
         if name in hidden:
             assert named["params"][name] == pytest.approx(hidden[name], abs=4.0 * named["std"].get(name, 0.0)), name
+
+
+def test_a_failure_in_a_binary_log_is_named(files: CaseFiles, tmp_path: Path, capsys) -> None:
+    path = next(path for path in files.train if path.stem == "train_4")
+    log = write_ulog(tmp_path / "a.ulg", topics(pd.read_csv(path)))
+    for name in (log, f"{log}#1"):
+        assert main(["watch", str(files.robot), str(name), "--json"]) == 0
+        told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert [(one["stage"], one["name"], one["params"]["motor"]) for one in told[1:]] == [
+            ("named", "weak_motor", 1)
+        ]
 
 
 def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(files, capsys, monkeypatch) -> None:

@@ -12,8 +12,8 @@ from aerial_gym.errors import MissingDependencyError
 from aerial_gym.sim2real.json_values import select_fields, write_json
 from aerial_gym.sim2real.logs.inspection import csv_raw_log
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
-from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.csv_log import FlightFacts
+from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
@@ -32,7 +32,7 @@ COLUMNS = {
 }
 """Columns of each quantity in the layout of this package."""
 
-RELATIVE = "share_{n}"  # Columns of commands that are shares of the largest speed, which the layout does not know
+RELATIVE = "share_{n}"  # Columns of commands that are shares of the largest speed
 
 
 def convert_log(path: str | Path, kind: str, out: Path, mapping: LogMapping | None = None) -> list[Path]:
@@ -43,7 +43,7 @@ def convert_log(path: str | Path, kind: str, out: Path, mapping: LogMapping | No
     """
     out.mkdir(parents=True, exist_ok=True)
     if kind == "csv":
-        return [_write_flight(read_flight_log(one, mapping=mapping), out) for one in flight_paths(path)]
+        return [_write_flight(flight, out) for flight in open_log(path, mapping).flights()]
     file = Path(split_flight_number(path)[0])
     raw = read_raw_log(file) or csv_raw_log(file, mapping)
     writers: dict[str, Callable[[RawLog, Path], list[Path]]] = {"parquet": _write_parquet, "mcap": _write_mcap}
@@ -53,7 +53,8 @@ def convert_log(path: str | Path, kind: str, out: Path, mapping: LogMapping | No
         raise MissingDependencyError(f"writing {kind} needs more packages: pip install 'aerial-gym[logs]'") from None
 
 
-def _write_flight(log: FlightLog, out: Path) -> Path:
+def flight_table(log: FlightLog) -> pd.DataFrame:
+    """Return a flight as a table in the layout of this package."""
     columns = {"t": log.time}
     for quantity, names in COLUMNS.items():
         values = getattr(log, quantity)
@@ -64,8 +65,18 @@ def _write_flight(log: FlightLog, out: Path) -> Path:
         if "{n}" in pattern:
             names = [pattern.format(n=n + 1) for n in range(table.shape[1])]
         columns |= dict(zip(names, table.T, strict=True))
+    return pd.DataFrame(columns)
+
+
+def _write_flight(log: FlightLog, out: Path) -> Path:
+    table = flight_table(log)
+    if log.attitude_integrated:  # the gyro gives it again
+        table = table.drop(columns=list(COLUMNS["attitude"]))
     path = out / f"{log.name.replace('#', '_flight_')}.csv"
-    pd.DataFrame(columns).to_csv(path, index=False)
+    facts = FlightFacts(attitude_integrated=log.attitude_integrated, torques=log.torques, streams=log.streams)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(facts.line())
+        table.to_csv(stream, index=False)
     return path
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array, true_spans
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.raw_log import STATES
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 from aerial_gym.sim2real.logs.streams import Stream
 
@@ -21,8 +22,6 @@ SHOCK_S = 0.01  # Time in which an impact changes the force [s]; thrust needs lo
 LEAST_SHOCK_G = 1.0  # Least change of the specific force by an impact [g]
 SHOCK_RATIOS = (1.25, 2.0)  # Size of an impact relative to the largest and to the 99.9th percentile of changes before
 BEFORE_IMPACT_S = 0.1  # Time cut off before an impact [s], for the contact that leads to it
-
-STATES = ("armed", "landed")  # Quantities that are no measurements of motion
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,8 +33,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
 )
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
-from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
@@ -115,12 +114,13 @@ def load_flights(
     learned = 0
     for index, (real, path) in enumerate(distinct_files(paths).items()):
         with _collect_refusals(refused):
-            for one in flight_paths(path):
+            opened = open_log(path, mapping)
+            for number in opened.numbers:
                 with _collect_refusals(refused):
-                    raw = read_flight_log(one, mapping=mapping)
+                    raw = opened.flight(number)
                     seen.add(raw)
                     log = scale_relative_commands(mend_position_jumps(resample_log(raw)), robot)
-                    read[real.with_name(Path(one).name)] = (derive_velocity(log), check_log(log, robot))
+                    read[real.with_name(Path(raw.path).name)] = (derive_velocity(log), check_log(log, robot))
                     learned += learning is None or index < learning
     logs = [log for log, _ in read.values()]
     offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)

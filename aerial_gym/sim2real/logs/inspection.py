@@ -1,7 +1,7 @@
 """Content of a log file: topics with their rates, flights with their streams, messages, and defects. Letters: T samples."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,12 @@ from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
-from aerial_gym.sim2real.logs.readers.binary_log import LogFlights, flight_of_log, open_raw_log
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
+from aerial_gym.sim2real.logs.readers.flight_log import LogFlights, open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays, split_flight_number
+from aerial_gym.sim2real.logs.recording import StreamTiming, row_arrays, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import row_times
 from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ
 
@@ -101,53 +101,41 @@ class LogInspection:
 
 def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspection:
     """Return the content of a log file, of ``FILE#2`` only that flight; raise ``DataError`` if nothing can be decoded."""
-    file, chosen = split_flight_number(path)
-    raw = read_raw_log(Path(file))
-    if raw is None:
-        return _inspect_csv(Path(path), mapping)
-    opened, refusals = None, list[str]()
+    file, number = split_flight_number(path)
     try:
-        opened = open_raw_log(raw, mapping)
+        opened = open_log(file, mapping)
     except DataError as error:
-        refusals.append(str(error))
-    flights = [] if opened is None else _flights_of_log(opened, mapping, refusals, chosen)
-    notes, armed = raw.notes if opened is None else opened.notes, _spans_of_arming(raw)
-    return LogInspection(raw=raw, flights=tuple(flights), refusals=tuple(refusals), notes=notes, armed=armed)
-
-
-def _flights_of_log(
-    opened: LogFlights, mapping: LogMapping | None, refusals: list[str], chosen: int | None
-) -> list[FlightSummary]:
-    """Return the usable flights, or the chosen one; the errors of others go to ``refusals``."""
-    flights, count = list[FlightSummary](), len(opened.spans)
-    if chosen is not None and not 1 <= chosen <= count:
-        raise DataError(f"{opened.raw.path}#{chosen}: the file holds {count} flights, numbered from 1")
-    relative = mapping is None or mapping.rotor_command is None
-    for number, span in enumerate(opened.spans, start=1):
-        if chosen not in (None, number):
-            continue
+        raw = _raw_log(Path(file), mapping, error)
+        return LogInspection(raw=raw, flights=(), refusals=(str(error),), notes=raw.notes, armed=_spans_of_arming(raw))
+    opened, flights, refusals = opened.select(number), list[FlightSummary](), list[str]()
+    for number in opened.numbers:
         try:
-            log = flight_of_log(opened, number, relative=relative, fastest=DELAY_ROWS_HZ)
+            flights.append(_flight_summary(opened, number))
         except DataError as error:
             refusals.append(str(error))
-            continue
-        known = set(opened.notes)
-        rate = 1.0 / float(np.median(np.diff(row_times(opened.streams, span))))
-        notes = tuple(note for note in log.notes if note not in known)
-        flights.append(_flight_summary(log, span.ended_by, rate, notes))
-    return flights
+    return LogInspection(
+        raw=opened.raw,
+        flights=tuple(flights),
+        refusals=tuple(refusals),
+        notes=tuple(opened.notes),
+        armed=_spans_of_arming(opened.raw),
+    )
 
 
-def _flight_summary(log: FlightLog, ended_by: str, rate: float, notes: tuple[Finding, ...]) -> FlightSummary:
+def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
+    span, log = opened.spans[number - 1], opened.flight(number, fastest=DELAY_ROWS_HZ)
+    time = log.time if opened.rows is not None else row_times(opened.streams, span)
+    rate = 1.0 / float(np.median(np.diff(time)))
+    quantities = [name for name in row_arrays(log) if name not in ("time", "lines")]
     return FlightSummary(
         path=log.path,
         start=float(log.time[0]),
         end=float(log.time[-1]),
-        ended_by=ended_by,
+        ended_by=span.ended_by,
         rate=rate,
-        streams=log.streams,
+        streams=log.streams or {name: StreamTiming(source="table[0]", rate=rate) for name in quantities},
         battery=None if log.battery is None else (float(log.battery.min()), float(log.battery.max())),
-        notes=notes,
+        notes=tuple(note for note in log.notes if note not in opened.notes),
     )
 
 
@@ -169,10 +157,11 @@ def topic_summary(topic: Topic) -> TopicSummary:
 
 def _spans_of_arming(raw: RawLog) -> tuple[tuple[float, float], ...]:
     """Return the spans between arming and disarming [s], or the end of the log."""
-    channels = [one for one in LOG_READERS.get(raw.format).channels(raw) if one.quantity == "armed"]
-    if not channels:
+    channels = () if raw.format == "csv" else LOG_READERS.get(raw.format).channels(raw)
+    channel = next((one for one in channels if one.quantity == "armed"), None)
+    if channel is None:
         return ()
-    time, armed = channels[0].time, channels[0].values[:, 0] > 0.0
+    time, armed = channel.time, channel.values[:, 0] > 0.0
     return tuple((float(time[a]), float(time[min(b, time.size - 1)])) for a, b in true_spans(armed))
 
 
@@ -186,24 +175,15 @@ def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:
     return RawLog(path=str(path), format="csv", topics=(topic,), notes=tuple(notes))
 
 
-def _inspect_csv(path: Path, mapping: LogMapping | None) -> LogInspection:
-    from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log  # its checks need torch
-
+def _raw_log(file: Path, mapping: LogMapping | None, error: DataError) -> RawLog:
+    """Return the content of a log without a usable flight; raise ``error`` if there is no such file or no header line."""
+    raw = read_raw_log(file)
+    if raw is not None:
+        return raw
     try:
-        log = read_flight_log(path, mapping=mapping)
-    except DataError as error:
-        try:
-            raw = csv_raw_log(path, mapping)
-        except DataError:
-            raw = _raw_log_of_header(path, error)
-        return LogInspection(raw=raw, flights=(), refusals=(str(error),), notes=raw.notes)
-    raw = RawLog(path=str(path), format="csv", topics=(Topic(name="table", time=log.time, columns={}),))
-    rate = topic_summary(raw.topics[0]).rate or 0.0
-    streams = {
-        name: StreamTiming(source="table[0]", rate=rate) for name in row_arrays(log) if name not in ("time", "lines")
-    }
-    flight = _flight_summary(replace(log, streams=streams), "log_end", rate, log.notes)
-    return LogInspection(raw=raw, flights=(flight,), refusals=(), notes=())
+        return csv_raw_log(file, mapping)
+    except DataError:
+        return _raw_log_of_header(file, error)
 
 
 def _raw_log_of_header(path: Path, error: DataError) -> RawLog:

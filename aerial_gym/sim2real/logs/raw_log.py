@@ -112,6 +112,8 @@ QUANTITIES = {
 }
 """Number of components of each quantity of a log channel; 0: the number of rotors."""
 
+STATES = ("armed", "landed")  # Quantities that are no measurements of motion
+
 
 @dataclass(frozen=True, kw_only=True)
 class LogChannel:

@@ -13,6 +13,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
+from aerial_gym.sim2real.logs.recording import split_flight_number
 from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.teststand.report import ReportTable, Study, interval_text
 from aerial_gym.sim2real.teststand.throws import (
@@ -70,8 +71,9 @@ def read_throw(path: Path) -> FreeFlight:
 
 def _time_series(path: Path) -> Iterator[tuple[str, Array, Array]]:
     """Yield quantity, time [s] and values of the best channel of each quantity."""
-    raw, seen = read_raw_log(path), set[str]()
-    if raw is None:
+    file, number = split_flight_number(path)
+    raw, seen = read_raw_log(Path(file)), set[str]()
+    if raw is None or number is not None:
         log = read_flight_log(path, hover=True)
         for name in ("ang_vel", "specific_force", "rotor_speed"):
             if (values := getattr(log, name)) is not None:

@@ -9,7 +9,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.rotor import POLYNOMIAL_MAP
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.findings import Finding, unit_suffix
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.teststand import figures
@@ -276,7 +276,7 @@ def study_hover(
     robot: RobotCfg | None = None,
 ) -> Study:
     """Return a study of the thrust coefficient from hover in flight logs."""
-    logs = [read_flight_log(path, mapping=layout) for path in paths]
+    logs = read_flights(paths, mapping=layout)
     rotor = None if robot is None else robot.the_rotor("identify hover")
     declared = rotor.thrust_map if rotor is not None and rotor.rotor_map == POLYNOMIAL_MAP else None
     fit = fit_hover(logs, mass=mass, mass_std=mass_std, declared=declared)
@@ -316,7 +316,7 @@ def study_balance(
     repeats_only = [path for whole, path in {path.resolve(): path for path in repeats}.items() if whole not in named]
 
     def read(paths: Sequence[Path]) -> list[HoverEffort]:
-        return [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in paths]
+        return [hover_effort(log) for log in read_flights(paths, mapping=layout, hover=True)]
 
     results = judge_balance(
         read(baseline), read(flights), robot=robot, test=read(test), repeats=read(repeats_only), added_mass=added_mass

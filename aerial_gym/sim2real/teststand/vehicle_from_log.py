@@ -17,8 +17,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import complete_flight
-from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
@@ -86,8 +85,7 @@ def draft_vehicle(
     for name, value in (("mass", mass), ("arm", arm)):
         if value is not None and not 0.0 < value < inf:
             raise ConfigError(f"{name} = {value!r}: must be > 0 and finite")
-    given = [flight for path in paths for flight in flight_paths(path)]
-    logs = [_complete_log(read_flight_log(path, mapping=mapping)) for path in given]
+    logs = [_complete_log(log) for log in read_flights(paths, mapping=mapping)]
     layout = _common_layout(logs)
     has_speeds = all(log.rotor_speed is not None for log in logs)
 
@@ -105,7 +103,7 @@ def draft_vehicle(
     flights = [rows for rows in flights if rows.seconds > 0.0]
     seconds = sum(rows.seconds for rows in flights)
     if seconds < FEWEST_S:
-        raise DataError(f"{given[0]}: {seconds:.1f} s with all rotors turning; {FEWEST_S:g} s are needed")
+        raise DataError(f"{logs[0].path}: {seconds:.1f} s with all rotors turning; {FEWEST_S:g} s are needed")
     fast = all(log.torques for log in logs)
     effect = fit_effectiveness(flights, layout.signs) if fast else None
     curve = fit_command_curve(logs) if has_speeds and fast else None

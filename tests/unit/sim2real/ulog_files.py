@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real import FlightLog, LogMapping
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
-from aerial_gym.sim2real.logs.readers.binary_log import flight_of_log, open_raw_log
+from aerial_gym.sim2real.logs.readers.flight_log import open_raw_log
 from aerial_gym.sim2real.logs.readers.stamps import stamp_seconds
 
 
@@ -55,7 +55,7 @@ def read_topics(
         time = stamp_seconds(fields["timestamp"], 1e-6)
         parts.append(Topic(name=name, instance=int(instance or 0), time=time, columns=columns))
     raw = RawLog(path="a.ulg", format="ulog", topics=tuple(parts), parameters=parameters)
-    return flight_of_log(open_raw_log(raw, mapping), 1, relative=mapping is None)
+    return open_raw_log(raw, mapping).flight(1)
 
 
 def write_ulog(

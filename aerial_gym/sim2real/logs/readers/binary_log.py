@@ -1,12 +1,11 @@
-"""Read the flights of a binary log: channels of its reader, on one clock, split, and resampled to the rows of the gyro.
+"""Read a flight of a binary log: channels of its reader, on one clock, and resampled to the rows of the gyro.
 
 Letters: T rows, R rotors.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,47 +15,20 @@ from aerial_gym.errors import DataError
 from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.flight_spans import (
-    SHORTEST_S,
-    STATES,
-    FlightSpan,
-    flight_spans,
-    leave_out_partial_streams,
-)
-from aerial_gym.sim2real.logs.raw_log import QUANTITIES, LogChannel, RawLog, Topic
+from aerial_gym.sim2real.logs.flight_spans import FlightSpan, leave_out_partial_streams
+from aerial_gym.sim2real.logs.raw_log import QUANTITIES, STATES, LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
 from aerial_gym.sim2real.logs.readers.frames import to_package_frames
-from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, resample_streams, row_times
 from aerial_gym.sim2real.logs.signals import integrate_rates
 from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, DELAY_ROWS_HZ, StreamDelay, stream_delays
 from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams
 
 
-@dataclass(frozen=True, kw_only=True)
-class LogFlights:
-    """A binary log with its streams on one clock and its flights."""
-
-    raw: RawLog
-    streams: dict[str, Stream]
-    spans: tuple[FlightSpan, ...]
-    notes: tuple[Finding, ...]
-
-    def flight_path(self, number: int) -> str:
-        """Return the path of a flight, from 1, with its number if there are several."""
-        return self.raw.path if len(self.spans) == 1 else f"{self.raw.path}#{number}"
-
-
-def open_log(path: str | Path, mapping: LogMapping | None = None) -> LogFlights | None:
-    """Return a binary log with its flights; None for a text file. Raise ``DataError`` if it holds no flight."""
-    raw = read_raw_log(Path(path))
-    return None if raw is None else open_raw_log(raw, mapping)
-
-
-def open_raw_log(raw: RawLog, mapping: LogMapping | None = None) -> LogFlights:
-    """Return the streams and flights of a decoded log; raise ``DataError`` if it holds no flight."""
+def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict[str, Stream], list[Finding]]:
+    """Return the streams of a decoded log on one clock, and findings; raise ``DataError`` if they show no attitude."""
     notes = list(raw.notes)
     channels = LOG_READERS.get(raw.format).channels(raw)
     streams = usable_streams([*_channels_of_mapping(raw, channels, mapping), *channels], notes)
@@ -66,34 +38,7 @@ def open_raw_log(raw: RawLog, mapping: LogMapping | None = None) -> LogFlights:
         raise DataError(
             f"{raw.path}: holds neither attitude nor angular velocity of the whole log; log one of them.{lost}"
         )
-    spans = flight_spans(streams, notes)
-    if not spans:
-        raise DataError(f"{raw.path}: holds no flight of {SHORTEST_S:g} s without a gap in its topics")
-    return LogFlights(raw=raw, streams=streams, spans=tuple(spans), notes=tuple(notes))
-
-
-def flight_paths(path: str | Path) -> list[str | Path]:
-    """Return ``FILE#1``, ``FILE#2`` ... for a binary log with several flights, else the path itself."""
-    file, number = split_flight_number(path)
-    if number is not None:
-        return [path]
-    opened = open_log(file)
-    return [path] if opened is None or len(opened.spans) == 1 else [f"{path}#{n + 1}" for n in range(len(opened.spans))]
-
-
-def read_binary_flight(path: str | Path, mapping: LogMapping | None, *, hover: bool = False) -> FlightLog | None:
-    """Return one flight of a binary log; None for a text file. Raise ``DataError`` if the path selects no single flight."""
-    file, number = split_flight_number(path)
-    opened = open_log(file, mapping)
-    if opened is None:
-        return None
-    count = len(opened.spans)
-    if number is None and count > 1:
-        raise DataError(f"{path}: holds {count} flights; give one of {file}#1 to {file}#{count}")
-    if number is not None and not 1 <= number <= count:
-        raise DataError(f"{path}: the file holds {count} flights, numbered from 1")
-    relative = mapping is None or mapping.rotor_command is None
-    return flight_of_log(opened, number or 1, relative=relative, hover=hover)
+    return streams, notes
 
 
 def _channels_of_mapping(raw: RawLog, channels: Sequence[LogChannel], mapping: LogMapping | None) -> list[LogChannel]:
@@ -104,7 +49,8 @@ def _channels_of_mapping(raw: RawLog, channels: Sequence[LogChannel], mapping: L
     """
     if mapping is None:
         return []
-    quantities = {name: quantity for name, quantity in mapping.quantities().items() if name in QUANTITIES}
+    names = {name: name for name in QUANTITIES} | {"rotor_share": "rotor_command"}
+    quantities = {names[name]: quantity for name, quantity in mapping.quantities().items() if name in names}
     return [_channel_of_mapping(raw, channels, name, quantity, mapping) for name, quantity in quantities.items()]
 
 
@@ -138,18 +84,23 @@ def _find_column(raw: RawLog, column: str) -> tuple[Topic, str]:
     )
 
 
-def flight_of_log(
-    opened: LogFlights, number: int, *, relative: bool = True, hover: bool = False, fastest: float = inf
+def flight_of_streams(
+    all_streams: Mapping[str, Stream],
+    span: FlightSpan,
+    path: str,
+    notes: list[Finding],
+    *,
+    relative: bool = True,
+    hover: bool = False,
+    fastest: float = inf,
 ) -> FlightLog:
-    """Return a flight, from 1, with delays of its streams corrected where its motion shows them.
+    """Return a flight, with delays of its streams corrected where its motion shows them.
 
     ``relative``: whether commands are shares of the largest speed. ``fastest``: largest rate of the rows [Hz].
 
     Raise ``DataError`` if a needed quantity is missing.
     """
-    span, path = opened.spans[number - 1], opened.flight_path(number)
-    notes = [note for note in opened.notes if span.start <= note.values.get("time_s", span.start) <= span.end]
-    streams = {name: stream for name, stream in opened.streams.items() if name not in STATES}
+    streams = {name: stream for name, stream in all_streams.items() if name not in STATES}
     timings = {
         name: StreamTiming(source=stream.channel.source, rate=stream.rate, latency=stream.channel.latency)
         for name, stream in streams.items()

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.recording import split_flight_number
 
 SEPARATORS = (";", "\t", ",")  # Field separators; a header with none of them is separated by spaces
 SPACES = " "  # Separator mark for any run of white space
@@ -89,11 +88,7 @@ def read_lines(path: Path) -> list[str]:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        file, number = split_flight_number(path)
-        remedy = (
-            f"no such file; {file} holds one flight: leave out #{number}" if Path(file).exists() else "no such file"
-        )
-        raise DataError(f"{path}: {remedy}") from None
+        raise DataError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise DataError(f"{path}: is a folder; give the log files in it. A bag of ROS 2 has a metadata.yaml") from None
     except OSError as error:

@@ -13,7 +13,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
-from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
+from aerial_gym.sim2real.logs.readers.mapping import SCALARS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, correct_stamps, stamp_seconds
 
 FEW_DIGITS = 20  # Time has too few digits if more than one row in so many repeats the time before
@@ -243,7 +243,7 @@ def mapping_hint(known: list[str]) -> str:
     own = {column for quantity in find_mapping("aerial_gym").quantities().values() for column in quantity.columns}
     for name in mapping_names():
         layout = find_mapping(name)
-        known_columns = [q.columns for key, q in layout.quantities().items() if key not in ("battery", *HEIGHTS)]
+        known_columns = [q.columns for key, q in layout.quantities().items() if key == "time" or key not in SCALARS]
         wanted = {column for columns in known_columns for column in columns if "{n}" not in column}
         if not wanted <= own and wanted <= set(known):
             fits[name] = len(wanted)

@@ -29,6 +29,12 @@ def stdin_lines() -> Iterator[str]:
         yield line.decode("utf-8-sig", errors="replace")
 
 
+def is_log_of_flights(path: str | Path) -> bool:
+    """Return whether a path names a binary log or selects a flight of a file, and so no growing text file."""
+    file, number = split_flight_number(path)
+    return number is not None or (not Path(file).is_fifo() and find_reader(Path(file)) is not None)
+
+
 def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
     """Yield the complete lines of a file, None when it starts anew; ``follow``: wait for more. Bad bytes are replaced."""
     file, part, start = _open_text_file(path), b"", b""
@@ -56,12 +62,8 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
 
 def _open_text_file(path: Path) -> BinaryIO:
     """Return a text file opened for reading at its start."""
-    whole = Path(split_flight_number(path)[0])
-    if whole.is_file() and find_reader(whole) is not None:  # a pipe is left unread
-        raise DataError(
-            f"{path}: only CSV files and rows from stdin (-) are watched; convert it by 'aerial-gym log convert {path} --to "
-            "csv --out flights' and watch the result"
-        )
+    if is_log_of_flights(path):
+        raise DataError(f"{path}: only CSV files grow by lines that can be followed; watch it without --follow")
     if path.is_dir():
         raise DataError(f"{path}: is a folder. Give a flight log (CSV), or - for rows from stdin")
     try:

@@ -109,8 +109,17 @@ class LogMapping:
     rotor_command: ColumnsCfg | None = None
     """Commanded rotor speeds [rad/s], in force mode thrusts [N]."""
 
+    rotor_share: ColumnsCfg | None = None
+    """Commands as shares of the largest rotor speed, 0 to 1, as firmwares log them; ``rotor_command`` comes first."""
+
     battery: ColumnsCfg | None = None
     """Battery voltage [V]."""
+
+    armed: ColumnsCfg | None = None
+    """1 while the vehicle is armed, else 0: the file is split there."""
+
+    landed: ColumnsCfg | None = None
+    """1 while the vehicle stands on the ground, else 0: the file is split there."""
 
     ground_height: ColumnsCfg | None = None
     """Height of the ground [m], world, constant; 0 if unmapped or missing."""
@@ -188,7 +197,7 @@ class LogMapping:
 
 
 HEIGHTS = ("ground_height", "ceiling_height")
-SCALARS = ("time", "battery", *HEIGHTS)
+SCALARS = ("time", "battery", "armed", "landed", *HEIGHTS)
 VECTORS = ("position", "lin_vel", "ang_vel", "specific_force", "other_position")
 
 

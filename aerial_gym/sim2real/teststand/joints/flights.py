@@ -16,7 +16,8 @@ from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import read_flights
+from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
 from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
@@ -89,23 +90,24 @@ def fit_joints_to_flights(
 ) -> FlightJointStudy:
     """Return the passive joints' parameters fitted to logs in the package's own layout."""
     require_joints(robot)
-    if any(_has_angles(path) for path in flights):
-        logged, left_out = fit_flown_joints(
-            robot, [read_joint_motion(path, robot, bandwidth=bandwidth) for path in flights]
-        )
+    logs = read_flights(flights)
+    if any(_has_angles(log) for log in logs):
+        logged, left_out = fit_flown_joints(robot, [read_joint_motion(log, robot, bandwidth=bandwidth) for log in logs])
         return FlightJointStudy(
             joints=tuple(_joint_result(robot, joint) for joint in logged),
             logged=tuple(logged),
             channels={},
             left_out=tuple(left_out),
         )
-    motions = [body_motion(robot, log_at_equal_steps(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
+    motions = [body_motion(robot, log_at_equal_steps(log), bandwidth=bandwidth) for log in logs]
     fit = fit_hidden_joints(robot, motions, bandwidth=bandwidth, progress=progress)
     return FlightJointStudy(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
 
 
-def _has_angles(path: Path) -> bool:
-    header = find_header(read_lines(path), "t")
+def _has_angles(log: FlightLog) -> bool:
+    if log.lines is None:  # a binary log
+        return False
+    header = find_header(read_lines(Path(split_flight_number(log.path)[0])), "t")
     return header is not None and any(name.startswith("joint_") for name in header.names)
 
 

@@ -25,9 +25,8 @@ from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command, vehicle_lag
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.csv_table import read_csv_rows
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
 SLOW = 0.05  # Velocity scale v of dry friction, as a share of the joint rate's standard deviation
@@ -44,14 +43,15 @@ class JointMotion:
     effort: Array  # Joint efforts from inverse dynamics [N m], (T, D)
 
 
-def read_joint_motion(path: Path, robot: RobotCfg, *, bandwidth: float) -> JointMotion:
-    """Return the joint motion and efforts of a log in the package's own layout.
+def read_joint_motion(flight: FlightLog, robot: RobotCfg, *, bandwidth: float) -> JointMotion:
+    """Return the joint motion and efforts of a flight from a CSV file in the package's own layout.
 
-    The log has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, with angles [rad] or displacements [m].
+    The file has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, with angles [rad] or displacements [m].
     """
     assert robot.joints is not None
-    log = log_at_equal_steps(read_flight_log(path))
-    table, time, _ = read_csv_rows(path, find_mapping("aerial_gym"), [])
+    path = split_flight_number(flight.path)[0]
+    table, _, _ = read_csv_rows(Path(path), find_mapping("aerial_gym"), [])
+    table = table.loc[flight.lines]
     columns = []
     for number, name in enumerate(robot.joints.names, 1):
         known = [column for column in (f"joint_{name}", f"joint_{number}") if column in table.columns]
@@ -63,7 +63,8 @@ def read_joint_motion(path: Path, robot: RobotCfg, *, bandwidth: float) -> Joint
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: joint angles have empty or non-numeric fields; cut the log, or fill them")
-    return joint_motion(robot, log, interpolate_columns(log.time, time, angles), bandwidth=bandwidth)
+    log = log_at_equal_steps(flight)
+    return joint_motion(robot, log, interpolate_columns(log.time, flight.time, angles), bandwidth=bandwidth)
 
 
 def joint_motion(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> JointMotion:

@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aerial_gym.sim2real import read_flight_log
+from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.conversion import convert_log
-from aerial_gym.sim2real.logs.recording import row_arrays
+from aerial_gym.sim2real.logs.readers.flight_log import read_flights
+from aerial_gym.sim2real.logs.recording import FlightLog, row_arrays
 from tests.unit.sim2real.flat_flights import flight
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
@@ -19,12 +20,40 @@ def table() -> pd.DataFrame:
     return flight(5, seconds=4.0, rate=200.0)
 
 
-def test_a_flight_as_csv_is_the_flight_of_the_log(table: pd.DataFrame, tmp_path: Path) -> None:
-    path = write_ulog(tmp_path / "a.ulg", topics(table))
-    (file,) = convert_log(path, "csv", tmp_path / "out")
-    original, copy = read_flight_log(path), read_flight_log(file)
-    for name, values in row_arrays(original).items():
-        np.testing.assert_allclose(getattr(copy, name), values, rtol=1e-12, atol=1e-12, err_msg=name)
+def assert_same_flights(originals: list[FlightLog], copies: list[FlightLog]) -> None:
+    for original, copy in zip(originals, copies, strict=True):
+        arrays = row_arrays(copy)
+        assert row_arrays(original).keys() == arrays.keys() - {"lines"}
+        for name, values in row_arrays(original).items():
+            np.testing.assert_array_equal(arrays[name], values, err_msg=name)
+        for name in ("streams", "torques", "relative_commands", "attitude_integrated"):
+            assert getattr(copy, name) == getattr(original, name)
+
+
+@pytest.mark.parametrize("kind", ["speeds", "slow shares", "no attitude"])
+def test_flights_as_csv_are_the_flights_of_the_log(kind: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    """Also slow commands in shares, which show no torques, and a missing attitude, which the gyro gives."""
+    results = topics(pd.concat([table, table.assign(t=table["t"] + 10.0)]))
+    if kind == "slow shares":
+        stamp = results.pop("esc_status")["timestamp"][::10]
+        wave = 0.5 + 0.1 * np.sin(1e-6 * stamp.astype(float))
+        results["actuator_motors"] = {"timestamp": stamp} | {f"control[{i}]": wave for i in range(4)}
+    if kind == "no attitude":
+        del results["vehicle_attitude"]
+    path = write_ulog(tmp_path / "a.ulg", results)
+    files = convert_log(path, "csv", tmp_path / "out")
+    assert len(files) == 2
+    assert_same_flights(read_flights([path]), read_flights(files))
+
+
+def test_bad_facts_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:
+    (file,) = convert_log(write_ulog(tmp_path / "a.ulg", topics(table)), "csv", tmp_path)
+    _, _, rest = file.read_text().partition("\n")
+    streams = '{"streams": {"ang_vel": {"source": "a", "rate": -1.0}}}'
+    for facts in ("", "[" * 5000, "[]", '{"torque": true}', '{"streams": 3}', streams):
+        file.write_text(f"# flight: {facts}\n{rest}")
+        with pytest.raises(DataError, match="line 1"):
+            read_flights([file])
 
 
 def test_relative_commands_have_their_own_columns(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -32,7 +61,7 @@ def test_relative_commands_have_their_own_columns(table: pd.DataFrame, tmp_path:
     stamp = results.pop("esc_status")["timestamp"]
     results["actuator_motors"] = {"timestamp": stamp} | {f"control[{i}]": np.full(stamp.size, 0.5) for i in range(4)}
     (file,) = convert_log(write_ulog(tmp_path / "a.ulg", results), "csv", tmp_path)
-    columns = set(pd.read_csv(file))
+    columns = set(pd.read_csv(file, comment="#"))
     assert {"share_1", "share_4"} < columns
     assert "cmd_1" not in columns
 

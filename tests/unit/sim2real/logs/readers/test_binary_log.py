@@ -10,7 +10,7 @@ from aerial_gym.config import build
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import read_flight_log
 from aerial_gym.sim2real.logs.flights import file_digests, load_flights, read_flight_inputs
-from aerial_gym.sim2real.logs.readers.binary_log import flight_paths
+from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import split_flight_number
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
@@ -57,12 +57,11 @@ def two_flights(table: pd.DataFrame, path: Path) -> Path:
 
 def test_a_file_with_two_flights_gives_each_by_its_number(table: pd.DataFrame, tmp_path: Path) -> None:
     path = two_flights(table, tmp_path / "day.ulg")
-    assert flight_paths(path) == [f"{path}#1", f"{path}#2"]
-    with pytest.raises(DataError, match=r"holds 2 flights; give one of .*day\.ulg#1 to .*#2"):
+    with pytest.raises(DataError, match=r"holds 2 flights; give one of them: .*day\.ulg#1 \(5\.\d to .*day\.ulg#2 "):
         read_flight_log(path)
     with pytest.raises(DataError, match="holds 2 flights, numbered from 1"):
         read_flight_log(f"{path}#3")
-    logs = [read_flight_log(one) for one in flight_paths(path)]
+    logs = read_flights([path])
     assert [log.name for log in logs] == ["day#1", "day#2"]
     assert [np.ptp(log.time) for log in logs] == pytest.approx([12.0, 8.0], abs=0.1)
     assert logs[1].time[0] == pytest.approx(45.0, abs=0.1)

@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError, DataError, UnknownNameError
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.readers import follow
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import open_log, read_flight_log, read_flights
 from aerial_gym.sim2real.logs.readers.follow import file_lines
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -21,6 +21,37 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
     return flight(0, seconds=3.0, rate=100.0)
+
+
+def spans(table: pd.DataFrame, path: Path) -> list[tuple[float, float, str]]:
+    opened = open_log(write(table, path))
+    return [(one.start, one.end, one.ended_by) for one in opened.spans]
+
+
+def test_a_table_is_split_at_gaps_states_and_an_impact(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Each flight keeps its rows and their lines in the file; without arming a gap of 1 s separates two flights."""
+    other = flight(1, seconds=3.0, rate=100.0)
+    two = pd.concat([table, other.assign(t=other["t"] + 4.0)], ignore_index=True)
+    last = float(table["t"].iloc[-1])
+    ends = [(0.0, last, "gap"), (4.0, 4.0 + last, "log_end")]
+    assert spans(two, tmp_path / "a.csv") == [pytest.approx(one) for one in ends]
+    logs = read_flights([tmp_path / "a.csv"])
+    assert [log.name for log in logs] == ["a#1", "a#2"]
+    second = read_flight_log(f"{tmp_path / 'a.csv'}#2")
+    np.testing.assert_array_equal(second.lines, np.arange(len(table), 2 * len(table)) + 2)
+    np.testing.assert_array_equal(second.ang_vel, other[["omega_x", "omega_y", "omega_z"]])
+    with pytest.raises(DataError, match=r"give one of them: .*a\.csv#1 .*, .*a\.csv#2 \(4\.0 to 7\.0 s\)"):
+        read_flight_log(tmp_path / "a.csv")
+    assert [one.name for one in load_flights([tmp_path / "a.csv"], ROBOT, mapping=None, bandwidth=10.0)] == [
+        "a#1", "a#2",
+    ]  # fmt: skip
+    armed = table.assign(armed=(table.index >= 50).astype(int))
+    assert spans(armed, tmp_path / "b.csv") == [(pytest.approx(0.5), pytest.approx(last), "log_end")]
+    flown = table.assign(landed=(table.index > 250).astype(int))
+    assert spans(flown, tmp_path / "c.csv") == [(0.0, pytest.approx(2.51), "landing")]
+    crash = flight(0, seconds=8.0, rate=100.0)
+    crash.loc[750:752, "acc_z"] += 80.0
+    assert spans(crash, tmp_path / "d.csv") == [(0.0, pytest.approx(7.4, abs=0.02), "impact")]
 
 
 def mapping(**changes: object) -> LogMapping:

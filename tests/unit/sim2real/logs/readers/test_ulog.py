@@ -10,7 +10,7 @@ from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real import read_flight_log
 from aerial_gym.sim2real.logs.raw_log import RawLog
 from aerial_gym.sim2real.logs.readers import log_readers
-from aerial_gym.sim2real.logs.readers.binary_log import open_log
+from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.ulog import UlogStream
 from tests.unit.sim2real.flat_flights import flight
 from tests.unit.sim2real.ulog_files import read_topics, topics, write_ulog
