@@ -7,14 +7,23 @@ from aerial_gym.registry.registry import Registry
 
 LOG_READERS: Registry[Any] = Registry("log format")  # Readers of binary logs, each a `LogReader`
 
-READERS = {
-    "blackbox": ImportPath("aerial_gym.sim2real.logs.readers.blackbox:BlackboxReader"),
-    "crazyflie": ImportPath("aerial_gym.sim2real.logs.readers.crazyflie:CrazyflieReader"),
-    "dataflash": ImportPath("aerial_gym.sim2real.logs.readers.dataflash:DataflashReader"),
-    "ros": ImportPath("aerial_gym.sim2real.logs.readers.ros:RosReader"),
-    "ulog": ImportPath("aerial_gym.sim2real.logs.readers.ulog:UlogReader"),
+READERS: dict[str, tuple[str, tuple[bytes, ...]]] = {
+    "blackbox": ("blackbox:BlackboxReader", (b"H Product:Blackbox",)),
+    "crazyflie": ("crazyflie:CrazyflieReader", (b"\xbc",)),
+    "dataflash": ("dataflash:DataflashReader", (b"\xa3\x95",)),
+    "ros": ("ros:RosReader", (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP", b"rosbag2_bagfile_information")),
+    "ulog": ("ulog:UlogReader", (b"ULog\x01",)),
 }
-"""Readers of this package. Each format has other first bytes, so that their order does not count."""
+"""Module and class of each reader of this package, and bytes of which a file of its format begins with at least one.
 
-for _name, _home in READERS.items():
+Only a reader whose bytes are found is imported. Each format has other first bytes, so that their order does not count.
+"""
+
+for _name, (_place, _marks) in READERS.items():
+    _home = ImportPath(f"aerial_gym.sim2real.logs.readers.{_place}")
     LOG_READERS.register_later(_name, _home.make, summary=_home.summary)
+
+
+def reader_names(head: bytes) -> list[str]:
+    """Return the names of the readers that may know a file by its first bytes; those of users are all among them."""
+    return [name for name in LOG_READERS if name not in READERS or any(mark in head for mark in READERS[name][1])]

@@ -53,9 +53,7 @@ def test_a_failure_in_a_binary_log_is_named(files: CaseFiles, tmp_path: Path, ca
     for name in (log, f"{log}#1"):
         assert main(["watch", str(files.robot), str(name), "--json"]) == 0
         told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        assert [(one["stage"], one["name"], one["params"]["motor"]) for one in told[1:]] == [
-            ("named", "weak_motor", 1)
-        ]
+        assert [(one["stage"], one["name"], one["params"]["motor"]) for one in told[1:]] == [("named", "weak_motor", 1)]
 
 
 def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(files, capsys, monkeypatch) -> None:

@@ -20,7 +20,6 @@ from aerial_gym.sim2real.logs.checks.conventions import (
     body_rate_from_attitude,
     check_duration_and_rate,
     check_log,
-    without_bad_quaternions,
 )
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_law, check_rotor_order, without_copied_commands
@@ -38,7 +37,13 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
+from aerial_gym.sim2real.logs.signals import (
+    DERIVED_BAND,
+    drop_ends_beyond_gaps,
+    log_at_equal_steps,
+    lowpass,
+    without_bad_quaternions,
+)
 
 MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled

@@ -11,7 +11,7 @@ from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.logs.raw_log import LogMessage, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
 from aerial_gym.sim2real.logs.readers.flight_log import LogFlights, open_log
@@ -20,6 +20,7 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import StreamTiming, row_arrays, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import row_times
 from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ
+from aerial_gym.sim2real.logs.streams import Stream
 
 SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
 
@@ -106,7 +107,13 @@ def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspe
         opened = open_log(file, mapping)
     except DataError as error:
         raw = _raw_log(Path(file), mapping, error)
-        return LogInspection(raw=raw, flights=(), refusals=(str(error),), notes=raw.notes, armed=_spans_of_arming(raw))
+        return LogInspection(
+            raw=raw,
+            flights=(),
+            refusals=(str(error),),
+            notes=raw.notes,
+            armed=_spans_of_arming(_channel_of_arming(raw)),
+        )
     opened, flights, refusals = opened.select(number), list[FlightSummary](), list[str]()
     for number in opened.numbers:
         try:
@@ -118,7 +125,7 @@ def inspect_log(path: str | Path, mapping: LogMapping | None = None) -> LogInspe
         flights=tuple(flights),
         refusals=tuple(refusals),
         notes=tuple(opened.notes),
-        armed=_spans_of_arming(opened.raw),
+        armed=_spans_of_arming(opened.streams.get("armed")),
     )
 
 
@@ -155,14 +162,17 @@ def topic_summary(topic: Topic) -> TopicSummary:
     )
 
 
-def _spans_of_arming(raw: RawLog) -> tuple[tuple[float, float], ...]:
-    """Return the spans between arming and disarming [s], or the end of the log."""
+def _channel_of_arming(raw: RawLog) -> LogChannel | None:
     channels = () if raw.format == "csv" else LOG_READERS.get(raw.format).channels(raw)
-    channel = next((one for one in channels if one.quantity == "armed"), None)
-    if channel is None:
+    return next((one for one in channels if one.quantity == "armed"), None)
+
+
+def _spans_of_arming(armed: LogChannel | Stream | None) -> tuple[tuple[float, float], ...]:
+    """Return the spans between arming and disarming [s], or the end of the log."""
+    if armed is None:
         return ()
-    time, armed = channel.time, channel.values[:, 0] > 0.0
-    return tuple((float(time[a]), float(time[min(b, time.size - 1)])) for a, b in true_spans(armed))
+    time, spans = armed.time, true_spans(armed.values[:, 0] > 0.0)
+    return tuple((float(time[a]), float(time[min(b, time.size - 1)])) for a, b in spans)
 
 
 def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:

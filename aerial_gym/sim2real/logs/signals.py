@@ -15,7 +15,8 @@ from aerial_gym.errors import DataError
 from aerial_gym.math.decay import sum_with_decay
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import FlightLog, longest_bridgeable_gap, row_arrays, take_rows
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
+from aerial_gym.sim2real.logs.recording import NORM_OFF, FlightLog, longest_bridgeable_gap, row_arrays, take_rows
 
 FILTER_ORDER = 4  # Order of the Butterworth low-pass, which runs forwards and backwards
 DERIVED_BAND = 0.2  # Bandwidth of derivatives that replace a sensor, as a share of the rate
@@ -115,6 +116,24 @@ def apply_lag(values: Array, kept: float, start: Array) -> Array:
 def num_edge_rows(rate: float, bandwidth: float) -> int:
     """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth, plus one."""
     return round(2.0 * rate / bandwidth) + 1
+
+
+def without_bad_quaternions(log: FlightLog) -> FlightLog:
+    """Return the log without rows whose quaternion is not of norm 1; raise ``DataError`` if these exceed ``MOST_BAD``."""
+    norm = np.linalg.norm(log.attitude, axis=1)
+    bad = np.abs(norm - 1.0) > NORM_OFF
+    if not bad.any():
+        return log
+    row = int(np.argmax(bad))
+    if bad.mean() <= MOST_BAD:
+        values = {"rows": int(bad.sum()), "total": bad.size, "times_s": log.time[bad][:SHOWN].tolist()}
+        note = Finding("rows_without_quaternion", "", values)
+        log = take_rows(log, ~bad)
+        return replace(log, notes=(*log.notes, note))
+    raise DataError(
+        f"{log.row_name(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
+        f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
+    )
 
 
 def continuous_quaternion(attitude: Array) -> Array:

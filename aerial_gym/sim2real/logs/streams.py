@@ -12,7 +12,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel
 from aerial_gym.sim2real.logs.readers.csv_table import LARGEST
-from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, correct_stamps
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCorrection, correct_stamps
 from aerial_gym.sim2real.logs.recording import NORM_OFF
 from aerial_gym.sim2real.logs.signals import quaternion_signs
 
@@ -55,12 +55,15 @@ class Stream:
 def usable_streams(channels: Sequence[LogChannel], notes: list[Finding]) -> dict[str, Stream]:
     """Return the first usable channel of each quantity as a stream, all on one clock; a finding names each unusable one."""
     streams: dict[str, Stream] = {}
+    stamps: dict[int, StampCorrection] = {}  # by the place in memory of the times that channels of one topic share
     clock = next((name for name in CLOCKS if any(one.quantity == name for one in channels)), "")
     for channel in sorted(channels, key=lambda one: one.quantity != clock):  # the reference clock first
         if channel.quantity in streams or not np.isfinite(channel.values).any():
             continue
         try:
-            stream = _stream(channel, notes)
+            key = id(channel.time)
+            stamps[key] = stamps.get(key) or correct_stamps(channel.time, f"topic {channel.source}")
+            stream = _stream(channel, stamps[key], notes)
             streams[channel.quantity] = _align_clock(streams[clock], stream) if clock in streams else stream
         except DataError as error:
             notes.append(Finding("topic_left_out", "", {"topic": channel.source, "error": str(error)}))
@@ -81,11 +84,10 @@ def _with_increasing_time(streams: dict[str, Stream], notes: list[Finding]) -> d
     return {name: stream for name, stream in streams.items() if name not in wrong}
 
 
-def _stream(channel: LogChannel, notes: list[Finding]) -> Stream:
-    """Return the usable samples of a channel; raise ``DataError`` for unusable stamps."""
-    checked = correct_stamps(channel.time, f"topic {channel.source}")
+def _stream(channel: LogChannel, checked: StampCorrection, notes: list[Finding]) -> Stream:
+    """Return the usable samples of a channel; raise ``DataError`` if there are fewer than 2."""
     notes.extend(checked.late_block_findings(checked.late.tolist(), topic=channel.source))
-    values = channel.values[checked.order]
+    values = channel.values[checked.order] if checked.late.size else channel.values
     good = (np.abs(values) <= LARGEST).all(axis=1)  # which refuses NaN as well
     if channel.quantity == "attitude":
         good &= np.abs(np.linalg.norm(np.nan_to_num(values), axis=1) - 1.0) <= NORM_OFF
@@ -95,7 +97,8 @@ def _stream(channel: LogChannel, notes: list[Finding]) -> Stream:
     if bad := np.flatnonzero(~checked.kept).tolist():
         left_out = {"topic": channel.source, "samples": len(bad), "total": len(values), "places": bad[:SHOWN]}
         notes.append(Finding("samples_with_bad_stamps", "", left_out))
-    values = values[checked.kept][good]
+    if not good.all() or good.size < len(values):
+        values = values[checked.kept][good]
     if channel.quantity == "attitude":
         values = values * quaternion_signs(values)[:, None]
     steps = tuple(replace(step, row=int(good[: step.row].sum())) for step in checked.steps)

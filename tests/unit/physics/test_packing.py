@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
-from aerial_gym.interop.streams import start_warp
+from aerial_gym.interop.warp_start import start_warp
 from aerial_gym.math.random import uniform_draws
 from aerial_gym.math.rows import by_element, choose
 from aerial_gym.physics import BodyState, TorchBackend, Vehicle, WarpBackend, build_model, vehicle_from_config

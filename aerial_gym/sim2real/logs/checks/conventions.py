@@ -4,7 +4,6 @@ Only a contradiction that no real vehicle can cause is refused. Letters: T rows.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,8 +20,7 @@ from aerial_gym.sim2real.logs.checks.units import (
     check_units_of_velocity_and_position,
 )
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
-from aerial_gym.sim2real.logs.recording import AT_REST, NORM_OFF, FlightLog, sample_rate, take_rows
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import lowpass
 
 SHORTEST_S = 2.0
@@ -73,24 +71,6 @@ def _unit_of_time(log: FlightLog) -> str:
     ratios = [_rms_of_vectors(turn) / _rms_of_vectors(rate[1:] * step) for turn, rate in moved]
     exponent = round(np.log10(ratios[-1]) / 3.0) if ratios and ratios[-1] > 0.0 else 0
     return {-1: "ms", -2: "us", -3: "ns"}.get(exponent, "")
-
-
-def without_bad_quaternions(log: FlightLog) -> FlightLog:
-    """Return the log without rows whose quaternion is not of norm 1; raise ``DataError`` if these exceed ``MOST_BAD``."""
-    norm = np.linalg.norm(log.attitude, axis=1)
-    bad = np.abs(norm - 1.0) > NORM_OFF
-    if not bad.any():
-        return log
-    row = int(np.argmax(bad))
-    if bad.mean() <= MOST_BAD:
-        values = {"rows": int(bad.sum()), "total": bad.size, "times_s": log.time[bad][:SHOWN].tolist()}
-        note = Finding("rows_without_quaternion", "", values)
-        log = take_rows(log, ~bad)
-        return replace(log, notes=(*log.notes, note))
-    raise DataError(
-        f"{log.row_name(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
-        f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
-    )
 
 
 def _check_constant_columns(log: FlightLog) -> None:

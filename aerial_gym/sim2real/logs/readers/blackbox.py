@@ -169,7 +169,7 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
     """Return the frames of a flight; raise ``DataError`` if its header is unusable or they would fill the memory."""
     import warp as wp
 
-    from aerial_gym.interop.streams import start_warp
+    from aerial_gym.interop.warp_start import start_warp
 
     counts, tables = _definitions(header, path)
     piece = data[header.start : header.stop]

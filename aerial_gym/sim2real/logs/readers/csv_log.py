@@ -17,7 +17,6 @@ from aerial_gym.config import build
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.conventions import without_bad_quaternions
 from aerial_gym.sim2real.logs.checks.time_courses import check_motion_at_clock_steps
 from aerial_gym.sim2real.logs.raw_log import STATES
 from aerial_gym.sim2real.logs.readers.csv_table import (
@@ -32,7 +31,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
 from aerial_gym.sim2real.logs.readers.frames import to_package_frames
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
-from aerial_gym.sim2real.logs.signals import integrate_rates
+from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 
 COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
 LONGEST_FACTS = 10_000  # Largest length of the line with facts [B]

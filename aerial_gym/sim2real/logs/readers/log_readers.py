@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from aerial_gym.registry.log_formats import LOG_READERS
+from aerial_gym.registry.log_formats import LOG_READERS, reader_names
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
 
 HEAD_BYTES = 4096  # Length of the beginning by which a reader recognises its format
@@ -41,7 +41,7 @@ def find_reader(path: Path) -> LogReader | None:
             head = stream.read(HEAD_BYTES)
     except OSError:  # the reader of CSV files reports it
         return None
-    readers = (LOG_READERS.get(name) for name in LOG_READERS)
+    readers = (LOG_READERS.get(name) for name in reader_names(head))
     return next((reader for reader in readers if reader.recognises(head)), None)
 
 

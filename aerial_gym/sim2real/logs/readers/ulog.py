@@ -52,19 +52,19 @@ QUAD_X = np.array([(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 
 
 
 class UlogStream(BytesIO):
-    """The bytes of a file that can be read a few times over: pyulog goes back in damaged files, in some of them for ever."""
+    """The bytes of a file in which one can go back by twice its size: pyulog does so in damaged files, in some for ever."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
-        self._left = 3 * len(data) + 2**24  # Bytes that may still be read, each read counting as 8 more
+        self._left = 2 * len(data) + 2**24  # Bytes by which a reader may still go back, each time counting as 8 more
 
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Return the next bytes; raise ``EOFError`` if the file has been read too often."""
-        data = super().read(size)
-        self._left -= len(data) + 8
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """Go to a place; raise ``EOFError`` if the reader has gone back too often."""
+        before, place = self.tell(), super().seek(offset, whence)
+        self._left -= max(before - place, 0) + 8
         if self._left < 0:
             raise EOFError("it is damaged, so that no end of its messages is found")
-        return data
+        return place
 
 
 class UlogReader(LogReader):

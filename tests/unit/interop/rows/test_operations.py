@@ -10,7 +10,7 @@ from scipy.special import expit
 from torch import Tensor
 
 from aerial_gym.interop.rows import RowFunction
-from aerial_gym.interop.streams import start_warp
+from aerial_gym.interop.warp_start import start_warp
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 
 ROWS = 64

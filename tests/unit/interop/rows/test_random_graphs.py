@@ -9,7 +9,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop.rows import DifferentiableRows, RowFunction
-from aerial_gym.interop.streams import start_warp
+from aerial_gym.interop.warp_start import start_warp
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from tests.repetitions import frequent_values
 from tests.unit.interop.rows.random_graphs import SHAPES, random_function

@@ -12,12 +12,11 @@ from aerial_gym.sim2real.logs.checks.conventions import (
     body_rate_from_attitude,
     check_duration_and_rate,
     check_log,
-    without_bad_quaternions,
 )
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.flights import load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import log_at_equal_steps
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps, without_bad_quaternions
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 G = 9.81

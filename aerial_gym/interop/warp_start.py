@@ -1,0 +1,62 @@
+"""Initialisation of Warp, without torch."""
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+
+import warp as wp
+
+from aerial_gym.errors import StorageError
+from aerial_gym.interop.kernel_log import KernelLog
+
+CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"  # Remedy for a cache that cannot be written
+
+
+def start_warp() -> None:
+    """Initialise Warp without its banner, with ``KernelLog`` for compilations unless the user chose a log level or logger.
+
+    Without a GPU, Warp's native library warns of a missing driver directly on stderr, which is muted meanwhile.
+
+    Raises:
+        StorageError: If Warp cannot store compiled kernels; the message names the variable for the folder.
+    """
+    if not {"WARP_CACHE_PATH", "XDG_CACHE_HOME"} & os.environ.keys() and os.path.expanduser("~") == "~":
+        raise StorageError(f"this user has no home folder to keep compiled kernels in. {CHOOSE_CACHE}")
+    if wp.config.log_level == wp.LOG_INFO and type(wp.get_logger()).__module__.startswith("warp."):
+        wp.set_logger(KernelLog())
+    try:
+        with nullcontext() if _has_gpu_driver() else _silent_stderr():
+            wp.init()
+    except OSError as error:
+        raise StorageError(_no_cache(error.filename, error.strerror or str(error))) from None
+    cache = wp.config.kernel_cache_dir
+    if cache is not None and not os.access(cache, os.W_OK) and not os.listdir(cache):
+        raise StorageError(_no_cache(cache, "it is empty and read-only"))
+
+
+def _no_cache(folder: str | None, reason: str) -> str:
+    """Return the message for a cache folder that cannot be written."""
+    return f"{folder}: Warp cannot keep compiled kernels there ({reason.lower()}). {CHOOSE_CACHE}"
+
+
+def _has_gpu_driver() -> bool:
+    try:
+        ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+    except OSError:
+        return False
+    return True
+
+
+@contextmanager
+def _silent_stderr() -> Iterator[None]:
+    sys.stderr.flush()
+    kept, null_device = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null_device)
