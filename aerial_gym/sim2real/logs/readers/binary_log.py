@@ -20,7 +20,8 @@ from aerial_gym.sim2real.logs.raw_log import QUANTITIES, STATES, LogChannel, Raw
 from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
 from aerial_gym.sim2real.logs.readers.frames import to_package_frames
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, resample_streams, row_times
 from aerial_gym.sim2real.logs.signals import integrate_rates
 from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, DELAY_ROWS_HZ, StreamDelay, stream_delays
@@ -34,7 +35,8 @@ def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict
     streams = usable_streams([*_channels_of_mapping(raw, channels, mapping), *channels], notes)
     streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
     if not {"attitude", "ang_vel"} & streams.keys():
-        lost = "".join(f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out")
+        left = [f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out"]
+        lost = "".join(left[:SHOWN]) + (f" And {len(left) - SHOWN} more." if len(left) > SHOWN else "")
         raise DataError(
             f"{raw.path}: holds neither attitude nor angular velocity of the whole log; log one of them.{lost}"
         )

@@ -6,7 +6,7 @@ Source: ROS REP 103 and 145; message definitions of ``common_interfaces`` and ``
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,13 +38,16 @@ VECTORS = (
     ("attitude", "geometry_msgs/msg/TransformStamped", "transform.rotation", "xyzw"),
     ("attitude", "sensor_msgs/msg/Imu", "orientation", "xyzw"),
     ("attitude", "geometry_msgs/msg/QuaternionStamped", "quaternion", "xyzw"),
+    ("attitude", "geometry_msgs/msg/Pose", "orientation", "xyzw"),
     ("position", "nav_msgs/msg/Odometry", "pose.pose.position", "xyz"),
     ("position", "geometry_msgs/msg/PoseStamped", "pose.position", "xyz"),
     ("position", "geometry_msgs/msg/PoseWithCovarianceStamped", "pose.pose.position", "xyz"),
     ("position", "geometry_msgs/msg/TransformStamped", "transform.translation", "xyz"),
     ("position", "geometry_msgs/msg/PointStamped", "point", "xyz"),
+    ("position", "geometry_msgs/msg/Pose", "position", "xyz"),
     ("lin_vel", "nav_msgs/msg/Odometry", "twist.twist.linear", "xyz"),
     ("lin_vel", "geometry_msgs/msg/TwistStamped", "twist.linear", "xyz"),
+    ("lin_vel", "geometry_msgs/msg/TwistWithCovarianceStamped", "twist.twist.linear", "xyz"),
     ("lin_vel", "geometry_msgs/msg/Vector3Stamped", "vector", "xyz"),
     ("ang_vel", "sensor_msgs/msg/Imu", "angular_velocity", "xyz"),
     ("ang_vel", "nav_msgs/msg/Odometry", "twist.twist.angular", "xyz"),
@@ -53,6 +56,8 @@ VECTORS = (
     ("armed", "mavros_msgs/msg/State", "", ("armed",)),
 )
 """Quantity, message type, field, and components, from the best to the worst source."""
+
+MEASURED = {kind for _, kind, _, _ in VECTORS}  # Types of messages that a vehicle has once
 
 
 class RosReader(LogReader):
@@ -76,12 +81,8 @@ class RosReader(LogReader):
         for source in read_sources(path):
             columns: dict[str, Array] = {}
             if sum(map(len, source.messages)) < LARGEST_MESSAGE * len(source.messages):
-                fields = {**standard, **_own_types(source)}
-                columns, lost = decode_messages(source.messages, source.type, fields, is_cdr=source.is_cdr)
-                if lost:
-                    error = (
-                        f"{lost} of {len(source.messages)} messages of topic {source.topic} do not fit their definition"
-                    )
+                columns, error = _decode_source(source, {**standard, **_own_types(source)})
+                if error:
                     notes.append(Finding("topic_left_out", "", {"topic": source.topic, "error": error}))
             instance = sum(topic.name == source.topic for topic in topics)
             time = _message_times(columns, np.array(source.times, dtype=np.float64) * 1e-9)
@@ -89,11 +90,16 @@ class RosReader(LogReader):
             types[topics[-1].source] = source.type
         if not topics:
             raise DataError(f"{path}: holds no message of ROS")
+        for name, root in _other_vehicles(topics, types).items():
+            error = f"topic {name} is of another vehicle or sensor than those below {root}"
+            notes.append(Finding("topic_left_out", "", {"topic": name, "error": error}))
         return RawLog(path=str(path), format=self.name, topics=tuple(topics), metadata=types, notes=tuple(notes))
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the quantities of the vehicle; of several sources a much faster one comes first."""
+        unused = _other_vehicles(log.topics, log.metadata)
         topics = [topic for topic in log.topics if topic.columns and not SETPOINTS.search(topic.name)]
+        topics = [topic for topic in topics if topic.name not in unused]
         vectors = [
             channel
             for quantity, kind, field, components in VECTORS
@@ -103,6 +109,39 @@ class RosReader(LogReader):
         ]
         rotors = [channel for topic in topics for channel in _mavros_channels(topic, log.metadata[topic.source])]
         return [*faster_first(vectors), *rotors, *_px4_channels(log)]
+
+
+def _other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[str, str]:
+    """Return the topics whose name and type occur below another name too, as of several vehicles, and the name that is used.
+
+    It is the one with the most topics. Names such as ``/uav1/imu`` and ``/uav2/imu`` differ before their last part only.
+    """
+    names = {topic.name: tuple(topic.name.strip("/").split("/")) for topic in topics}
+    first: dict[tuple[str, str, int], tuple[str, ...]] = {}
+    roots = dict[tuple[str, ...], int]()
+    for topic in topics:
+        parts, kind = names[topic.name], types[topic.source]
+        like = first.setdefault((kind, parts[-1], len(parts)), parts)
+        place = next((i for i, (one, other) in enumerate(zip(parts, like, strict=True)) if one != other), None)
+        if place is not None and kind in MEASURED:
+            roots |= dict.fromkeys((like[: place + 1], parts[: place + 1]), 0)
+    for root in roots:
+        roots[root] = sum(parts[: len(root)] == root for parts in names.values())
+    best = max(roots, key=lambda root: roots[root], default=())
+    left = {name for name, parts in names.items() if any(parts[: len(root)] == root for root in roots if root != best)}
+    return dict.fromkeys(sorted(left), "/" + "/".join(best))
+
+
+def _decode_source(source: MessageSource, fields: Any) -> tuple[dict[str, Array], str]:
+    """Return the numbers of all messages by field, and the reason why some of them are missing."""
+    name, count = f"topic {source.topic}", len(source.messages)
+    if source.encoding not in ("cdr", "ros1"):
+        return {}, f"{name} has messages in {source.encoding or 'no encoding'}, which are not read; log messages of ROS"
+    if source.type not in fields:
+        remedy = "convert the bag to MCAP where this type is installed (ros2 bag convert)"
+        return {}, f"{name} has the type {source.type}, whose definition is not in the bag; {remedy}"
+    columns, lost = decode_messages(source.messages, source.type, fields, is_cdr=source.encoding == "cdr")
+    return columns, f"{lost} of {count} messages of {name} do not fit their definition" if lost else ""
 
 
 def _own_types(source: MessageSource) -> Any:
@@ -136,7 +175,7 @@ def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequen
             quantity = "ang_vel"
         elif not re.search("vel", topic.name, re.IGNORECASE):
             return
-    if field == "twist.linear" and "body" in topic.name:
+    if field.endswith("twist.linear") and "body" in topic.name and "pose.pose.position.x" not in topic.columns:
         return
     if quantity == "attitude" and not np.median(np.abs(np.linalg.norm(values, axis=1) - 1.0)) < 0.1:  # not given
         return
@@ -193,7 +232,7 @@ def _px4_channels(log: RawLog) -> Sequence[LogChannel]:
     topics = []
     for topic in log.topics:
         package, _, name = log.metadata[topic.source].partition("/msg/")
-        if package == "px4_msgs" and "timestamp" in topic.columns:
+        if package == "px4_msgs" and "timestamp" in topic.columns and "/in/" not in topic.name:
             name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
             topics.append(replace(topic, name=name, time=1e-6 * topic.columns["timestamp"]))
     return UlogReader().channels(replace(log, topics=tuple(topics))) if topics else ()

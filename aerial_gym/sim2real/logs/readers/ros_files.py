@@ -12,12 +12,14 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.logs.raw_log import FREE_BYTES, MOST_GROWTH
 
 BAG, DATABASE, MCAP = b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"\x89MCAP0\r\n"  # First bytes
+ZSTD = b"\x28\xb5\x2f\xfd"  # First bytes of data in zstd; messages in CDR begin with 0
 CHUNK, CONNECTION, MESSAGE = 5, 7, 2  # Records of a ROS 1 bag
 SCHEMA, CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = 3, 4, 5, 6  # Records of an MCAP file
 STORED_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE '%VIRTUAL%'"
@@ -31,7 +33,7 @@ class MessageSource:
     topic: str
     type: str  # Such as ``sensor_msgs/msg/Imu``
     definition: str  # Text of the message definition; empty if unknown
-    is_cdr: bool  # Whether messages have the layout of ROS 2
+    encoding: str  # ``cdr`` (ROS 2), ``ros1``, or another one that is not read, such as ``protobuf``
     times: list[int] = field(default_factory=list)  # Time of the record [ns]
     messages: list[bytes] = field(default_factory=list)
 
@@ -79,12 +81,40 @@ def _load_decompressor(method: str) -> Any:
 
 
 def read_sources(path: Path) -> list[MessageSource]:
-    """Return the messages of a file or of the folder of a ROS 2 bag, by topic."""
-    if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
-        if not files:
-            raise DataError(f"{path}: the folder holds no file .db3 or .mcap")
-        return [source for file in files for source in read_sources(file)]
+    """Return the messages of a file or of the folder of a ROS 2 bag, by topic, in the order of their times.
+
+    A topic may come from several files, and from several connections, as of a node that started anew.
+    """
+    sources: dict[tuple[str, ...], MessageSource] = {}
+    for one in _folder_sources(path) if path.is_dir() else _file_sources(path):
+        same = sources.setdefault((one.topic, one.type, one.definition, one.encoding), one)
+        if same is not one:
+            order = sorted(
+                zip(same.times + one.times, same.messages + one.messages, strict=True), key=lambda row: row[0]
+            )
+            same.times, same.messages = [time for time, _ in order], [message for _, message in order]
+    return list(sources.values())
+
+
+def _folder_sources(path: Path) -> Iterator[MessageSource]:
+    """Yield the messages of all files of a ROS 2 bag, which may be packed one by one."""
+    files = sorted(file for file in path.iterdir() if set(file.suffixes) & {".db3", ".mcap"})
+    if not files:
+        raise DataError(f"{path}: the folder holds no file .db3 or .mcap")
+    for file in files:
+        with file.open("rb") as stream:
+            is_packed = stream.read(len(ZSTD)) == ZSTD
+        if not is_packed:
+            yield from _file_sources(file)
+            continue
+        with TemporaryDirectory() as folder:
+            unpacked = Path(folder, file.name)
+            unpacked.write_bytes(Inflater(file).inflate(file.read_bytes(), "zstd"))
+            yield from _file_sources(unpacked)
+
+
+def _file_sources(path: Path) -> list[MessageSource]:
+    """Return the messages of one file; those that are packed one by one are unpacked."""
     with path.open("rb") as stream:
         head = stream.read(len(DATABASE))
     readers: dict[bytes, Callable[[Path], list[MessageSource]]] = {
@@ -95,7 +125,11 @@ def read_sources(path: Path) -> list[MessageSource]:
     reader = next((one for mark, one in readers.items() if head.startswith(mark)), None)
     if reader is None:
         raise DataError(f"{path}: is neither a bag of ROS nor an MCAP file")
-    return [source for source in reader(path) if source.messages]
+    sources, inflater = [source for source in reader(path) if source.messages], Inflater(path)
+    for source in sources:
+        if source.encoding == "cdr" and source.messages[0].startswith(ZSTD):
+            source.messages = [inflater.inflate(message, "zstd") for message in source.messages]
+    return sources
 
 
 def _bag_records(data: bytes, place: int) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
@@ -141,7 +175,7 @@ def _read_bag(path: Path) -> list[MessageSource]:
                 texts = {key: value.decode("utf-8", "replace") for key, value in _bag_fields(content).items()}
                 name = texts.get(b"type", "").replace("/", "/msg/", 1)
                 topic = header.get(b"topic", b"").decode("utf-8", "replace")
-                source = MessageSource(topic, name, texts.get(b"message_definition", ""), False)
+                source = MessageSource(topic, name, texts.get(b"message_definition", ""), "ros1")
                 sources.setdefault(header.get(b"conn", b""), source)
             elif kind == bytes([CHUNK]) and depth == 0:
                 method = header.get(b"compression", b"none").decode("latin-1")
@@ -163,7 +197,7 @@ def _read_database(path: Path) -> list[MessageSource]:
             if "message_definitions" in tables:
                 texts = dict(base.execute("SELECT topic_type, encoded_message_definition FROM message_definitions"))
             sources = {
-                number: MessageSource(str(name), str(kind), str(texts.get(kind, "")), True)
+                number: MessageSource(str(name), str(kind), str(texts.get(kind, "")), "cdr")
                 for number, name, kind in base.execute("SELECT id, name, type FROM topics")
             }
             for number, time, data in base.execute("SELECT topic_id, timestamp, data FROM messages"):
@@ -198,10 +232,9 @@ def _read_mcap(path: Path) -> list[MessageSource]:
             elif kind == CHANNEL:
                 (topic, encoding), _ = _mcap_texts(content, 4, 2)
                 name, text = schemas.get(int.from_bytes(content[2:4], "little"), ("", ""))
-                if encoding in ("cdr", "ros1"):
-                    name = name if "/msg/" in name else name.replace("/", "/msg/", 1)
-                    number = int.from_bytes(content[:2], "little")
-                    sources.setdefault(number, MessageSource(topic, name, text, encoding == "cdr"))
+                name = name if "/msg/" in name else name.replace("/", "/msg/", 1)
+                number = int.from_bytes(content[:2], "little")
+                sources.setdefault(number, MessageSource(topic, name, text, encoding))
             elif kind == MCAP_CHUNK and depth == 0:
                 (method,), start = _mcap_texts(content, 28, 1)
                 read_records(inflater.inflate(content[start + 8 :], method), 0, 1)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -50,26 +50,33 @@ def messages(
     return result, numbers
 
 
-def write_bag(path: Path, compression: str | None = None, count: int = 60, seed: int = 0) -> dict[str, np.ndarray]:
-    """Write a bag of ROS 1, and return its numbers."""
+def write_bag(
+    path: Path, compression: str | None = None, count: int = 60, seed: int = 0, nodes: int = 1
+) -> dict[str, np.ndarray]:
+    """Write a bag of ROS 1, whose topics come from several nodes in turn, and return its numbers."""
     types = get_typestore(Stores.ROS1_NOETIC)
     rows, numbers = messages(types, count, seed, seq=True)
     writer = Writer1(path)
     if compression is not None:
         writer.set_compression(Writer1.CompressionFormat[compression])
     with writer:
-        connections = {(topic, kind): None for topic, kind, _, _ in rows}
-        links = {key: writer.add_connection(*key, typestore=types) for key in connections}
-        for topic, kind, time, message in rows:
-            writer.write(links[topic, kind], time, types.serialize_ros1(message, kind))
+        keys = {(topic, kind, node): None for topic, kind, _, _ in rows for node in range(nodes)}
+        links = {key: writer.add_connection(*key[:2], typestore=types, callerid=str(key[2])) for key in keys}
+        for i, (topic, kind, time, message) in enumerate(rows):
+            writer.write(links[topic, kind, i % nodes], time, types.serialize_ros1(message, kind))
     return numbers
 
 
-def write_folder(path: Path, storage: str, count: int = 60, seed: int = 0) -> dict[str, np.ndarray]:
-    """Write the folder of a ROS 2 bag, ``SQLITE3`` or ``MCAP``, and return its numbers."""
+def write_folder(
+    path: Path, storage: str, count: int = 60, seed: int = 0, packed: str | None = None
+) -> dict[str, np.ndarray]:
+    """Write the folder of a ROS 2 bag, ``SQLITE3`` or ``MCAP``, packed by ``FILE`` or ``MESSAGE``, and return its numbers."""
     types = get_typestore(Stores.ROS2_HUMBLE)
     rows, numbers = messages(types, count, seed, seq=False)
-    with Writer2(path, version=9, storage_plugin=StoragePlugin[storage]) as writer:
+    writer = Writer2(path, version=9, storage_plugin=StoragePlugin[storage])
+    if packed is not None:
+        writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
+    with writer:
         links = {
             key: writer.add_connection(*key, typestore=types) for key in dict.fromkeys((row[0], row[1]) for row in rows)
         }

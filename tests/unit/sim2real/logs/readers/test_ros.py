@@ -1,7 +1,10 @@
 """Bags of ROS 1 and ROS 2, and MCAP: every storage gives the same quantities; hostile files are refused."""
 
 import bz2
+import shutil
+import sqlite3
 import struct
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 
@@ -10,10 +13,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.ros import RosReader
 from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_file
 
 pytest.importorskip("rosbags")
+from mcap.writer import Writer
+
 from tests.unit.sim2real.logs.readers import ros_bags
 
 DATA = REAL_LOGS / "rosbag" / "m100exp01.bag"
@@ -23,16 +29,24 @@ read = partial(read_file, kind=RosReader)
 channel = partial(first_channel, reader=RosReader())
 
 
-@pytest.mark.parametrize("kind", ["ros1", "ros1 bz2", "ros1 lz4", "db3", "mcap", "db3 file", "mcap file"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("ros1", "ros1 bz2", "ros1 lz4", "ros1 nodes", "db3", "mcap", "db3 alone", "mcap alone"),
+        *("db3 file", "mcap file", "db3 message", "mcap message"),
+    ],
+)
 def test_every_storage_gives_the_same_quantities(tmp_path, kind) -> None:
     path = tmp_path / "log"
     storage, _, rest = kind.partition(" ")
     if storage == "ros1":
         path = path.with_suffix(".bag")
-        numbers = ros_bags.write_bag(path, rest.upper() or None)
+        many = rest == "nodes"
+        numbers = ros_bags.write_bag(path, None if many else rest.upper() or None, nodes=1 + many)
     else:
-        numbers = ros_bags.write_folder(path, "SQLITE3" if storage == "db3" else "MCAP")
-    if rest == "file":
+        packed = rest.upper() if rest in ("file", "message") else None
+        numbers = ros_bags.write_folder(path, "SQLITE3" if storage == "db3" else "MCAP", packed=packed)
+    if rest == "alone":
         (path,) = path.glob(f"*.{storage}")
     log = read(path)
     assert log.notes == ()
@@ -65,6 +79,55 @@ def test_a_chunk_that_fills_the_memory_is_refused(tmp_path) -> None:
     path.write_bytes(b"#ROSBAG V2.0\n" + struct.pack("<I", len(header)) + header + struct.pack("<I", len(bomb)) + bomb)
     with pytest.raises(DataError, match="grow"):
         read(path)
+
+
+def test_the_files_of_a_split_bag_are_one_log(tmp_path) -> None:
+    numbers = ros_bags.write_folder(tmp_path / "log", "SQLITE3")
+    (first,) = (tmp_path / "log").glob("*.db3")
+    second = first.with_name("z.db3")
+    shutil.copy(first, second)
+    for path, half in ((first, ">="), (second, "<")):
+        with closing(sqlite3.connect(path)) as base, base:
+            base.execute(f"DELETE FROM messages WHERE timestamp {half} {1_700_000_000_300_000_000}")
+    np.testing.assert_array_equal(channel(read(tmp_path / "log"), "ang_vel").values, numbers["gyro"])
+
+
+@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+def test_messages_that_are_not_of_ros_are_named(tmp_path, encoding) -> None:
+    with (tmp_path / "log").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        number = writer.register_channel(topic="/imu", message_encoding=encoding, schema_id=0)
+        writer.add_message(channel_id=number, log_time=5, publish_time=5, data=b"{}")
+        writer.finish()
+    (note,) = read(tmp_path / "log").notes
+    assert encoding in note.values["error"]
+
+
+def test_a_type_without_definition_is_named(tmp_path) -> None:
+    ros_bags.write_folder(tmp_path / "log", "SQLITE3")
+    (path,) = (tmp_path / "log").glob("*.db3")
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("UPDATE topics SET type = 'px4_msgs/msg/VehicleAttitude'")
+    assert all("px4_msgs/msg/VehicleAttitude" in note.values["error"] for note in read(path).notes)
+
+
+@pytest.mark.parametrize(
+    ("names", "used"),
+    [
+        (("/b/imu", "/a/imu", "/a/odom"), {"/a/imu", "/a/odom"}),  # two vehicles
+        (("/vrpn/wall/pose", "/vrpn/uav/pose", "/imu"), {"/vrpn/wall/pose", "/imu"}),  # the first of equals
+        (("/mavros/imu/data", "/mavros/imu/data_raw", "/vicon/uav/odom"), None),
+    ],
+)
+def test_topics_of_other_vehicles_are_left_out(names, used) -> None:
+    kinds = {"imu": ros_bags.IMU, "data": ros_bags.IMU, "data_raw": ros_bags.IMU, "odom": ros_bags.ODOMETRY}
+    types = {f"{name}[0]": kinds.get(name.rpartition("/")[2], "geometry_msgs/msg/PoseStamped") for name in names}
+    fields = {"angular_velocity", "pose.position", "pose.pose.position"}
+    columns = {f"{field}.{axis}": np.ones(3) for field in fields for axis in "xyz"}
+    topics = tuple(Topic(name=name, time=np.arange(3.0), columns=columns) for name in names)
+    log = RawLog(path="a", format="ros", topics=topics, metadata=types)
+    assert {one.source.removesuffix("[0]") for one in RosReader().channels(log)} == (used or set(names))
 
 
 @pytest.mark.parametrize("head", [b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"\x89MCAP0\r\n"])
