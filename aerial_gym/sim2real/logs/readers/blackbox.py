@@ -45,6 +45,9 @@ INDIFLIGHT_GYRO = {
     "1a30175ae": 16.384
 }  # Gyro counts per deg/s of builds that deviate. Source: tudelft/inertiaEstimation
 COMPONENTS = {name: [f"{name}[{i}]" for i in range(size)] for name, size in (("quat", 4), ("pos", 3), ("vel", 3))}
+VOLT_UNITS = {r"Betaflight (4|\d{4})\.|INAV|Indiflight": 0.01, r"Betaflight 3\.[1-9]|Cleanflight 2\.": 0.1}
+"""Unit of the voltage [V] by firmware. Source: Betaflight blackbox viewer, ``flightlog.js``, function vbatADCToMillivolts."""
+
 EVENTS = {
     0: "arming beep",
     13: "adjustment of setting {0} to {1}",
@@ -54,7 +57,6 @@ EVENTS = {
     255: "end of the log",
 }
 """Texts of events by code. Source: Betaflight, ``blackbox_fielddefs.h``."""
-
 
 Numbers = NDArray[np.integer]
 
@@ -231,6 +233,8 @@ def _definitions(header: BlackboxHeader, path: str) -> tuple[NDArray[np.int32], 
                 tables[1, kind, field] = frames.HOME_LONGITUDE
     if unknown := set(tables[0].ravel().tolist()) - set(frames.ENCODINGS):
         raise DataError(f"{path}: a field has the unknown encoding {min(unknown)}; known are {frames.ENCODINGS}")
+    if header.entries.get("Data version") == "1" and np.any(tables[0] == frames.FOUR):
+        raise DataError(f"{path}: has version 1 of the data, of 2014, whose encoding 8 differs; only version 2 is read")
     return np.array([len(one) for one in names] + [3], dtype=np.int32), tables
 
 
@@ -329,12 +333,15 @@ def _number_or_text(text: str) -> float | str:
 
 def _gyro_unit(log: RawLog, name: str) -> float:
     """Return the unit of a gyro's columns [rad/s] from the scale in the header, deg/s, and the resolution."""
-    revision, text = (str(log.parameters.get(key, "")) for key in ("Firmware revision", "gyro_scale"))
+    keys = ("Firmware revision", "gyro_scale", "gyro.scale")
+    revision, text, old = (str(log.parameters.get(key, "")) for key in keys)
     usual = 10.0 if log.parameters.get("blackbox_high_resolution") == 1.0 or "Indiflight" in revision else 1.0
     builds = INDIFLIGHT_GYRO.items() if name == "gyroADC" else ()
     counts = next((scale for build, scale in builds if build in revision), usual)
-    hexadecimal = re.fullmatch(r"0x([0-9a-fA-F]{8})", text)
+    hexadecimal = re.fullmatch(r"0x([0-9a-fA-F]{8})", text or old)
     scale = struct.unpack(">f", bytes.fromhex(hexadecimal[1]))[0] if hexadecimal else 1.0
+    if log.parameters.get("Firmware type") == "Baseflight" and 0.0 < scale < 1.0:  # radians per microsecond
+        return 1e6 * scale
     return radians(scale if 1e-3 < scale < 1e3 else 1.0) / counts
 
 
@@ -373,8 +380,8 @@ def _rotors(log: RawLog, main: Topic) -> list[LogChannel]:
     if columns := _column_names(main, "motor"):
         low, high = _motor_range(log)
         append("rotor_command", np.clip((main.numbers(*columns) - low) / (high - low), 0.0, 1.0))
-    if "vbatLatest" in main.columns:
-        append("battery", main.numbers("vbatLatest", unit=_volt_unit(log)))
+    for name in {"vbatLatest", "vbat"} & main.columns.keys():  # the latter in iNav
+        append("battery", main.numbers(name, unit=_volt_unit(log)))
     return results
 
 
@@ -388,5 +395,6 @@ def _motor_range(log: RawLog) -> tuple[float, float]:
 
 
 def _volt_unit(log: RawLog) -> float:
-    """Return the unit of the battery voltage [V]: 0.1 before Betaflight 4."""
-    return 0.1 if re.match(r"Betaflight [0-3]\.", str(log.parameters.get("Firmware revision", ""))) else 0.01
+    """Return the unit of the battery voltage [V]; 0 for older and for unknown firmwares, which log counts of a converter."""
+    name = str(log.parameters.get("Firmware revision", ""))
+    return next((unit for pattern, unit in VOLT_UNITS.items() if re.match(pattern, name)), 0.0)

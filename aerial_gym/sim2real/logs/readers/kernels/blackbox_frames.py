@@ -11,6 +11,7 @@ import warp as wp
 INTRA, INTER, SLOW, GPS, HOME, EVENT = range(6)
 LETTERS = "IPSGHE"  # First byte of a frame of each kind
 ENCODINGS = (0, 1, 3, 6, 7, 8, 9, 10)  # Codes that ``_read_group`` knows
+FOUR = 8  # Code of four numbers of 0, 4, 8 or 16 bits
 LONGEST_JUMP_US = 10_000_000  # A larger step of time [us] between two frames shows a damaged frame
 
 # Places of the constants of a flight, and of the results

@@ -97,8 +97,29 @@ def test_only_the_raw_gyro_of_a_build_of_indiflight_has_its_own_scale(names: tup
 
 
 @pytest.mark.parametrize(
+    ("parameters", "gyro", "volts"),
+    [
+        ({"Firmware revision": "Betaflight 2025.12.1 (a) X", "gyro_scale": "0x3f800000"}, 1.0, 0.01),
+        ({"Firmware revision": "Betaflight 3.5.7 (a) X", "gyro_scale": "0x3f800000"}, 1.0, 0.1),
+        ({"Firmware revision": "Betaflight 3.0.1 (a) X", "gyro.scale": "0x3d79c190"}, 0.06098, None),  # 1 / 16.4
+        ({"Firmware revision": "INAV 7.1.0 (a) X", "gyro_scale": "0x3f800000"}, 1.0, 0.01),
+        ({"Firmware type": "Baseflight", "gyro.scale": "0x308eda7a"}, 0.05956, None),  # 1.0394e-9 rad/us
+    ],
+)
+def test_units_follow_the_firmware(parameters: dict[str, str], gyro: float, volts: float | None) -> None:
+    name = "vbat" if "INAV" in str(parameters) else "vbatLatest"
+    columns = {f"gyroADC[{i}]": np.full(3, 100.0) for i in range(3)} | {name: np.full(3, 1500.0)}
+    topic = Topic(name="main", time=np.arange(3.0), columns=columns)
+    log = RawLog(path="log", format="blackbox", topics=(topic,), parameters=parameters)
+    np.testing.assert_allclose(channel(log, "ang_vel").values, np.radians(100.0 * gyro), rtol=1e-3)
+    voltages = [one.values[0, 0] for one in BlackboxReader().channels(log) if one.quantity == "battery"]
+    np.testing.assert_allclose(voltages, [] if volts is None else [1500.0 * volts])
+
+
+@pytest.mark.parametrize(
     ("old", "new"),
     [
+        (b"Data version:2", b"Data version:1"),
         (b"Field I name:loopIteration,", b"Field I name:"),
         (b"Field I encoding:1,1", b"Field I encoding:4,1"),
         (b"Field P predictor:6,2", b"Field P predictor:"),
