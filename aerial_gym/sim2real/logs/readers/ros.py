@@ -6,6 +6,7 @@ Source: ROS REP 103 and 145; message definitions of ``common_interfaces`` and ``
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,8 @@ LARGEST_MESSAGE = 65_536  # Mean size [B] from which a topic, such as images, is
 SETPOINTS = re.compile(
     "setpoint|target|desired|reference|command|cmd|goal|_ref$", re.IGNORECASE
 )  # Topics that measure nothing
+WORLD = ("attitude", "position", "lin_vel")  # Quantities with world axes
+LEAST_POSE_HZ = 10.0  # Lowest rate of an attitude that resolves the turns of a vehicle, below 5 Hz
 ON_GROUND, IN_AIR = 1.0, 2.0  # ``landed_state`` of mavros_msgs/ExtendedState
 
 VECTORS = (
@@ -108,7 +111,7 @@ class RosReader(LogReader):
             for channel in _vector_channels(topic, quantity, field, components)
         ]
         rotors = [channel for topic in topics for channel in _mavros_channels(topic, log.metadata[topic.source])]
-        return [*faster_first(vectors), *rotors, *_px4_channels(log)]
+        return [*_one_world_first(faster_first(vectors)), *rotors, *_px4_channels(log)]
 
 
 def _other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[str, str]:
@@ -130,6 +133,17 @@ def _other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[s
     best = max(roots, key=lambda root: roots[root], default=())
     left = {name for name, parts in names.items() if any(parts[: len(root)] == root for root in roots if root != best)}
     return dict.fromkeys(sorted(left), "/" + "/".join(best))
+
+
+def _one_world_first(channels: Sequence[LogChannel]) -> list[LogChannel]:
+    """Return the channels, those of topics with most of attitude, position and velocity first, as world axes may differ."""
+    sources = Counter(one.source for one in channels if one.quantity in WORLD)
+
+    def key(one: LogChannel) -> int:
+        fast = one.time.size > LEAST_POSE_HZ * np.ptp(one.time)
+        return -sources[one.source] if fast and one.quantity in WORLD else 0
+
+    return sorted(channels, key=key)
 
 
 def _decode_source(source: MessageSource, fields: Any) -> tuple[dict[str, Array], str]:
@@ -218,7 +232,7 @@ def _mavros_channels(topic: Topic, kind: str) -> Iterator[LogChannel]:
         used = np.nanmax(values, axis=0, initial=0.0) - np.nanmin(values, axis=0, initial=np.inf) > 0.0
         if used.any():
             values = np.abs(values[:, used]) if quantity == "rotor_speed" else np.clip(values[:, used], 0.0, 1.0)
-            yield topic.channel(quantity, values, note_on_rotor_order("mavros"))
+            yield topic.channel(quantity, values, note_on_rotor_order("the bag"))
     if kind == "mavros_msgs/msg/ExtendedState" and "landed_state" in topic.columns:
         state = topic.columns["landed_state"]
         known = np.isin(state, (ON_GROUND, IN_AIR))

@@ -112,6 +112,20 @@ def test_a_type_without_definition_is_named(tmp_path) -> None:
     assert all("px4_msgs/msg/VehicleAttitude" in note.values["error"] for note in read(path).notes)
 
 
+@pytest.mark.parametrize(("rate", "used"), [(20.0, "/odom[0]"), (2.0, "/imu[0]")])
+def test_attitude_comes_from_the_topic_of_position_and_velocity_if_that_is_fast_enough(rate, used) -> None:
+    """Heading of an IMU and axes of an odometry may differ."""
+    fields = ("orientation.{}", "pose.pose.orientation.{}", "pose.pose.position.{}", "twist.twist.linear.{}")
+    columns = {field.format(axis): np.full(40, float(axis == "w")) for field in fields for axis in "xyzw"}
+    imu, odometry = (
+        Topic(name=name, time=np.arange(40) / hz, columns=columns) for name, hz in (("/imu", 200.0), ("/odom", rate))
+    )
+    imu = replace(imu, time=np.repeat(imu.time, 10), columns={key: np.repeat(all, 10) for key, all in columns.items()})
+    types = {"/imu[0]": ros_bags.IMU, "/odom[0]": ros_bags.ODOMETRY}
+    log = RawLog(path="a", format="ros", topics=(imu, odometry), metadata=types)
+    assert channel(log, "attitude").source == used
+
+
 @pytest.mark.parametrize(
     ("names", "used"),
     [
