@@ -37,6 +37,23 @@ def change_bytes(data: bytes, draw: random.Random) -> bytes:
     return data[:place] + number + data[place + size :]
 
 
+def change_length(data: bytes, draw: random.Random) -> bytes:
+    """Change a number that may be a length or a count: the data behind it hold that many bytes, and it is small."""
+    for _ in range(50):
+        size, place = draw.choice((1, 2, 4, 8)), draw.randrange(len(data))
+        number = int.from_bytes(data[place : place + size], "little")
+        if 0 < number < 5000 and place + size + number <= len(data):
+            change = draw.choice((number - 1, number + 1, 0, 2 * number, number + draw.randrange(256), 256**size - 1))
+            return data[:place] + (change % 256**size).to_bytes(size, "little") + data[place + size :]
+    return change_bytes(data, draw)
+
+
+def exchange_pieces(data: bytes, draw: random.Random) -> bytes:
+    """Exchange two pieces, such as definitions that others need."""
+    a, b, c, d = sorted(draw.randrange(len(data) + 1) for _ in range(4))
+    return data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
+
+
 def cut_piece(data: bytes, draw: random.Random) -> bytes:
     """Leave out a piece, often the end."""
     start = draw.randrange(len(data) + 1)
@@ -116,7 +133,10 @@ def _tree_nodes(tree: Any) -> list[Any]:
 Mutation = Callable[[bytes, random.Random], bytes]
 PLAIN: tuple[Mutation, ...] = (flip_bytes, cut_piece, repeat_piece)
 TEXT: tuple[Mutation, ...] = (*PLAIN, swap_lines, change_number, change_number, change_number, change_word, change_word)
-BINARY: tuple[Mutation, ...] = (*PLAIN, change_bytes, change_bytes, change_number, repeat_piece)
+BINARY: tuple[Mutation, ...] = (
+    *(*PLAIN, change_bytes, change_bytes, change_number, repeat_piece),
+    *(change_length, change_length, change_length, exchange_pieces, swap_lines),
+)
 TREE: tuple[Mutation, ...] = (*TEXT, *(change_tree,) * 10)
 
 

@@ -74,28 +74,40 @@ def _load_log(path: Path, mapping: Path | None = None) -> None:
 
 def _log_targets(folder: Path) -> tuple[Target, ...]:
     """Return one target for each format of logs; ``folder`` receives files that their writers need."""
-    ulog, bag = folder / "valid.ulg", folder / "valid.bag"
-    ulog_files.write_ulog(ulog, ulog_files.topics(flat_flights.flight(0, seconds=3.0, rate=100.0)))
-    ros_bags.write_bag(bag, "BZ2", count=300)
-    storages = {name: folder / f"valid_{name}" for name in ("SQLITE3", "MCAP")}
-    for name, path in storages.items():
-        ros_bags.write_folder(path, name, count=300)
+    ulog = folder / "valid.ulg"
+    parts = ulog_files.topics(flat_flights.flight(0, seconds=3.0, rate=100.0))
+    parts["vehicle_attitude[1]"] = parts["vehicle_attitude"]
+    ulog_files.write_ulog(ulog, parts, {"MAV_TYPE": 2.0, "PWM_MAIN_FUNC1": 101.0})
+    bags = [folder / f"valid_{kind}.bag" for kind in (None, "BZ2", "LZ4")]
+    for path, kind in zip(bags, (None, "BZ2", "LZ4"), strict=True):
+        ros_bags.write_bag(path, kind, count=300)
+    storages = {
+        (name, packed): folder / f"valid_{name}_{packed}"
+        for name in ("SQLITE3", "MCAP")
+        for packed in (None, "MESSAGE")
+    }
+    for (name, packed), path in storages.items():
+        ros_bags.write_folder(path, name, count=300, packed=packed)
     rows = blackbox_files.random_rows(0, 600)
     rows[:, 1] = 5_000_000 + 10_000 * np.arange(600)
+    databases, mcaps = (
+        tuple(next(path.glob(f"*.{suffix}")).read_bytes() for (name, _), path in storages.items() if name == kind)
+        for kind, suffix in (("SQLITE3", "db3"), ("MCAP", "mcap"))
+    )
     inputs = {
-        "blackbox": blackbox_files.flight(rows[:300]) + blackbox_files.flight(rows[300:]),
-        "dataflash": dataflash_files.log()[0],
-        "crazyflie": crazyflie_files.card(count=1200)[0],
-        "ulog": ulog.read_bytes(),
-        "bag": bag.read_bytes(),
-        "database": next(storages["SQLITE3"].glob("*.db3")).read_bytes(),
-        "mcap": next(storages["MCAP"].glob("*.mcap")).read_bytes(),
+        "blackbox": (blackbox_files.flight(rows[:300]) + blackbox_files.flight(rows[300:]),),
+        "dataflash": (dataflash_files.log()[0], dataflash_files.log(message=dataflash_files.line)[0]),
+        "crazyflie": (crazyflie_files.card(count=1200)[0],),
+        "ulog": (ulog.read_bytes(),),
+        "bag": tuple(path.read_bytes() for path in bags),
+        "database": databases,
+        "mcap": mcaps,
     }
     return tuple(
         Target(
             name=f"log_{name}",
             suffix=f".{name}",
-            inputs=(data,),
+            inputs=data,
             ways=BINARY,
             use=inspect_log,
             limit_s=LOG_S,

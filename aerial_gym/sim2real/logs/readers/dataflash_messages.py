@@ -29,7 +29,7 @@ TYPES: dict[str, tuple[str, float]] = {
 
 TEXT_LOG = re.compile(rb"^FMT, ?\d+, ?\d+, ?\w{1,4}, ?\w{1,16}, ?\w", re.MULTILINE)  # First line of a log as text
 IN_TEXT = str.maketrans("MHhIiQqgfcCeEL", "N" + 13 * "d")  # Formats of a log as text, whose numbers need no factor
-MOST_FIELDS = 16  # Most fields of a message
+MOST_FIELDS, LONGEST_NUMBER = 16, 40  # Most fields of a message, and most characters of a number in text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +142,8 @@ def _parse_lines(one: MessageType, lines: list[str]) -> NDArray[Any]:
         if place in texts:
             table[str(place)] = column.fillna("").str.strip().str.encode("latin-1", "replace")
             continue
+        if not pd.api.types.is_numeric_dtype(column):
+            column = column.astype(str).str.slice(0, LONGEST_NUMBER)
         numbers = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=np.float64)
         table[str(place)] = numbers if kind == "f" else np.clip(np.nan_to_num(numbers), -128, 255).astype(int)
     return table

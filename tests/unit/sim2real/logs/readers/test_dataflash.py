@@ -91,7 +91,12 @@ def test_a_log_without_sensors_is_refused(tmp_path, data) -> None:
 
 def test_a_log_as_text_gives_the_quantities_of_the_binary_log(tmp_path) -> None:
     text = (
-        b"ArduCopter V3.1\n" + files.log(message=files.line)[0] + files.line("MSG", 1000, "a, b") + b"IMU, 1, broken\n"
+        b"ArduCopter V3.1\n"
+        + files.log(message=files.line)[0]
+        + files.line("MSG", 1000, "a, b")
+        + b"IMU, 1, x, "
+        + 400 * b"9"
+        + b"\n"
     )
     one, other = read(tmp_path, files.log()[0]), read(tmp_path, text)
     for quantity in ("ang_vel", "attitude", "position", "rotor_command", "rotor_speed", "battery", "armed"):
