@@ -15,15 +15,20 @@ SMOOTH_S = 0.05  # Width of the Gaussian smoothing [s], which does not ring at a
 IDLE = 0.5  # Below this share of the flight's thrust the rotors do not carry the vehicle
 LIFTING = 0.9  # A vehicle on the ground remains there until the thrust reaches this share
 CARRIED = 0.8  # Least specific force [g] of a supported vehicle; in free fall it is less
+LEVER = 0.05  # Largest distance of the accelerometer from the centre of mass, where turning adds to its reading [m]
+LEAST_SHARE = (
+    1.0 / 3.0
+)  # Least share of the felt force that rotors give in flight; air alone gives two thirds in a dive at most
 STILL = {"lin_vel": 0.15, "ang_vel": 0.15}  # Largest speeds [m/s], [rad/s] at rest
 MOST = 0.8  # Largest share of rows on the ground in a usable log
 
 
 def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
-    """Return the rows on the ground, (T,); None if there are none or the data do not show it.
+    """Return the rows on the ground or in a hand, (T,); None if there are none or the data do not show it.
 
-    There the vehicle is at rest, supported, and below half its flight thrust. Neighbours at rest below nine tenths of the
-    thrust belong to it, and all rows within the mapping's ``lift_off_m`` of that height. A height alone is no evidence.
+    On the ground the vehicle is at rest, supported, and below half its flight thrust. Neighbours at rest below nine tenths of
+    the thrust belong to it, and all rows within the mapping's ``lift_off_m`` of that height. A height alone is no evidence.
+    In a hand it may move, but is supported by more than the rotors and the air can give (``is_held``).
     """
     rotors, width = log.rotor_speed, SMOOTH_S * sample_rate(log)
     if rotors is None and log.rotor_command is not None:
@@ -39,11 +44,12 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
         if values is not None:
             rest &= _norm_of_smoothed_vectors(values, width) < limit
     certain = rest & (thrust < IDLE)
-    if not certain.any():
+    held = is_held(felt, thrust * STANDARD_GRAVITY, log.ang_vel)
+    if not (certain | held).any():
         return None
     likely = rest & (thrust < LIFTING)
     piece = np.cumsum(np.diff(likely, prepend=False))
-    on_ground = likely & np.isin(piece, piece[certain])
+    on_ground = held | (likely & np.isin(piece, piece[certain]))
     if log.lift_off > 0.0 and log.position is not None:
         height = log.position[:, 2]
         pieces, count = ndimage.label(on_ground)  # pyright: ignore[reportGeneralTypeIssues]
@@ -55,6 +61,23 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
             "give less than half its weight; cut the log to the flight"
         )
     return on_ground
+
+
+def is_held(felt: Array, lift: Array, ang_vel: Array | None) -> Flags:
+    """Return the rows in which hands or ground carry a vehicle, (T,).
+
+    Args:
+        felt: Norm of the specific force [m/s²], (T,).
+        lift: Specific force of the rotors [m/s²], (T,).
+        ang_vel: Angular velocity [rad/s], body, (T, 3).
+    """
+    turning = 0.0 if ang_vel is None else largest_turning_force(ang_vel)
+    return (felt - turning > CARRIED * STANDARD_GRAVITY) & (lift < LEAST_SHARE * felt)
+
+
+def largest_turning_force(ang_vel: Array) -> Array:
+    """Return the specific force that turning can add to an accelerometer's reading, ``LEVER w²`` [m/s²], (T,)."""
+    return LEVER * (ang_vel * ang_vel).sum(axis=1)
 
 
 def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:

@@ -1,10 +1,12 @@
 """Effectiveness of rotors, and the curve and lag of their commands, by least squares over flights.
 
-Effectiveness is the share of angular acceleration and specific force that a rotor gives per unit of its input: the squared
-speed, or without measured speeds the command on the firmware's thrust curve. Both sides are smoothed to ``BAND_HZ``, above
-which frame and sensors vibrate, less their mean over ``MEAN_S``, in which air flow moves the vehicle too. Rotors of one flight
-move together. So the sign of each rotor is taken from all inputs at once, but the size about an axis from the sum of the inputs
-with these signs. Letters: T rows, R rotors.
+Effectiveness is the angular acceleration and specific force of a rotor per unit of its input: the squared speed, or without
+measured speeds the command on the firmware's thrust curve. Both sides are smoothed to ``BAND_HZ``, above which frame and
+sensors vibrate, less their mean over ``MEAN_S``. Slower torques of the air would bias the result towards 0, since the flight's
+own controller answers them with the rotors. So each interval includes the results with half and with twice that time.
+
+Rotors of one flight move together. So the sign of each rotor is taken from all inputs at once, but the size about an axis from
+the sum of the inputs with these signs. Letters: T rows, R rotors.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,30 +19,43 @@ from scipy.signal import lfilter
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.logs.on_ground import is_held, largest_turning_force
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
-from aerial_gym.sim2real.statistics import Estimate
+from aerial_gym.sim2real.statistics import Estimate, student_quantile
 
 BAND_HZ = 20.0  # Highest frequency of the regression
-MEAN_S = 0.3  # Standard deviation of the Gaussian window whose mean is taken from each row [s]
-EDGE_S = 1.0  # Rows this near to the start or end of a flight's powered part are left out: the reach of the window [s]
+ROWS_HZ = 250.0  # Rate of the rows of the regression, some ten times its band
+MEAN_S = 0.1  # Standard deviation of the Gaussian window whose mean is left out [s]; loops of attitude are slower
+EDGE_S = 0.6  # Rows this near to the start or end of a flight's powered part are left out: the reach of the longest window [s]
 SLOWEST = 0.1  # A rotor below this share of the largest speed or command does not carry the vehicle
-PARTS = 8  # Parts of the flights that are left out in turn for the intervals
+MOST_TURNING = 0.5  # Largest share of turning in the rows that show the thrust [m/s²]
+PARTS, FEWEST_FLIGHTS = 8, 4  # Parts that are left out in turn for intervals; each flight is one if there are so many
 CURVE_PARTS = 4  # The same for the command curve of a single flight
 CURVE_HZ = 500.0  # Rate of the rows that show the command curve; rotors are slower than 10 ms
-CLEAR = 2.0  # A sign is clear if the value is so many standard deviations from 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightRows:
-    """Rows of one flight with all rotors turning, smoothed, less their moving mean."""
+    """Rows of one flight at ``ROWS_HZ``, smoothed to ``BAND_HZ``."""
 
     inputs: Array  # Input of each rotor, (T, R)
     swings: Array  # Rate of change of the speeds [rad/s²], (T, R); 0 without measured speeds
     products: Array  # Products of body rates y z, z x, x y [rad²/s²], (T, 3)
     motion: Array  # Angular acceleration [rad/s²] and specific force along z [m/s²], (T, 4)
-    lift: Array  # Unfiltered specific force along z [m/s²], and mean input of the rotors, (T, 2)
-    force: float  # Mean norm of the specific force [m/s²]
-    seconds: float  # Length of these rows [s]
+    turning: Array  # Largest share of turning in the accelerometer's reading [m/s²], (T,)
+    flies: Flags  # Rows in which the rotors carry the vehicle, away from take-off and landing, (T,)
+    rate: float  # [Hz]
+    force: float  # Mean norm of the specific force in these rows [m/s²]
+
+    @property
+    def seconds(self) -> float:
+        """Time in the air [s]."""
+        return float(self.flies.sum() / self.rate)
+
+    def less_mean(self, name: str, window: float) -> Array:
+        """Return the rows in the air of a field, less their mean over a window [s]."""
+        values = getattr(self, name)
+        return (values - gaussian_filter1d(values, self.rate * window, axis=0, truncate=3.0))[self.flies]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,78 +83,105 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
         raise DataError(
             f"{log.path}: needs a gyro, and an accelerometer or a velocity; log them, or map their columns (--mapping)"
         )
-    rate, inputs = sample_rate(log), thrust_input(log)
+    rate, rates = sample_rate(log), log.ang_vel
+    step = max(1, int(rate / ROWS_HZ))
 
-    def in_band(values: Array) -> Array:
-        smooth = gaussian_filter1d(values, rate * np.sqrt(np.log(2.0)) / (2.0 * np.pi * BAND_HZ), axis=0)
-        return smooth - gaussian_filter1d(smooth, rate * MEAN_S, axis=0, truncate=3.0)
+    def smooth(values: Array) -> Array:
+        return gaussian_filter1d(values, rate * np.sqrt(np.log(2.0)) / (2.0 * np.pi * BAND_HZ), axis=0)[::step]
 
-    rates = log.ang_vel
-    products = np.stack([rates[:, j] * rates[:, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
+    def derivative(values: Array) -> Array:
+        return np.gradient(values, axis=0) * rate
+
+    inputs = thrust_input(log)
     speeds = np.zeros_like(inputs) if log.rotor_speed is None else log.rotor_speed
-    motion = np.concatenate((np.gradient(rates, axis=0) * rate, log.specific_force[:, 2:]), axis=1)
-    rows = _rows_in_flight(inputs, rate)
-    parts = (inputs, np.gradient(speeds, axis=0) * rate, products, motion)
-    lift = np.stack((log.specific_force[rows, 2], inputs[rows].mean(axis=1)), axis=1)
-    filtered = [in_band(part)[rows] for part in parts]
-    force = float(np.linalg.norm(log.specific_force[rows], axis=1).mean()) if rows.any() else 0.0
-    return FlightRows(
-        inputs=filtered[0], swings=filtered[1], products=filtered[2], motion=filtered[3], lift=lift, force=force,
-        seconds=float(rows.sum() / rate),
-    )  # fmt: skip
+    felt, slow_rates = np.linalg.norm(smooth(log.specific_force), axis=1), smooth(rates)
+    parts = {
+        "inputs": smooth(inputs),
+        "swings": smooth(derivative(speeds)),
+        "products": smooth(np.stack([rates[:, j] * rates[:, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)),
+        "motion": smooth(np.concatenate((derivative(rates), log.specific_force[:, 2:]), axis=1)),
+    }
+    turning = _rows_under_power(parts["inputs"])
+    if turning.any():
+        total = parts["inputs"].sum(axis=1)
+        lift = (felt * total)[turning].sum() / (total * total)[turning].sum()
+        turning &= ~is_held(felt, lift * total, slow_rates)
+    flies = _without_edges(turning, rate / step)
+    force = float(felt[flies].mean()) if flies.any() else 0.0
+    return FlightRows(**parts, turning=largest_turning_force(slow_rates), flies=flies, rate=rate / step, force=force)
 
 
-def _rows_in_flight(inputs: Array, rate: float) -> Flags:
-    """Return the rows in which all rotors turn, without the edges of such spans, (T,)."""
-    turning = (inputs > SLOWEST**2 * np.quantile(inputs, 0.99)).all(axis=1)
-    return np.asarray(binary_erosion(turning, np.ones(2 * round(EDGE_S * rate) + 1)), dtype=np.bool_)
+def _rows_under_power(inputs: Array) -> Flags:
+    """Return the rows in which all rotors turn, (T,)."""
+    return (inputs > SLOWEST**2 * np.quantile(inputs, 0.99)).all(axis=1)
+
+
+def _without_edges(rows: Flags, rate: float) -> Flags:
+    """Return the rows that are further than ``EDGE_S`` from other rows, (T,)."""
+    return np.asarray(binary_erosion(rows, np.ones(2 * round(EDGE_S * rate) + 1)), dtype=np.bool_)
 
 
 def fit_effectiveness(flights: Sequence[FlightRows], logged_signs: Array | None) -> Effectiveness:
-    """Return signs and sizes of the effectiveness, with intervals by leaving out parts of the flights."""
-    inputs, swings, products, motion = (
-        np.concatenate([getattr(flight, name) for flight in flights])
-        for name in ("inputs", "swings", "products", "motion")
-    )
-    part = np.arange(len(inputs)) * PARTS // len(inputs)
-    kept = [part != k for k in range(PARTS)]
+    """Return signs and sizes of the effectiveness, with intervals by leaving out parts of the flights and other windows."""
+    kept = _left_out_parts([int(flight.flies.sum()) for flight in flights])
+
+    def columns(window: float) -> list[Array]:
+        names = ("inputs", "swings", "products", "motion")
+        return [np.concatenate([flight.less_mean(name, window) for flight in flights]) for name in names]
+
+    inputs, swings, products, motion = columns(MEAN_S)
 
     def single_rotors(rows: Flags) -> Array:
-        columns = np.concatenate((inputs, swings, products), axis=1)[rows]
-        return _least_squares(columns, motion[rows, :3])[: inputs.shape[1]].T
+        table = np.concatenate((inputs, swings, products), axis=1)[rows]
+        return _least_squares(table, motion[rows, :3])[: inputs.shape[1]].T
 
-    whole, deviation = _jackknife(single_rotors, kept)
-    clear = (np.abs(whole) > CLEAR * deviation).all(axis=1, keepdims=True)
+    whole, half = _jackknife(single_rotors, kept)
+    clear = (np.abs(whole) > half).all(axis=1, keepdims=True)
     patterns = np.where(clear | (logged_signs is None), np.sign(whole), 0.0 if logged_signs is None else logged_signs)
 
-    def sizes(rows: Flags) -> Array:
-        sums = inputs[rows] @ np.concatenate((patterns, np.ones((1, inputs.shape[1])))).T
-        spin_up = (swings[rows] @ patterns[2])[:, None]
-        fit = _least_squares(np.concatenate((sums, spin_up, products[rows]), axis=1), motion[rows])
-        return np.diag(fit[:4])
+    def sizes(parts: Sequence[Array], rows: Flags | slice = slice(None)) -> Array:
+        inputs, swings, products, motion = (part[rows] for part in parts)
+        sums = inputs @ np.concatenate((patterns, np.ones((1, inputs.shape[1])))).T
+        table = np.concatenate((sums, (swings @ patterns[2])[:, None], products), axis=1)
+        return np.diag(_least_squares(table, motion)[:4])
 
-    value, spread = _jackknife(sizes, kept)
+    value, half = _jackknife(lambda rows: sizes((inputs, swings, products, motion), rows), kept)
+    variants = [sizes(columns(factor * MEAN_S)) for factor in (0.5, 2.0)]
     turned = np.append(np.sign(value[:3]), 1.0)  # logged signs that the flight contradicts
-    known = np.abs(value[:3]) > CLEAR * spread[:3] if logged_signs is not None else clear[:, 0]
+    known = np.abs(value[:3]) > half[:3] if logged_signs is not None else clear[:, 0]
     signs = patterns * (turned[:3] * known)[:, None]
+    ends = turned * np.stack((value - half, value + half, *variants))
     return Effectiveness(
         signs=np.asarray(signs, dtype=np.float64),
-        sizes=tuple(map(Estimate.from_half_width, turned * value, CLEAR * spread)),
+        sizes=tuple(Estimate(value=v, low=min(e), high=max(e)) for v, e in zip(turned * value, ends.T, strict=True)),
     )
 
 
 def mean_lift(flights: Sequence[FlightRows]) -> Estimate:
-    """Return the specific force along z over the sum of the rotors' inputs in the mean of the flights."""
-    lift = np.concatenate([flight.lift for flight in flights])
-    count = flights[0].inputs.shape[1]
-    part = np.arange(len(lift)) * PARTS // len(lift)
+    """Return the specific force along z over the sum of the rotors' inputs in the mean of the flights.
 
-    def ratio(rows: Flags) -> Array:
-        force, total = lift[rows].mean(axis=0)
-        return np.atleast_1d(force / max(count * total, 1e-300))
+    Rows in which turning moves the accelerometer's reading by more than ``MOST_TURNING`` are left out, unless all do.
+    """
+    calm = [flight.flies & (flight.turning < MOST_TURNING) for flight in flights]
+    rows = calm if any(flags.any() for flags in calm) else [flight.flies for flight in flights]
+    pairs = [np.stack((f.motion[:, 3], f.inputs.sum(axis=1)), axis=1)[r] for f, r in zip(flights, rows, strict=True)]
+    table = np.concatenate(pairs)
 
-    value, deviation = _jackknife(ratio, [part != k for k in range(PARTS)])
-    return Estimate.from_half_width(float(value[0]), float(CLEAR * deviation[0]))
+    def ratio(chosen: Flags) -> Array:
+        force, total = table[chosen].mean(axis=0)
+        return np.atleast_1d(force / max(total, 1e-300))
+
+    value, half = _jackknife(ratio, _left_out_parts([len(pair) for pair in pairs]))
+    return Estimate.from_half_width(float(value[0]), float(half[0]))
+
+
+def _left_out_parts(sizes: Sequence[int]) -> list[Flags]:
+    """Return the rows that remain without each flight, or without each of ``PARTS`` parts of few flights."""
+    count = sum(sizes)
+    part = (
+        np.repeat(np.arange(len(sizes)), sizes) if len(sizes) >= FEWEST_FLIGHTS else np.arange(count) * PARTS // count
+    )
+    return [part != k for k in np.unique(part)]
 
 
 def _least_squares(columns: Array, targets: Array) -> Array:
@@ -148,11 +190,16 @@ def _least_squares(columns: Array, targets: Array) -> Array:
 
 
 def _jackknife(fit: Callable[[Flags], Array], kept: Sequence[Flags]) -> tuple[Array, Array]:
-    """Return the fit to all rows, and its standard deviation from fits that leave out one part each."""
+    """Return the fit to all rows, and the half width of its 95 % interval from fits that leave out one part each."""
     whole = fit(np.ones(kept[0].size, dtype=bool))
-    parts = np.stack([fit(rows) for rows in kept])
-    count = len(kept)
-    return whole, np.sqrt((count - 1) / count * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0))
+    return whole, _half_width([fit(rows) for rows in kept])
+
+
+def _half_width(fits: Sequence[Array]) -> Array:
+    """Return the half width of the 95 % interval of a fit from fits that leave out one part each."""
+    parts, count = np.stack(fits), len(fits)
+    deviation = np.sqrt((count - 1) / count * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0))
+    return float(student_quantile(0.975, count - 1)) * deviation
 
 
 def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
@@ -180,9 +227,8 @@ def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
     count = range(len(parts))
     whole = fit(list(count), np.array((0.1, 0.9, 0.7, 1.0)))
     scale = np.array((largest, largest, 1.0, 0.02))
-    leave_one_out = np.array([fit([k for k in count if k != left], whole) for left in count])
-    variance = (len(parts) - 1) / len(parts) * ((leave_one_out - leave_one_out.mean(axis=0)) ** 2).sum(axis=0)
-    offset, gain, power, lag = map(Estimate.from_half_width, whole * scale, CLEAR * np.sqrt(variance) * scale)
+    half = _half_width([fit([k for k in count if k != left], whole) for left in count])
+    offset, gain, power, lag = map(Estimate.from_half_width, whole * scale, half * scale)
     return CommandCurve(offset=offset, gain=gain, power=power, lag=lag, full=full)
 
 
@@ -202,7 +248,7 @@ def _curve_parts(log: FlightLog, count: int) -> list[CurvePart]:
     assert log.rotor_speed is not None
     step = max(1, int(sample_rate(log) / CURVE_HZ))
     command, speed, rate = log.rotor_command[::step], log.rotor_speed[::step], sample_rate(log) / step
-    turning = _rows_in_flight(speed**2, rate)
+    turning = _without_edges(_rows_under_power(speed**2), rate)
     groups = np.array_split(np.flatnonzero(turning), count)
     rows = [np.isin(np.arange(len(speed)), group) for group in groups if group.size]
     return [CurvePart(command=command, speed=speed, rate=rate, rows=flags) for flags in rows]

@@ -71,6 +71,18 @@ def test_a_flight_that_never_stands_has_no_such_rows(table: pd.DataFrame, tmp_pa
     assert load_parts([table], tmp_path).on_ground is None
 
 
+def test_a_vehicle_that_a_hand_swings_is_not_compared(table: pd.DataFrame, tmp_path: Path) -> None:
+    """It turns and moves, but stopped rotors carry nothing; the same force in a fast turn may be that of the turn."""
+    swung = on_ground(table, 150, idle=0.0)
+    swung["omega_x"] += 2.0 * np.sin(np.arange(150) / 10.0)
+    results = ground_rows([swung, table], tmp_path, lift_off=0.0)
+    assert results is not None
+    assert results[10:130].all()
+    assert not results[160:].any()
+    spun = ground_rows([swung.assign(omega_x=20.0), table], tmp_path, lift_off=0.0)
+    assert spun is None or not spun[10:130].any()
+
+
 def test_a_height_at_which_it_stood_is_the_ground_and_a_lower_one_is_none(table: pd.DataFrame, tmp_path: Path) -> None:
     """It stands on a table 5 m high, skims it, and flies far below as well: there nothing but its rotors carries it."""
     stands, skims = on_ground(table, 150, idle=200.0).assign(p_z=5.0), table[:100].assign(p_z=5.01)
