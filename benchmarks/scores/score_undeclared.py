@@ -65,11 +65,13 @@ class Job:
     num_train: int = 4
     num_test: int = 3
     duration_s: float = 16.0
+    logger: str = ""  # One of ``LOGGERS``; the truth then has the evidence that the log can show
 
     @property
     def key(self) -> str:
         """Name of the result file: the case, and a digest of all its fields and of the judged code."""
-        label = "-".join(("+".join(self.hidden) or "nothing", *self.features))
+        parts = ("+".join(self.hidden).replace("/", "-") or "nothing", *self.features, *filter(None, [self.logger]))
+        label = "-".join(parts)
         digest = sha256((json.dumps(asdict(self), sort_keys=True) + code_digest()).encode()).hexdigest()[:8]
         return f"{label}_{self.size if self.hidden else 'none'}_{self.seed}_{digest}"
 
@@ -95,6 +97,8 @@ def score_case(job: Job) -> dict[str, object]:
                 num_train=job.num_train,
                 num_test=job.num_test,
                 duration_s=job.duration_s,
+                logger=job.logger,
+                evidence=bool(job.logger),
             )
             flown = time.monotonic()
             robot = robot_by_name(files.robot)
@@ -103,9 +107,11 @@ def score_case(job: Job) -> dict[str, object]:
                 verdict = verdict_json(judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict)
         except Exception as error:  # one bad case must not end a run of hours; it is counted, and not kept
             return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}
-        truth = json.loads(files.truth.read_text())["effects"]
+        hidden = json.loads(files.truth.read_text())
+        truth = hidden["effects"]
         times = {"fly_s": flown - start, "loop_s": time.monotonic() - flown}
-    return {**row, **judge_verdict(verdict, truth), "truth": truth, **times}
+    evidence = {"evidence": hidden["evidence"]} if job.logger else {}
+    return {**row, **judge_verdict(verdict, truth), "truth": truth, **evidence, **times}
 
 
 def judge_verdict(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
@@ -124,6 +130,7 @@ def judge_verdict(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str
     return {
         "verdict": verdict["verdict"],
         "named": list(named),
+        "material": [name for name, one in named.items() if one.get("material", True) is not False],
         "candidates": list(verdict.get("candidates", [])),
         "not_testable": list(verdict.get("not_testable", [])),
         "structure": verdict.get("structure"),

@@ -140,7 +140,7 @@ class Story:
         record = self._fly_policy(policy, points, seed=seed)
         logs = [folder / f"flight_{i + 1}.csv" for i in range(FITTED + JUDGED)]
         for i, path in enumerate(logs):
-            write_log(path, record, i, first=0, every=1)
+            write_log(path, record, i, slice(None))
         (folder / "truth.json").write_text(json.dumps(HIDDEN))
         command = [sys.executable, "-c", "from aerial_gym.cli.main import entry; entry()", "close-loop", "--ranges"]
         parts = ("--robot", ROBOT, "--train", *logs[:FITTED], "--test", *logs[FITTED:], "--out", result)

@@ -1,4 +1,7 @@
-"""Fly one case: ``python -m benchmarks.undeclared --out DIR --effect com_offset --size moderate --seed 3``."""
+"""Fly one case: ``python -m benchmarks.undeclared --out DIR --effect com_offset --size moderate --seed 3``.
+
+With ``--cases`` many cases are flown and scored: ``--loggers px4 --cases 100 --workers 16 --out DIR`` (``score_loggers``).
+"""
 
 import sys
 from dataclasses import dataclass
@@ -22,6 +25,9 @@ class CaseCmd:
     num_test: int = 3  # Test flights
     duration_s: float = 16.0  # Length of each log [s]
     rate_hz: int = 400  # Rate of the logs [Hz], a divisor of 400
+    logger: Literal["", "rows", "px4", "slow", "gaps", "late", "gps"] = (
+        ""  # How the flights are recorded; empty: plain rows
+    )
     nuisance: bool = False  # Make mass, rotors, inertia and sensors slightly off
 
     failure: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -29,7 +35,9 @@ class CaseCmd:
 
     def run(self) -> int:
         """Make the case and print its files; return the exit status."""
-        numbers = {name: getattr(self, name) for name in ("seed", "num_train", "num_test", "duration_s", "rate_hz")}
+        numbers = {
+            name: getattr(self, name) for name in ("seed", "num_train", "num_test", "duration_s", "rate_hz", "logger")
+        }
         effects = dict.fromkeys(self.effect, self.size)
         try:
             failures = dict(map(parse_failure, self.failure))
@@ -54,5 +62,14 @@ def parse_failure(text: str) -> tuple[str, PlantFailure]:
     return flight, PlantFailure(kind=kind, **values | {"motor": int(values.get("motor", 1))})
 
 
+def main(arguments: list[str]) -> int:
+    """Fly one case, or score many; return the exit status."""
+    if "--cases" not in arguments:
+        return tyro.cli(CaseCmd, args=arguments, description=__doc__).run()
+    from benchmarks.scores.score_loggers import LoggerScoreCmd
+
+    return tyro.cli(LoggerScoreCmd, args=arguments, description=__doc__).run()
+
+
 if __name__ == "__main__":
-    sys.exit(tyro.cli(CaseCmd, description=__doc__).run())
+    sys.exit(main(sys.argv[1:]))

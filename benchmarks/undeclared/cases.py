@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
+from benchmarks.undeclared.evidence import FlightStates, evidence_over_rivals
+from benchmarks.undeclared.loggers import LOGGERS, PlantLogger, disturb_record, write_rows, write_ulog
 from benchmarks.undeclared.logs import delay_sensors, vehicle_document, write_log, write_robot
 from benchmarks.undeclared.other_laws import gust_series_by_law
 from benchmarks.undeclared.sensors import NO_BIAS, Bias, PlantNoise, PlantNuisance, PlantSensors, add_nuisance
@@ -84,8 +86,6 @@ def list_flights(num_train: int, num_test: int, features: Sequence[str] = ()) ->
 
 def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str]) -> PlantFlight:
     """Return the flight with the family, height and scale of the features; ground and ceiling take turns."""
-    if "hover" in features and part == "train":
-        flight = replace(flight, family="hover")
     if "low" in features or "ceiling" in features:
         family, lowest, scale = NEAR[part][i % len(NEAR[part])]
         hanging = "ceiling" in features and ("low" not in features or i % 2 == 1)
@@ -93,7 +93,8 @@ def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str
         flight = replace(flight, family=family, lowest=lowest, scale=scale, below_ceiling=hanging)
     if "heights" in features and flight.lowest == LOWEST_HEIGHT:
         flight = replace(flight, lowest=HEIGHTS[part][i % len(HEIGHTS[part])])
-    return flight
+    hovers = "hover" in features and part == "train"
+    return replace(flight, family="hover", scale=1.0) if hovers else flight
 
 
 def plan_flights(flights: list[PlantFlight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
@@ -225,33 +226,60 @@ def fly_case(**settings: Any) -> CaseRecord:
     return flown
 
 
-def make_case(out_dir: str | Path, *, rate_hz: int = CONTROL_RATE, **settings: Any) -> CaseFiles:
+def make_case(
+    out_dir: str | Path, *, rate_hz: int = CONTROL_RATE, logger: str = "", evidence: bool = False, **settings: Any
+) -> CaseFiles:
     """Simulate a case and write its logs, the declared robot and the truth.
 
     Args:
         out_dir: Folder, made if missing.
         rate_hz: Rate of the logs [Hz], a divisor of 400.
+        logger: One of ``LOGGERS``, which has its own rates; empty for plain rows.
+        evidence: Whether the truth states the evidence that the training flights can show (``evidence``).
         settings: Fields of ``PlantCase``.
 
     Raises:
-        ValueError: For an unknown effect, size, parameter or feature, a number out of range, or a flight that came too
+        ValueError: For an unknown effect, size, parameter, feature or logger, a number out of range, or a flight that came too
             near to the ground or the ceiling.
     """
     if rate_hz <= 0 or CONTROL_RATE % rate_hz:
         raise ValueError(f"rate_hz = {rate_hz!r}: must divide {CONTROL_RATE}")
+    if logger and logger not in LOGGERS:
+        raise ValueError(f"no logger {logger!r}. Known: {', '.join(LOGGERS)}")
     flown, first, out = fly_case(**settings), round(SETTLE_S * CONTROL_RATE), Path(out_dir)
     case, low = flown.case, ~(flown.room() > LOWEST_ROOM)
+    kind = LOGGERS[logger or "rows"]
+    if kind.file == "ulg" and (lost := {"other", "ceiling"} & set(flown.features)):
+        raise ValueError(f"logger {logger}: a ULog has no place for {sorted(lost)}; take another logger")
     out.mkdir(parents=True, exist_ok=True)
-    paths = [out / f"{flight.name}.csv" for flight in flown.flights]
+    record = disturb_record(flown.record, kind, case.seed) if logger else flown.record
+    paths = [out / f"{flight.name}.{kind.file}" for flight in flown.flights]
     for index, path in enumerate(paths):
         comes_down = flown.flights[index].name in case.failures and low[:, index].any()
         last = int(low[:, index].argmax()) if comes_down else None
-        write_log(path, flown.record, index, first=first, last=last, every=CONTROL_RATE // rate_hz)
+        if not logger:
+            write_log(path, record, index, slice(first, last, CONTROL_RATE // rate_hz))
+        elif kind.file == "ulg":
+            write_ulog(path, record, index, slice(first, last), kind, flown.declared.speed_range()[1])
+        else:
+            write_rows(path, record, index, slice(first, last, round(CONTROL_RATE / kind.row_rate)), kind, case.seed)
     robot, truth = out / "robot.yaml", out / "truth.json"
     write_robot(robot, flown.declared, radius="low" in flown.features or "ceiling" in flown.features)
-    truth.write_text(json.dumps(_truth(flown, first=first, rate_hz=rate_hz), indent=1) + "\n")
+    hidden = _truth(flown, first=first, rate_hz=rate_hz)
+    if evidence:
+        hidden["evidence"] = _evidence(flown, first, kind)
+    truth.write_text(json.dumps(hidden, indent=1) + "\n")
     train, test = tuple(paths[: case.num_train]), tuple(paths[case.num_train :])
     return CaseFiles(train=train, test=test, robot=robot, truth=truth)
+
+
+def _evidence(flown: CaseRecord, first: int, logger: PlantLogger) -> dict[str, float]:
+    """Return the expected evidence in the training flights for the hidden effects over each rival; empty for a control."""
+    if not flown.params:
+        return {}
+    states = FlightStates(flown.record, range(flown.case.num_train), first, logger)
+    sizes = flown.case.nuisance_sizes or PlantNuisance()
+    return evidence_over_rivals(states, flown.params, flown.case.noise, sizes)
 
 
 def _truth(flown: CaseRecord, *, first: int, rate_hz: int) -> dict[str, object]:

@@ -88,6 +88,7 @@ class FullPlant(Plant):
         rotor_dot, squared = self._rotor_dot(state, command), self._square_speeds(state)
         wrench, slopes = self._arm_loads(state, squared) if self._joints else (squared @ self._wrench_map, [])
         force, torque = self._body_loads(state, squared, wrench, rotor_dot)
+        pull = 0.0
         if self._elastic:
             force, torque, pull = self._pull_of_elastic_cable(state, force, torque)
         world, swing = (rotation_matrices(state) @ force[:, :, None])[:, :, 0], None
@@ -97,7 +98,7 @@ class FullPlant(Plant):
         for joint, slope in zip(self._joints, slopes, strict=True):
             out[:, joint[3]] = slope
         if self._elastic:
-            swing = -pull / self._extra.cable[0] - world / self.vehicle.mass
+            swing = -np.asarray(pull) / self._extra.cable[0] - world / self.vehicle.mass
         if swing is not None:
             out[:, CABLE], out[:, CABLE_RATE] = state[:, CABLE_RATE], swing
         return out

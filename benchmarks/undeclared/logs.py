@@ -35,13 +35,13 @@ def delay_sensors(record: PlantRecord, delay: Array) -> PlantRecord:
     """Return a record in which each of ``LATE`` comes so much later [s] than it was, between samples in a straight line."""
     measured = dict(record.measured)
     for name, seconds in zip(LATE, delay.tolist(), strict=True):
-        measured[name] = _delay_samples(measured[name], seconds * CONTROL_RATE)
+        measured[name] = delay_samples(measured[name], seconds * CONTROL_RATE)
         if name == "rotation":
-            measured["position"] = _delay_samples(measured["position"], seconds * CONTROL_RATE)
+            measured["position"] = delay_samples(measured["position"], seconds * CONTROL_RATE)
     return replace(record, measured=measured)
 
 
-def _delay_samples(values: Array, samples: float) -> Array:
+def delay_samples(values: Array, samples: float) -> Array:
     """Return values (T, ...) as they were so many samples before; those at the ends last."""
     place = np.clip(np.arange(len(values)) - samples, 0.0, len(values) - 1.0)
     before = place.astype(int)
@@ -49,32 +49,27 @@ def _delay_samples(values: Array, samples: float) -> Array:
     return (1.0 - share) * values[before] + share * values[np.minimum(before + 1, len(values) - 1)]
 
 
-def write_log(path: Path, record: PlantRecord, flight: int, *, first: int, every: int, last: int | None = None) -> None:
-    """Write one flight from sample ``first`` on, before ``last``, each ``every``-th sample; t starts at 0."""
-    rows = slice(first, last, every)
+def write_log(path: Path, record: PlantRecord, flight: int, rows: slice) -> None:
+    """Write the given samples of one flight; t starts at 0."""
+    columns, digits, values = log_table(record, flight, rows)
+    np.savetxt(path, values, fmt=digits, delimiter=",", header=",".join(columns), comments="")
+
+
+def log_table(record: PlantRecord, flight: int, rows: slice) -> tuple[list[str], list[str], Array]:
+    """Return column names, number formats and values (T, columns) of the given samples of one flight."""
     seen = {name: values[rows, flight] for name, values in record.measured.items()}
-    time = np.arange(len(seen["rate"]))[:, None] * (every / CONTROL_RATE)
-    battery = record.voltage[rows, flight, None]
-    parts = [
-        time,
-        seen["position"],
-        continuous_quaternions(seen["rotation"]),
-        seen["velocity"],
-        seen["rate"],
-        seen["acc"],
-    ]
-    parts += [seen["rotor"], record.command[rows, flight], battery]
+    time = np.arange(len(seen["rate"]))[:, None] * ((rows.step or 1) / CONTROL_RATE)
+    parts = [time, seen["position"], continuous_quaternions(seen["rotation"])]
+    parts += [seen[name] for name in ("velocity", "rate", "acc", "rotor")]
+    parts += [record.command[rows, flight], record.voltage[rows, flight, None]]
     columns, digits, surroundings = list(COLUMNS), [*_DIGITS, "%.2f"], record.surroundings
     if surroundings.other is not None:
-        parts, columns, digits = (
-            [*parts, surroundings.other[rows, flight]],
-            [*columns, *OTHER_COLUMNS],
-            [*digits, *["%.4f"] * 3],
-        )
+        parts, columns = [*parts, surroundings.other[rows, flight]], [*columns, *OTHER_COLUMNS]
+        digits += ["%.4f"] * 3
     if surroundings.ceiling is not None:
         parts, columns = [*parts, np.full_like(time, surroundings.ceiling)], [*columns, CEILING_COLUMN]
-        digits = [*digits, "%.4f"]
-    np.savetxt(path, np.hstack(parts), fmt=digits, delimiter=",", header=",".join(columns), comments="")
+        digits += ["%.4f"]
+    return columns, digits, np.hstack(parts)
 
 
 def robot_document(vehicle: PlantVehicle, *, radius: bool = False) -> dict[str, object]:

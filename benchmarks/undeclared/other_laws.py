@@ -100,8 +100,10 @@ def _filter_noise(count: int, rate: float, rng: np.random.Generator, times: tupl
     for time, order in zip(times, orders, strict=True):
         keep, zero = np.exp(-1.0 / (rate * time)), np.exp(-1.0 / (rate * time * 3**0.5))
         above, below = ([1.0], [1.0, -keep]) if order == 1 else ([1.0, -zero], [1.0, -2.0 * keep, keep**2])
-        answer = lfilter(above, below, np.eye(1, start)[0])
-        columns.append(lfilter(above, below, rng.standard_normal(start + count))[start:] / np.sqrt(answer @ answer))
+        answer = np.asarray(lfilter(above, below, np.eye(1, start)[0]))
+        columns.append(
+            np.asarray(lfilter(above, below, rng.standard_normal(start + count)))[start:] / np.sqrt(answer @ answer)
+        )
     return np.stack(columns, axis=1)
 
 

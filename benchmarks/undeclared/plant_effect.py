@@ -44,9 +44,9 @@ def field_effect(
     """
 
     def set_field(vehicle: PlantVehicle, values: Params) -> PlantVehicle:
-        numbers = (*((law,) if law else ()), *(values[name] for name in params))
+        numbers: tuple = (*([law] if law else []), *(values[name] for name in params))
         if hasattr(NEUTRAL, field):
-            return set_extra(vehicle, **{field: numbers if len(numbers) > 1 else numbers[0]})
+            return set_extra(vehicle, **{field: numbers if len(numbers) > 1 else next(iter(numbers))})
         return replace(vehicle, **{field: np.array(numbers)})
 
     def draw_params(rng: np.random.Generator, size: float, _: PlantVehicle) -> Params:

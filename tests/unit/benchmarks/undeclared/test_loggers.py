@@ -1,0 +1,117 @@
+"""The truth plant: logs as loggers write them, and the evidence that a log can show, against a closed form."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from benchmarks.undeclared import make_case
+from benchmarks.undeclared.cases import SETTLE_S, CaseRecord, fly_case
+from benchmarks.undeclared.evidence import EVERY, FlightStates, evidence_over_rivals
+from benchmarks.undeclared.loggers import (
+    LONGEST_BURST,
+    START_US,
+    PlantLogger,
+    burst_rows,
+    disturb_record,
+    write_rows,
+    write_ulog,
+)
+from benchmarks.undeclared.sensors import PlantNoise, PlantNuisance
+from benchmarks.undeclared.simulate import CONTROL_RATE
+from benchmarks.undeclared.vehicle import Array
+
+FIRST = round(SETTLE_S * CONTROL_RATE)
+ROWS = slice(FIRST, None)
+EXACT = PlantNuisance(**dict.fromkeys(PlantNuisance.__dataclass_fields__, 0.0))
+
+
+@pytest.fixture(scope="module")
+def case() -> CaseRecord:
+    bias = {"ax": 0.02, "ay": 0.0, "az": 0.0, "gx": 0.0, "gy": 0.0, "gz": 0.0}
+    return fly_case(effects={"imu_bias": bias}, seed=3, num_train=1, num_test=0, duration_s=4.0)
+
+
+def at_rows(time: Array, values: Array) -> Array:
+    """Return values (T, ...) at the sample of each time of a log."""
+    return values[np.rint((time - 1e-6 * START_US) * CONTROL_RATE).astype(int)]
+
+
+def test_ulog_is_read_back(case: CaseRecord, tmp_path: Path) -> None:
+    """The reader of the package finds the same motion, each topic on its own samples, commands as shares of the largest."""
+    write_ulog(tmp_path / "a.ulg", case.record, 0, ROWS, PlantLogger(file="ulg"), full=2000.0)
+    log, seen = read_flight_log(tmp_path / "a.ulg"), {k: v[ROWS, 0] for k, v in case.record.measured.items()}
+    assert log.rotor_command is not None
+    assert log.lin_vel is not None
+    assert log.ang_vel is not None
+    assert log.specific_force is not None
+    np.testing.assert_allclose(log.ang_vel, at_rows(log.time, seen["rate"]), atol=1e-5)
+    np.testing.assert_allclose(log.specific_force, at_rows(log.time, seen["acc"]), atol=1e-5)
+    np.testing.assert_allclose(log.rotor_command, at_rows(log.time, case.record.command[ROWS, 0]) / 2000.0, atol=1e-6)
+    np.testing.assert_allclose(log.lin_vel, at_rows(log.time, seen["velocity"]), atol=1e-5)
+    assert {name: round(one.rate) for name, one in log.streams.items() if name != "battery"} == dict.fromkeys(
+        ("ang_vel", "specific_force", "attitude", "position", "lin_vel", "rotor_command", "rotor_speed"), 400
+    )
+
+
+def test_slow_topics_keep_their_rates(case: CaseRecord, tmp_path: Path) -> None:
+    rates = {"imu": 200.0, "attitude": 20.0, "position": 10.0, "command": 10.0, "battery": 5.0}
+    logger = PlantLogger(file="ulg", rates=rates, rotor_speeds=False)
+    write_ulog(tmp_path / "a.ulg", case.record, 0, ROWS, logger, full=2000.0)
+    log = read_flight_log(tmp_path / "a.ulg")
+    expected = {"attitude": 20, "position": 10, "lin_vel": 10, "ang_vel": 200, "battery": 5}
+    assert {name: round(log.streams[name].rate) for name in expected} == expected
+    assert log.rotor_speed is None
+
+
+def test_bursts_lose_their_share_of_rows() -> None:
+    lost = burst_rows(6400, 0.03, np.random.default_rng(1))
+    assert 0.03 <= lost.mean() < 0.03 + LONGEST_BURST / 6400
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], lost, [0]))))
+    assert (edges[1::2] - edges[::2]).max() > 1
+
+
+def test_rows_have_jitter_and_no_rotor_speeds(case: CaseRecord, tmp_path: Path) -> None:
+    logger = PlantLogger(row_rate=400.0, lost=0.1, jitter=0.00015, rotor_speeds=False)
+    write_rows(tmp_path / "a.csv", case.record, 0, ROWS, logger, 7)
+    names = (tmp_path / "a.csv").read_text().partition("\n")[0].split(",")
+    time = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)[:, 0]
+    assert not any(name.startswith("rotor_") for name in names)
+    assert "cmd_1" in names
+    off = time - np.rint(time * CONTROL_RATE) / CONTROL_RATE
+    assert off.std() == pytest.approx(0.00015, rel=0.1)
+    assert len(time) == pytest.approx(0.9 * 1601, rel=0.02)
+
+
+def test_late_streams_and_vibration(case: CaseRecord) -> None:
+    before, logger = case.record.measured, PlantLogger(late=(0.1, 0.1), vibration=1.0)
+    after = disturb_record(case.record, logger, 3).measured
+    np.testing.assert_allclose(after["velocity"][500:], before["velocity"][460:-40], atol=1e-12)
+    np.testing.assert_array_equal(after["rotation"], before["rotation"])
+    assert (after["acc"] - before["acc"]).std() == pytest.approx(1.0, rel=0.05)
+
+
+def test_ulog_has_no_place_for_a_ceiling(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="ULog"):
+        make_case(
+            tmp_path, effects={}, features=("ceiling",), seed=1, num_test=0, num_train=1, duration_s=1.0, logger="px4"
+        )
+
+
+def test_evidence_of_a_bias_is_its_noncentrality(case: CaseRecord) -> None:
+    """Without small errors ``q = n b² / s²``, of n samples of a bias b under white noise s; ``q / 2 - 3 ln(1 + q / 6)``."""
+    states, noise = FlightStates(case.record, [0], FIRST, PlantLogger()), PlantNoise()
+    q = len(states.state) * EVERY * (0.02 / noise.acc) ** 2
+    evidence = evidence_over_rivals(states, case.params, noise, EXACT)
+    assert evidence["nothing"] == pytest.approx(0.5 * q - 3.0 * np.log(1.0 + q / 6.0), rel=0.02)
+    assert 0.0 <= min(evidence.values()) <= evidence["nothing"]
+
+
+def test_evidence_falls_with_the_small_error_that_looks_the_same(case: CaseRecord) -> None:
+    """With a prior of the bias of standard deviation p, q becomes ``q / (1 + n p² / s²)``."""
+    states, noise = FlightStates(case.record, [0], FIRST, PlantLogger()), PlantNoise()
+    gain = len(states.state) * EVERY * (0.02 / noise.acc) ** 2
+    q = gain / (1.0 + gain)
+    evidence = evidence_over_rivals(states, case.params, noise, PlantNuisance(**{**vars(EXACT), "acc_bias": 0.02}))
+    assert evidence["nothing"] == pytest.approx(0.5 * q - 3.0 * np.log(1.0 + q / 6.0), abs=0.01)
