@@ -9,6 +9,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding, unit_suffix
+from aerial_gym.sim2real.identify.candidates.library import neutral_params
+from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
 from aerial_gym.sim2real.identify.learned import add_test_shares, leave_out_flights, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
@@ -190,12 +192,23 @@ def verdict_notes(
         *notes_on_doubt(selection),
         *([Finding("left_open_note", "", {"channels": open_channels})] if open_channels else []),
         *unexplained.wind.notes,
+        *notes_on_bounds(declared, selection),
         *notes_on_materiality(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
         *notes_on_implausible_deviations(declared, model, selection.criteria.material, unexplained, named),
         *notes_on_surrogates_and_offsets(selection),
         *notes_on_logs(declared),
     )
+
+
+def notes_on_bounds(declared: LoopSetup, selection: SelectionResult) -> list[Finding]:
+    """Return a note on each named effect with a parameter at a physical bound: its law fits only as far as it goes."""
+    params, robot = selection.fit.params, declared.train.robot
+    ends = {
+        name: parameters_at_bounds(name, params, neutral_params(name, declared.params, robot), robot)
+        for name in selection.effects
+    }
+    return [Finding("at_bound", name, {"parameters": at_end}) for name, at_end in ends.items() if at_end]
 
 
 def notes_on_implausible_deviations(

@@ -124,6 +124,10 @@ NOTES: dict[str, Template] = {
         "Train on flights that move as the test flights do."
     ),
     "parameter_tied": "{parameter} of {subject} may also be {other} ({params:params}; log odds {log_odds:.1f}).",
+    "at_bound": (
+        "{subject} ends at a physical bound of {parameters:names}: its law does not fit exactly, or another cause "
+        "acts beside it."
+    ),
     "stands_in": "{subject} is not named: it only replaces a residual that follows the {structure}.",
     "offsets_sizes": _sentence_on_offsets_of_flights,
     "tolerance_strained": _implausible_deviation_sentence,
@@ -196,7 +200,6 @@ REASONS: dict[str, Template] = {
         "Probable only if noise were the only error (log odds {log_odds:.0f}): the flights disagree on it, or it needs a "
         "structure beside it."
     ),
-    "at_bound": "It ends at its physical bound: {parameters:names}.",
     "not_told_from_nothing": ("Probable, but not certain enough (log odds {log_odds:.1f}; {least_log_odds:g} needed)."),
     "told_beside_another": "It is certain enough only together with an effect that is not.",
     "only_linear": "Its linear model predicts a gain that the full fit does not reach.",

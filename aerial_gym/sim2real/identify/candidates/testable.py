@@ -44,7 +44,7 @@ def finding_on_untestable_effect(
 
 
 def parameters_at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:
-    """Return the parameters of an effect at a bound other than neutral, a sign of another cause."""
+    """Return the parameters of an effect at a bound other than neutral: its law fits only as far as it goes."""
     effect, reasons = EFFECTS.get(name), []
     rows = zip(effect.parameters, effect.bounds(robot), params.effects[name], neutral, strict=True)
     for parameter, bounds, value, start in rows:

@@ -10,7 +10,6 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library, has_several_starts, is_of_one_rotor, neutral_params
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns, prior_of_flight_offsets
-from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
 from aerial_gym.sim2real.identify.evidence.guard import (
     Support,
     linearise_about_fit,
@@ -301,22 +300,11 @@ class Fitter:
         assert best is not None
         return best
 
-    def set_for_robot_file(self, fitted: EffectSetFit) -> tuple[EffectSetFit, dict[str, list[str]]]:
-        """Return a set without unsupported effects or parameters at bounds, and the removed effects with those parameters."""
-        ends: dict[str, list[str]] = {}
-        while True:
-            fitted = self.drop_unsupported(fitted)
-            again = self.fit(fitted.effects, fitted.structures, self.params_at_mode(fitted))
-            fitted = max([fitted, *([again] if again.is_supported else [])], key=_log_posterior)
-            results = {
-                name: parameters_at_bounds(name, fitted.params, self.neutral_of_effect(name), self.predictor.robot)
-                for name in fitted.effects
-            }
-            results = {name: parameters for name, parameters in results.items() if parameters}
-            if not results:
-                return fitted, ends
-            ends |= results
-            fitted = self.refit_without_effects(fitted, tuple(results))
+    def set_for_robot_file(self, fitted: EffectSetFit) -> EffectSetFit:
+        """Return a set without unsupported effects, at its posterior mode if that is more probable."""
+        fitted = self.drop_unsupported(fitted)
+        again = self.fit(fitted.effects, fitted.structures, self.params_at_mode(fitted))
+        return max([fitted, *([again] if again.is_supported else [])], key=_log_posterior)
 
     def params_at_mode(self, fitted: EffectSetFit) -> ModelParams:
         """Return a set's model at its posterior mode, where unobservable parameters follow their prior."""

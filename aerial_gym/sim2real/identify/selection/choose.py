@@ -111,15 +111,13 @@ class _Chooser:
         present = best_special_case(view.present, fits, occam_window(view.present))
         surrogates = self.surrogate_effects(present, view.fitter)
         bare = self.best_set_without_structures(present, surrogates, fits, view.fitter)
-        named, ends = view.fitter.set_for_robot_file(bare)
-        named, unsure = self.drop_unproven(named, present, view.fitter)
+        named, unsure = self.drop_unproven(view.fitter.set_for_robot_file(bare), present, view.fitter)
         named, blind = self.drop_unidentified(named, view.fitter)
         named, immaterial, without = self.drop_immaterial(named, view.fitter)
         supports = present.support if fits[0].is_supported else fits[0].support | present.support
         refused = {
             name: Finding("flights_disagree", name, {"log_odds": one.log_odds}) for name, one in supports.items()
         }
-        refused |= {name: Finding("at_bound", name, {"parameters": results}) for name, results in ends.items()}
         refused |= {
             name: Finding("not_told_from_nothing", name, {"log_odds": odds, "least_log_odds": LEAST_SCORE})
             if odds <= LEAST_SCORE

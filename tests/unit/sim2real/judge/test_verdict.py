@@ -17,6 +17,7 @@ from aerial_gym.sim2real.judge import failure_verdict, verdict
 from aerial_gym.sim2real.judge.analysis import (
     LoopResult,
     correct_robot,
+    notes_on_bounds,
     notes_on_implausible_deviations,
     notes_on_logs,
     notes_on_surrogates_and_offsets,
@@ -51,6 +52,13 @@ def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
     told = untestable_effects(hidden, ROBOT, NO_EXCESS)
     assert [told[name].code for name in unseen] == ["no_soft_arms", "not_excited"]
     assert untestable_effects(hidden, soft, NO_EXCESS)["joint_spring"].code == "not_excited"
+
+
+def test_parameters_at_a_bound_are_a_note_on_a_named_effect() -> None:
+    """A drag of 0 is where the effect begins, one of 10 N s/m the largest that is possible."""
+    fitted = make_fit("rotor_drag", params={"rotor_drag": [10.0, 0.0, 0.3]})
+    notes = notes_on_bounds(make_setup(), make_selection(make_choice(fitted)))
+    assert notes == [Finding("at_bound", "rotor_drag", {"parameters": ["dx"]})]
 
 
 def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:

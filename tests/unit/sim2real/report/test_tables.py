@@ -71,7 +71,7 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
         adds=adds | {"motor_tilt": 5.0, "imu_bias": -1.0},
         surrogates={"weak_motor": "time"},
         immaterial={"motor_tilt": {"specific_force.x": rise}},
-        refused={"imu_bias": Finding("at_bound", "imu_bias", {"parameters": ["ax"]})},
+        refused={"imu_bias": Finding("parameters_unknown", "imu_bias")},
     )
     rows = rejection_rows(make_selection(chosen, not_testable={"downwash": Finding("acts_on_links", "downwash")}))
     assert [(row["effect"], row["log_odds"], row["probability"]) for row in rows] == [
@@ -85,7 +85,7 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
     expected = [
         Finding("follows_structure", "weak_motor", {"structure": "time"}),
         Finding("trifle", "motor_tilt", {"rise": 0.02}), Finding("only_linear", "com_offset"),
-        Finding("at_bound", "imu_bias", {"parameters": ["ax"]}), Finding("less_probable", "payload_mass"),
+        Finding("parameters_unknown", "imu_bias"), Finding("less_probable", "payload_mass"),
         Finding("acts_on_links", "downwash"),
     ]  # fmt: skip
     assert [row["because"] for row in rows] == [text(finding) for finding in expected]

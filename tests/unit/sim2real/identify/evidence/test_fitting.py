@@ -60,9 +60,7 @@ def test_where_even_nothing_is_no_fit_the_search_ends() -> None:
 def test_a_fit_that_no_longer_holds_from_its_most_probable_parameters_is_not_taken() -> None:
     drag = make_fit("rotor_drag", log=-2.0)
     beside = make_fit("rotor_drag", log=-1.9, odds={"rotor_drag": -0.1})
-    result, ends = FitStub(beside).set_for_robot_file(drag)
-    assert result is drag
-    assert ends == {}
+    assert FitStub(beside).set_for_robot_file(drag) is drag
 
 
 def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
@@ -71,22 +69,13 @@ def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
     pair, drag = make_fit("rotor_drag", "constant_wind", odds=odds), make_fit("rotor_drag")
     assert FitStub(pair, drag).drop_unsupported(whole) is drag
     assert FitStub().drop_unsupported(drag) is drag
-    result, ends = FitStub(pair, drag).set_for_robot_file(whole)
-    assert result is drag
-    assert ends == {}
+    assert FitStub(pair, drag).set_for_robot_file(whole) is drag
 
 
-def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
-    """A drag at the largest number that is possible; at 0, where it is neutral too, the other axes stay."""
-    end, thrust = [10.0, 0.0, 0.3], make_fit("thrust_coefficient")
-    both = make_fit("rotor_drag", "thrust_coefficient", params={"rotor_drag": end, "thrust_coefficient": [0.9]})
-    result, ends = FitStub(both, thrust).set_for_robot_file(both)
-    assert result is thrust
-    assert ends == {"rotor_drag": ["dx"]}
-    kept = make_fit("rotor_drag", params={"rotor_drag": [0.2, 0.0, 0.3]})
-    result, ends = FitStub(kept).set_for_robot_file(kept)
-    assert result is kept
-    assert ends == {}
+def test_a_robot_file_keeps_an_effect_whose_parameter_ends_at_a_bound() -> None:
+    """A drag at the largest number that is possible."""
+    both = make_fit("rotor_drag", "com_offset", params={"rotor_drag": [10.0, 0.0, 0.3], "com_offset": [0.0, 0.0, 0.0]})
+    assert FitStub(both).set_for_robot_file(both) is both
 
 
 @pytest.mark.parametrize(

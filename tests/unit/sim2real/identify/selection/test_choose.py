@@ -199,11 +199,11 @@ def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
 
 
 def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    more = ("payload_mass", "weak_motor", "torque_ratio", "com_offset", "motor_tilt")
+    more = ("payload_mass", "torque_ratio", "com_offset", "motor_tilt")
     best, named = make_fit("rotor_drag", *more), make_fit("rotor_drag")
     chooser, fitter = object.__new__(_Chooser), FitStub()
     chooser.names, chooser.tolerated = best.effects, np.zeros(1)
-    fitter.set_for_robot_file, fitter.weights = lambda one: (named, {"weak_motor": ["scale"]}), None
+    fitter.set_for_robot_file, fitter.weights = lambda one: named, None
     for name, result in (
         ("surrogate_effects", {}),
         ("best_set_without_structures", best),
@@ -222,7 +222,6 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
     refused = chooser.make_result(view).refused
     assert {name: finding.code for name, finding in refused.items()} == {
         "payload_mass": "flights_disagree",
-        "weak_motor": "at_bound",
         "torque_ratio": "not_told_from_nothing",
         "com_offset": "told_beside_another",
         "motor_tilt": "parameters_unknown",
