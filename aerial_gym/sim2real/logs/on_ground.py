@@ -1,4 +1,4 @@
-"""Detection of rows on the ground, where the rotors do not carry the vehicle. Letters: T rows, R rotors."""
+"""Detection of rows in which the vehicle does not fly by its own power. Letters: T rows, R rotors."""
 
 import numpy as np
 from scipy import ndimage
@@ -24,11 +24,12 @@ MOST = 0.8  # Largest share of rows on the ground in a usable log
 
 
 def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
-    """Return the rows on the ground or in a hand, (T,); None if there are none or the data do not show it.
+    """Return the rows on the ground, in a hand or thrown, (T,); None if there are none or the data do not show it.
 
-    On the ground the vehicle is at rest, supported, and below half its flight thrust. Neighbours at rest below nine tenths of
-    the thrust belong to it, and all rows within the mapping's ``lift_off_m`` of that height. A height alone is no evidence.
-    In a hand it may move, but is supported by more than the rotors and the air can give (``is_held``).
+    On the ground the vehicle is at rest, supported, and below half its flight thrust. Neighbours at rest below nine tenths
+    of the thrust belong to it, and all rows within the mapping's ``lift_off_m`` of that height. A height alone is no
+    evidence. It is carried where a force beyond rotors and rotation supports it, below half its thrust; neighbours below
+    half, as after a throw, belong to it.
     """
     rotors, width = log.rotor_speed, SMOOTH_S * sample_rate(log)
     if rotors is None and log.rotor_command is not None:
@@ -38,18 +39,18 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
         return None
     thrust = ndimage.gaussian_filter1d(total_rotor_force(robot, rotors), width)
     thrust = thrust / min(float(np.percentile(thrust, 90.0)), robot.body.mass * STANDARD_GRAVITY)
-    rest = felt > CARRIED * STANDARD_GRAVITY
+    supported = felt > CARRIED * STANDARD_GRAVITY
+    rest = supported.copy()
     for name, limit in STILL.items():
         values = getattr(log, name)
         if values is not None:
             rest &= _norm_of_smoothed_vectors(values, width) < limit
-    certain = rest & (thrust < IDLE)
-    held = is_held(felt, thrust * STANDARD_GRAVITY, log.ang_vel)
-    if not (certain | held).any():
+    on_ground = _spans_with(rest & (thrust < LIFTING), rest & (thrust < IDLE))
+    if log.specific_force is not None and log.ang_vel is not None:
+        beyond = felt - thrust * STANDARD_GRAVITY - _largest_centripetal_acceleration(log.ang_vel, robot, width)
+        on_ground |= _spans_with(thrust < IDLE, (thrust < IDLE) & (beyond > CARRIED * STANDARD_GRAVITY))
+    if not on_ground.any():
         return None
-    likely = rest & (thrust < LIFTING)
-    piece = np.cumsum(np.diff(likely, prepend=False))
-    on_ground = held | (likely & np.isin(piece, piece[certain]))
     if log.lift_off > 0.0 and log.position is not None:
         height = log.position[:, 2]
         pieces, count = ndimage.label(on_ground)  # pyright: ignore[reportGeneralTypeIssues]
@@ -63,21 +64,16 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     return on_ground
 
 
-def is_held(felt: Array, lift: Array, ang_vel: Array | None) -> Flags:
-    """Return the rows in which hands or ground carry a vehicle, (T,).
-
-    Args:
-        felt: Norm of the specific force [m/s²], (T,).
-        lift: Specific force of the rotors [m/s²], (T,).
-        ang_vel: Angular velocity [rad/s], body, (T, 3).
-    """
-    turning = 0.0 if ang_vel is None else largest_turning_force(ang_vel)
-    return (felt - turning > CARRIED * STANDARD_GRAVITY) & (lift < LEAST_SHARE * felt)
+def _spans_with(rows: Flags, certain: Flags) -> Flags:
+    """Return the spans of consecutive ``rows`` that contain a ``certain`` row, (T,)."""
+    piece = np.cumsum(np.diff(rows, prepend=False))
+    return rows & np.isin(piece, piece[certain])
 
 
-def largest_turning_force(ang_vel: Array) -> Array:
-    """Return the specific force that turning can add to an accelerometer's reading, ``LEVER w²`` [m/s²], (T,)."""
-    return LEVER * (ang_vel * ang_vel).sum(axis=1)
+def _largest_centripetal_acceleration(ang_vel: Array, robot: RobotCfg, width: float) -> Array:
+    """Return ``w² r`` [m/s²], (T,), of an accelerometer as far from the centre of mass as the outermost rotor."""
+    places = np.array([mount.position for mount in robot.mounts.layout]) - robot.body.com
+    return _norm_of_smoothed_vectors(ang_vel, width) ** 2 * float(np.linalg.norm(places, axis=1).max())
 
 
 def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:

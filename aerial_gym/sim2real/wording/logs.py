@@ -169,7 +169,7 @@ LOGS: dict[str, Template] = {
     "rates_derived": "Angular velocity is derived from attitude; angular acceleration is not compared.",
     "one_command": "All rotors have one command; angular acceleration is not compared.",
     "torques_not_logged": "These logs show no torques; angular acceleration is not compared.",
-    "on_ground": "In {share:percent} of the rows it stands on the ground; they are not compared.",
+    "on_ground": "In {share:percent} of the rows it stands, is carried or thrown; they are not compared.",
     "commands_copied": "The commands are left out: they equal the measured rotor speeds, so that they show no lag.",
     "commands_scaled": "Commands are scaled by {factor:.4f} to the thrust measured above {height_m:g} m.",
     "rotor_log_moved": lambda f: (

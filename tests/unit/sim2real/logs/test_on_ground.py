@@ -67,6 +67,20 @@ def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_
     assert np.abs(residual[:, 2]).max() < 0.5  # standing, it would be g
 
 
+def test_rows_in_a_hand_and_of_a_throw_are_not_compared(table: pd.DataFrame, tmp_path: Path) -> None:
+    """It is carried with still rotors, thrown, and falls until they turn. A fast tumble without thrust is a flight."""
+    rng, hand = np.random.default_rng(1), on_ground(table, 150, idle=0.0)
+    hand[["omega_x", "omega_y", "omega_z"]] = 0.6 * rng.standard_normal((150, 3))
+    hand[["acc_x", "acc_y", "acc_z"]] *= 1.3
+    throw = hand[:20].assign(acc_x=0.1, acc_y=0.0, acc_z=0.2, omega_x=8.0)
+    flown = table.copy()
+    flown.loc[300:339, ROTORS] *= 0.1
+    flown.loc[300:339, ["omega_x", "acc_y", "acc_z"]] += (22.0, 11.0, -8.0)
+    results = ground_rows([on_ground(table, 100, idle=0.0), hand, throw, flown], tmp_path, lift_off=0.0)
+    assert results[5:265].all()
+    assert not results[276:].any()
+
+
 def test_a_flight_that_never_stands_has_no_such_rows(table: pd.DataFrame, tmp_path: Path) -> None:
     assert load_parts([table], tmp_path).on_ground is None
 
