@@ -5,7 +5,7 @@ Letters: C channels, W windows, O octaves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from aerial_gym.sim2real.judge.whiteness import EDGES, periodogram_of_flights, p
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle
 from aerial_gym.sim2real.predict.rollout import RolloutErrors, rollout_errors_of_models
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
@@ -102,19 +103,24 @@ def ablations_of_effects(
     """Return the ablation of each accepted effect; ``points`` are the declared and the final model."""
     train, tested = predictors
     _, final = points
-    without = {name: selection.without[name].params for name in selection.effects}
+    less = {name: selection.without[name] for name in selection.effects}
+    without = {name: one.params for name, one in less.items()}
+    if final.deviation is not None:
+        off = {name: deviation_of_vehicle(one.deviation, robot) for name, one in less.items()}
+        without = {name: replace(params, deviation=off[name]) for name, params in without.items()}
     flown: list[RolloutErrors] = []
     if "free" in evaluations[0].rollouts:
-        if len(without) > 1:
-            models, links = list(without.values()), [tested.load_links(less) for less in without.values()]
-            flown = [one["free"] for one in rollout_errors_of_models(robot, test, models, {"free": False}, links=links)]
+        if len(without) > 1 or final.deviation is not None:
+            models, links = list(without.values()), [tested.load_links(one) for one in without.values()]
+            options = {"links": links, "tolerances": tested.tolerances}
+            flown = [one["free"] for one in rollout_errors_of_models(robot, test, models, {"free": False}, **options)]
         else:  # the only effect removed leaves the declared model
             flown = [evaluations[0].rollouts["free"]]
     residuals, group, flight = tested.residuals(final), time_block_of_rows(tested.times), flight_of_rows(tested.times)
     residual = np.concatenate(residuals)
     by_horizon = {}
-    for place, (name, less) in enumerate(without.items()):
-        left = tested.residuals(less)
+    for place, (name, params) in enumerate(without.items()):
+        left = tested.residuals(params)
         rises = rise_with_interval(np.concatenate(left), residual, group, flight)
         largest_rise = int(np.argmax([rise.value for rise in rises]))
         octaves = share_removed_by_octave(tested, left, residuals, largest_rise)

@@ -27,6 +27,7 @@ from aerial_gym.sim2real.judge.residual_excess import (
     can_judge_forces,
     channel_rms,
     find_residual_excess,
+    model_with_training_deviations,
 )
 from aerial_gym.sim2real.judge.verdict import (
     NamedEffect,
@@ -40,6 +41,7 @@ from aerial_gym.sim2real.logs.flights import findings_on_rigid_joints, merge_fin
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
+from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle, deviations_beyond_tolerance, redeclare
 from aerial_gym.sim2real.progress import Progress
 
 
@@ -60,7 +62,7 @@ def judge_on_test_flights(
     declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
 ) -> LoopResult:
     """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot."""
-    tested, model = declared.test, final_model_of_robot_file(declared, selection)
+    tested, model = declared.test, model_with_new_values(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
     floors = noise_floors_in_declared_wind(declared, model)
@@ -111,6 +113,23 @@ def judge_on_test_flights(
         gusty = params.with_effect(NAME, np.array(list(wind.params().values())))
     corrected = correct_robot(declared, gusty, accepted)
     return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
+
+
+def model_with_new_values(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
+    """Return the final model; if flights contradict declared values, with the values that fit the training flights best.
+
+    They are fitted together with the effects, which would be wrong without them. Without effects nothing is corrected.
+    """
+    model = final_model_of_robot_file(declared, selection)
+    if not selection.effects:
+        return model
+    deviation = model_with_training_deviations(model, selection.fit, selection.weights.weight).deviation
+    assert deviation is not None
+    for place, name in enumerate(declared.tolerances.names(declared.robot.num_rotors)):
+        deviation[place] *= name not in tolerances_of_absent_parts(declared, model)
+    if not deviations_beyond_tolerance(declared.tolerances, deviation, declared.robot):
+        return model
+    return replace(model, deviation=deviation_of_vehicle(deviation, declared.robot))
 
 
 def noise_floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:
@@ -195,20 +214,20 @@ def verdict_notes(
         *notes_on_bounds(declared, selection),
         *notes_on_materiality(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
+        *notes_on_redeclared_values(declared, model),
         *notes_on_implausible_deviations(declared, model, selection.criteria.material, unexplained, named),
         *notes_on_surrogates_and_offsets(selection),
         *notes_on_logs(declared),
     )
 
 
-def notes_on_bounds(declared: LoopSetup, selection: SelectionResult) -> list[Finding]:
-    """Return a note on each named effect with a parameter at a physical bound: its law fits only as far as it goes."""
-    params, robot = selection.fit.params, declared.train.robot
-    ends = {
-        name: parameters_at_bounds(name, params, neutral_params(name, declared.params, robot), robot)
-        for name in selection.effects
-    }
-    return [Finding("at_bound", name, {"parameters": at_end}) for name, at_end in ends.items() if at_end]
+def notes_on_redeclared_values(declared: LoopSetup, model: ModelParams) -> list[Finding]:
+    """Return a note on the declared values that the flights contradict, which the corrected robot file replaces."""
+    if model.deviation is None:
+        return []
+    strained = deviations_beyond_tolerance(declared.tolerances, model.deviation, declared.robot)
+    sizes = [{"value": name, "deviation_std": size} for name, size in strained.items()]
+    return [Finding("values_redeclared", "", {"values": sizes})]
 
 
 def notes_on_implausible_deviations(
@@ -288,6 +307,11 @@ def untestable_effects(selection: SelectionResult, robot: RobotCfg, unexplained:
 def correct_robot(declared: LoopSetup, params: ModelParams, accepted: Sequence[str]) -> RobotCfg:
     """Return the declared robot with the accepted effects and the learned residual added."""
     robot = declared.robot if "battery_sag" in accepted else declared.stated
+    flights = ", ".join(flight.name for flight in declared.train.flights)
+    if params.deviation is not None:
+        robot = redeclare(
+            robot, declared.tolerances, params.deviation, f"aerial-gym close-loop on the flights {flights}"
+        )
     learned = robot if params.learned is None else replace(robot, learned_residual=params.learned.cfg)
     if not accepted:
         return learned
@@ -296,7 +320,6 @@ def correct_robot(declared: LoopSetup, params: ModelParams, accepted: Sequence[s
         name: {p.name: float(v) for p, v in zip(EFFECTS.get(name).parameters, values, strict=True)}
         for name, values in params.effects.items()
     }
-    flights = ", ".join(flight.name for flight in declared.train.flights)
     source = f"{', '.join(accepted)}: aerial-gym close-loop on the flights {flights}"
     return robot_with_effects(learned, effects, source)
 

@@ -157,7 +157,7 @@ def effects_left_open(
 
     Each effect is fitted alone, together with the named effects and the tolerances.
     """
-    declared, final = models
+    declared, final = models[0], replace(models[1], deviation=None)
     names = [name for name in EFFECTS if EFFECTS.get(name).is_candidate_of_selection]
     skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]

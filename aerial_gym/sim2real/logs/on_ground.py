@@ -45,10 +45,10 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
         values = getattr(log, name)
         if values is not None:
             rest &= _norm_of_smoothed_vectors(values, width) < limit
-    on_ground = _spans_with(rest & (thrust < LIFTING), rest & (thrust < IDLE))
+    on_ground = _spans_containing(rest & (thrust < LIFTING), rest & (thrust < IDLE))
     if log.specific_force is not None and log.ang_vel is not None:
         beyond = felt - thrust * STANDARD_GRAVITY - _largest_centripetal_acceleration(log.ang_vel, robot, width)
-        on_ground |= _spans_with(thrust < IDLE, (thrust < IDLE) & (beyond > CARRIED * STANDARD_GRAVITY))
+        on_ground |= _spans_containing(thrust < IDLE, (thrust < IDLE) & (beyond > CARRIED * STANDARD_GRAVITY))
     if not on_ground.any():
         return None
     if log.lift_off > 0.0 and log.position is not None:
@@ -64,7 +64,7 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     return on_ground
 
 
-def _spans_with(rows: Flags, certain: Flags) -> Flags:
+def _spans_containing(rows: Flags, certain: Flags) -> Flags:
     """Return the spans of consecutive ``rows`` that contain a ``certain`` row, (T,)."""
     piece = np.cumsum(np.diff(rows, prepend=False))
     return rows & np.isin(piece, piece[certain])

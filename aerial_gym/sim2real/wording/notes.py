@@ -40,6 +40,12 @@ def _implausible_deviation_sentence(finding: Finding) -> str:
     return f"{start} {f'{way}, or give' if way else 'Give'} its real tolerance (--tolerances)."
 
 
+def _sentence_on_redeclared_values(finding: Finding) -> str:
+    rows: Sequence[Mapping[str, float]] = finding.values["values"]
+    parts = [f"{row['value']} ({float(row['deviation_std']):+.1f} standard deviations)" for row in rows]
+    return f"The flights contradict {join_words(parts)}. robot.yaml has the values that fit best."
+
+
 def _sentence_on_errors_with_deviations(finding: Finding) -> str:
     rows: Sequence[Mapping[str, float]] = finding.values["errors"]
     parts = []
@@ -130,6 +136,7 @@ NOTES: dict[str, Template] = {
     ),
     "stands_in": "{subject} is not named: it only replaces a residual that follows the {structure}.",
     "offsets_sizes": _sentence_on_offsets_of_flights,
+    "values_redeclared": _sentence_on_redeclared_values,
     "tolerance_strained": _implausible_deviation_sentence,
     "tolerances_cut_off": (
         "{tolerances:names}: cut off at {deviation_std:g} standard deviations, so not measured. "

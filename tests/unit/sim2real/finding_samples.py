@@ -129,6 +129,7 @@ SAMPLES = [
     Finding("left_open_note", "", {"channels": XZ}), Finding("parameter_tied", "inertia_error", TIED),
     Finding("stands_in", "thrust_coefficient", {"structure": "time"}),
     Finding("offsets_sizes", "", {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]}),
+    Finding("values_redeclared", "", {"values": [{"value": "thrust_1", "deviation_std": 4.7}]}),
     *(Finding("tolerance_strained", name, {"deviation_std": 4.0}) for name in STRAINED),
     Finding("tolerances_cut_off", "", {"tolerances": ["sensor_delay_gyro"], "deviation_std": 5.0}),
     Finding("strained_changes", "", {"errors": CHANGED}), Finding("strained_changes_little"),

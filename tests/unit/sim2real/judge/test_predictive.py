@@ -148,10 +148,10 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
     """An inertia that is off by 25 %: more than tolerances, and ``inertia_error`` would make it, which rest does not show.
     A candidate without a finite linearisation on one kind of flights is left out."""
 
-    missing_effects = iter(((), ("slung_payload",)))  # training, test
+    absences = iter(((), ("slung_payload",)))  # training, test
 
     def linearise(*args):
-        absent = next(missing_effects)
+        absent = next(absences)
         return [one for one in linearise_candidates(*args) if one.name not in absent]
 
     monkeypatch.setattr(predictive, "linearise_candidates", linearise)

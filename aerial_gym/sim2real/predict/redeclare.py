@@ -1,0 +1,80 @@
+"""Robot files whose declared values are replaced by those that flights ask for, beyond the tolerances.
+
+Letters: R rotors, N tolerances.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.rotor import RotorCfg
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.predict.tolerances import STRAINED, Tolerances, split_deviations
+
+OF_VEHICLE = ("mass", "thrust", "inertia", "com", "time_constant", "nominal_voltage")
+"""Tolerances of values in a robot file; all others are of the log or its sensors."""
+
+SIGNIFICANT_DIGITS = 6  # Significant digits of new values
+
+
+def deviation_of_vehicle(deviation: Array, robot: RobotCfg) -> Array:
+    """Return the deviations (N,) with those at zero that no robot file can have: of the log, its sensors, given thrusts."""
+    parts, none = split_deviations(torch.from_numpy(deviation)), {"force": "thrust"}
+    names = [name for name in OF_VEHICLE if name not in {none.get(trait) for trait in robot.rotor_traits}]
+    return torch.cat([part if name in names else torch.zeros_like(part) for name, part in parts.items()]).numpy()
+
+
+def deviations_beyond_tolerance(tolerances: Tolerances, deviation: Array, robot: RobotCfg) -> dict[str, float]:
+    """Return the deviations of the vehicle beyond ``STRAINED`` standard deviations, by name of the tolerance."""
+    off, names = deviation_of_vehicle(deviation, robot), tolerances.names(robot.num_rotors)
+    return {name: size for name, size in zip(names, off.tolist(), strict=True) if abs(size) > STRAINED}
+
+
+def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source: str) -> RobotCfg:
+    """Return the robot whose simulation is that of ``vehicle_with_deviations``; ``source`` of the new values.
+
+    If thrusts differ, each mount gets a rotor type of its own.
+    """
+    off = {name: part.numpy() for name, part in split_deviations(torch.from_numpy(deviation)).items()}
+    body, slower = robot.body, 1.0 + tolerances.time_constant * float(off["time_constant"][0])
+    stretch = np.sqrt(np.maximum(1.0 + tolerances.inertia * off["inertia"], 0.01))
+    inertia = np.array(body.inertia) * np.outer(stretch, stretch)
+    body = replace(
+        body, mass=_round_value(body.mass * (1.0 + tolerances.mass * float(off["mass"][0]))),
+        inertia=tuple(tuple(_round_value(value) for value in row) for row in inertia.tolist()),
+        com=tuple(_round_value(value) for value in (np.array(body.com) + tolerances.com * off["com"]).tolist()),
+        source=f"{body.source}; {source}",
+    )  # fmt: skip
+    factors = (1.0 + tolerances.thrust * off["thrust"]).tolist()
+    types = [
+        _scale_rotor(rotor, factor, slower, source) for rotor, factor in zip(robot.rotor_types, factors, strict=True)
+    ]
+    battery = robot.battery
+    if battery is not None:
+        nominal = battery.nominal_voltage * (1.0 + tolerances.nominal_voltage * float(off["nominal_voltage"][0]))
+        battery = replace(battery, nominal_voltage=_round_value(nominal))
+    if robot.rotor is not None and all(other == types[0] for other in types):
+        return replace(robot, body=body, rotor=types[0], battery=battery)
+    names = [f"rotor_{number}" for number in range(1, len(types) + 1)]
+    layout = tuple(replace(mount, rotor=name) for mount, name in zip(robot.mounts.layout, names, strict=True))
+    rotors = dict(zip(names, types, strict=True))
+    return replace(
+        robot, body=body, battery=battery, rotor=None, rotors=rotors, mounts=replace(robot.mounts, layout=layout)
+    )
+
+
+def _scale_rotor(rotor: RotorCfg, factor: float, slower: float, source: str) -> RotorCfg:
+    """Return a rotor type with thrust and drag torque times ``factor`` and time constants times ``slower``."""
+    maps = {
+        name: tuple(_round_value(factor * value) for value in values)
+        for name in ("thrust_map", "torque_map", "reverse_thrust_map", "reverse_torque_map", "thrust_range")
+        if (values := getattr(rotor, name)) is not None
+    }
+    times = {name: _round_value(slower * getattr(rotor, name)) for name in ("time_constant_up", "time_constant_down")}
+    return replace(rotor, **maps, **times, source=f"{rotor.source}; {source}")
+
+
+def _round_value(value: float) -> float:
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}")

@@ -1,0 +1,41 @@
+"""Robot files with the values that flights ask for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.config import dump_yaml
+from aerial_gym.config.robot import RobotCfg, load_robot
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle, deviations_beyond_tolerance, redeclare
+from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_with_deviations
+from tests.physics.rotor_types import three_type_robot
+from tests.physics.vehicles import F64, asymmetric_robot
+
+TOLERANCES = Tolerances()
+
+
+def make_deviation(robot: RobotCfg, **sizes: float) -> np.ndarray:
+    return np.array([sizes.get(name, 0.0) for name in TOLERANCES.names(robot.num_rotors)])
+
+
+@pytest.mark.parametrize("robot", [asymmetric_robot(), three_type_robot()], ids=["one type", "three types"])
+@pytest.mark.parametrize("own", [{}, {"thrust_1": 4.0, "thrust_4": -5.0}], ids=["alike", "own thrusts"])
+def test_a_redeclared_robot_is_the_vehicle_of_the_prediction(robot, own, tmp_path) -> None:
+    sizes = {"mass": 4.0, "inertia_x": -3.5, "com_y": 2.0, "time_constant": 5.0, "nominal_voltage": 1.0, **own}
+    deviation = deviation_of_vehicle(make_deviation(robot, **sizes), robot)
+    (tmp_path / "r.yaml").write_text(dump_yaml(redeclare(robot, TOLERANCES, deviation, "test")), encoding="utf-8")
+    written = vehicle_from_config(load_robot(tmp_path / "r.yaml"), num_envs=1, dtype=F64)
+    declared = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    predicted = vehicle_with_deviations(declared, TOLERANCES, torch.from_numpy(deviation))
+    for name, values in predicted.tensors_by_name().items():
+        torch.testing.assert_close(written.tensors_by_name()[name], values, rtol=1e-5, atol=1e-9, equal_nan=True)
+
+
+def test_only_values_of_the_robot_file_count() -> None:
+    robot = replace(asymmetric_robot(), battery=None)
+    deviation = make_deviation(robot, mass=3.5, gyro_bias_x=9.0, com_x=-2.9)
+    assert deviations_beyond_tolerance(TOLERANCES, deviation, robot) == {"mass": 3.5}
+    assert np.array_equal(deviation_of_vehicle(deviation, robot), make_deviation(robot, mass=3.5, com_x=-2.9))
