@@ -48,8 +48,8 @@ _BY_SEVERITY = {
         "left_open_note offsets_sizes parameter_tied stands_in "
         # not testable, not named
         "not_excited no_soft_arms acts_on_links no_such_effect logs_lack voltage_too_steady commands_too_coarse "
-        "no_inertial_sensor torques_not_compared effect_refused parameters_unknown flights_disagree "
-        "not_told_from_nothing told_beside_another only_linear less_probable trifle follows_structure "
+        "no_inertial_sensor torques_not_compared effect_refused parameters_unknown flights_disagree at_bound "
+        "not_told_from_nothing interval_holds_neutral told_beside_another only_linear less_probable trifle follows_structure "
         # rivals, gusts, learned residual
         "rival_less_probable rival_wider rival_not_rejected gusts_no_floor gusts_no_forces gusts_no_drag gusts_refused "
         "may_be_noise adds_too_little wrong_corr_time rival_process learned_refused gain_by_chance few_flights_better "
@@ -64,7 +64,7 @@ _BY_SEVERITY = {
         "rows_with_bad_stamps rows_not_of_header rows_without_numbers rows_without_quaternion "
         "samples_with_bad_stamps clock_set_back clock_wrapped rows_copied blocks_ordered fields_filled battery_without_voltage "
         "battery_filled mapping_note attitude_level attitude_integrated other_vehicle wind_not_declared wind_declared "
-        "rows_cut steps_resampled velocity_derived velocity_unknown force_derived rates_derived one_command "
+        "rows_cut rows_lost steps_resampled velocity_derived velocity_unknown force_derived rates_derived one_command "
         "torques_not_logged on_ground commands_copied commands_scaled relative_commands_scaled "
         "commands_mixed rotor_order_of_firmware reset_undone stream_moved rotor_log_moved position_jump samples_slow "
         "samples_repeated "

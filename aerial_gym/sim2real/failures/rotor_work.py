@@ -80,9 +80,10 @@ class RotorOutputModel:
         state = led if flight.rotor_speed is None else flight.rotor_speed
         if state is not None and flight.gyro and flight.specific_force is not None:
             works.append(self._thrust_output(flight, flight.specific_force, state, size, count))
-        if flight.on_ground is None:
+        excluded = flight.rows_without_comparison(0)
+        if excluded is None:
             return works
-        stands = flight.on_ground[: count * size].reshape(count, size).any(axis=1)
+        stands = excluded[: count * size].reshape(count, size).any(axis=1)
         return [work.select_blocks(~stands) for work in works]
 
     def _speed_output(self, flight: Flight, led: Array, size: int, count: int, about: float | None) -> RotorOutput:

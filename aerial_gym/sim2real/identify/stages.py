@@ -58,7 +58,8 @@ def prepare_comparison(
     """Return a robot with its flights, ready for comparison; raise ``ConfigError`` or ``DataError`` if it cannot be."""
     check_effects(robot)
     flights, powered = [*train, *test], robot_with_estimated_battery(robot, train)
-    band, channels = comparison_band(flights, bandwidth), find_channels(flights)
+    band = comparison_band(flights, bandwidth)
+    channels = find_channels(flights, band)
     on_train, on_test = (
         Predictor(powered, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )

@@ -19,7 +19,14 @@ from aerial_gym.sim2real.judge.ablation import ablations_of_effects
 from aerial_gym.sim2real.judge.breakdown import errors_by_flight, errors_where_effect_acts
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models
 from aerial_gym.sim2real.judge.experiments.design import can_have_effect, recommend_manoeuvres
-from aerial_gym.sim2real.judge.outcome import Decision, error_outcomes, verdict_decision
+from aerial_gym.sim2real.judge.outcome import (
+    Decision,
+    Outcome,
+    channel_outcomes,
+    decision_with_harm,
+    error_outcomes,
+    verdict_decision,
+)
 from aerial_gym.sim2real.judge.predictive import notes_on_doubt, selection_with_test_odds
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, random_wind_in_file
 from aerial_gym.sim2real.judge.residual_excess import (
@@ -41,7 +48,7 @@ from aerial_gym.sim2real.logs.flights import findings_on_rigid_joints, merge_fin
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
-from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle, deviations_beyond_tolerance, redeclare
+from aerial_gym.sim2real.predict.tolerances import STRAINED
 from aerial_gym.sim2real.progress import Progress
 
 
@@ -94,6 +101,8 @@ def judge_on_test_flights(
     models, both, least = (declared.params, params), (before, after), result.criteria.material
     corrects = effects or gusts or (learned is not None and learned.cfg is not None)
     became = error_outcomes(tested, models, both, least=least) if corrects else ()
+    if any(one.is_materially_worse for one in became):
+        made = decision_with_harm(made, channels_worse_within_tolerances(declared, result, unexplained, params))
     manoeuvre, fly_next = recommend_manoeuvres(declared, result, unexplained.open_to)
     spectra = whiteness_of_channels(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     floors_with_gusts = noise_floors_with_gusts(floors, unexplained)
@@ -115,21 +124,20 @@ def judge_on_test_flights(
     return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
 
 
-def model_with_new_values(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
-    """Return the final model; if flights contradict declared values, with the values that fit the training flights best.
+def channels_worse_within_tolerances(
+    declared: LoopSetup, selection: SelectionResult, unexplained: ResidualExcess, params: ModelParams
+) -> list[Outcome]:
+    """Return the channels that the correction worsens even if both models have their best deviations, up to ``STRAINED``.
 
-    They are fitted together with the effects, which would be wrong without them. Without effects nothing is corrected.
+    Rollouts are left out: deviations within the tolerances move them by as much as effects do.
     """
-    model = final_model_of_robot_file(declared, selection)
-    if not selection.effects:
-        return model
-    deviation = model_with_training_deviations(model, selection.fit, selection.weights.weight).deviation
-    assert deviation is not None
-    for place, name in enumerate(declared.tolerances.names(declared.robot.num_rotors)):
-        deviation[place] *= name not in tolerances_of_absent_parts(declared, model)
-    if not deviations_beyond_tolerance(declared.tolerances, deviation, declared.robot):
-        return model
-    return replace(model, deviation=deviation_of_vehicle(deviation, declared.robot))
+    alone = [one.deviation for one in selection.fits if not one.effects and one.has_no_structures_but_offsets]
+    if not alone:
+        return []
+    pairs = zip((declared.params, params), (alone[0], unexplained.deviation), strict=True)
+    models = [replace(model, deviation=np.clip(off, -STRAINED, STRAINED)) for model, off in pairs]
+    outcomes = channel_outcomes(declared.test, (models[0], models[1]), least=selection.criteria.material)
+    return [one for one in outcomes if one.is_materially_worse]
 
 
 def noise_floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:

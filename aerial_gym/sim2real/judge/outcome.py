@@ -4,7 +4,7 @@ Letters: T rows, C channels, W windows, H horizons.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,11 @@ class Outcome:
         """Return whether the error rises by a material share that may be chance."""
         return self.state == NOT_SHOWN and self.rise.value >= self.least
 
+    @property
+    def is_materially_worse(self) -> bool:
+        """Return whether the error rises by a material share over the whole interval."""
+        return self.state == WORSE and self.rise.low >= self.least
+
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {"state": self.state, **self.rise.as_mapping()}
@@ -64,14 +69,19 @@ def error_outcomes(
     least: float,
 ) -> tuple[Outcome, ...]:
     """Return the outcome of every channel and every rollout from the declared to the corrected model."""
-    before, after = (np.concatenate(predictor.residuals(model)) for model in models)
-    rises = rise_with_interval(after, before, time_block_of_rows(predictor.times), flight_of_rows(predictor.times))
-    results = [Outcome(quantity=c.name, rise=r, least=least) for c, r in zip(predictor.channels, rises, strict=True)]
+    results = channel_outcomes(predictor, models, least=least)
     old, new = (evaluation.rollouts for evaluation in evaluations)
     for variant, errors in new.items():
         for quantity, horizon, rise in rollout_rises(errors, old[variant]):
             results.append(Outcome(quantity=f"{variant}.{quantity}", horizon=horizon, rise=rise, least=least))
     return tuple(results)
+
+
+def channel_outcomes(predictor: Predictor, models: tuple[ModelParams, ModelParams], *, least: float) -> list[Outcome]:
+    """Return the outcome of every channel from the first to the second model."""
+    before, after = (np.concatenate(predictor.residuals(model)) for model in models)
+    rises = rise_with_interval(after, before, time_block_of_rows(predictor.times), flight_of_rows(predictor.times))
+    return [Outcome(quantity=c.name, rise=r, least=least) for c, r in zip(predictor.channels, rises, strict=True)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +91,14 @@ class Decision:
     kind: str  # explained, none, not shown, unexplained or ambiguous
     candidates: tuple[str, ...]  # Named effects and those that fit the flights equally well
     findings: tuple[Finding, ...]  # Residuals that remain and questions that stay open
+
+
+def decision_with_harm(made: Decision, harmed: Sequence[Outcome]) -> Decision:
+    """Return the decision; a correction with which errors of the test flights get worse explains nothing."""
+    if made.kind != "explained" or not harmed:
+        return made
+    findings = tuple(one for one in made.findings if one.code != "remains_near_floor")
+    return replace(made, kind="unexplained", findings=findings)
 
 
 def verdict_decision(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -37,15 +38,11 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import (
-    DERIVED_BAND,
-    drop_ends_beyond_gaps,
-    log_at_equal_steps,
-    lowpass,
-    without_bad_quaternions,
-)
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
+from aerial_gym.sim2real.logs.stream_delays import correct_row_delays
 
 MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
+SETTLE_S = 0.5  # Time until rotors that follow commands forget their initial state [s]
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
 
@@ -64,6 +61,22 @@ class Flight(Recording):
     def num_rows(self) -> int:
         """Number of rows T."""
         return self.time.size
+
+    def rows_without_comparison(self, near: int) -> Flags | None:
+        """Return the rows within ``near`` of ground contact or lost rows, and those up to ``SETTLE_S`` after lost commands.
+
+        Rotors that follow commands forget their state by then. None: no row is excluded, (T,).
+        """
+        masks = [mask for mask in (self.on_ground, self.lost) if mask is not None]
+        if not masks:
+            return None
+        excluded = np.asarray(ndimage.maximum_filter1d(np.any(masks, axis=0), 2 * near + 1), dtype=bool)
+        if self.lost is not None and self.rotor_command is not None:
+            since = np.cumsum(self.lost)
+            settle = round(SETTLE_S * self.rate)
+            excluded[settle:] |= since[settle:] > since[:-settle]
+            excluded[:settle] |= since[:settle] > 0
+        return excluded
 
     @property
     def num_rotors(self) -> int:
@@ -124,8 +137,9 @@ def load_flights(
                 with _collect_refusals(refused):
                     raw = opened.flight(number)
                     seen.add(raw)
-                    log = scale_relative_commands(mend_position_jumps(resample_log(raw)), robot)
-                    read[real.with_name(Path(raw.path).name)] = (derive_velocity(log), check_log(log, robot))
+                    log = derive_velocity(scale_relative_commands(mend_position_jumps(resample_log(raw)), robot))
+                    log = correct_row_delays(log)
+                    read[real.with_name(Path(one).name)] = (log, check_log(log, robot))
                     learned += learning is None or index < learning
     logs = [log for log, _ in read.values()]
     offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)

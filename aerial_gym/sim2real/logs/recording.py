@@ -19,6 +19,7 @@ from aerial_gym.sim2real.findings import Finding
 AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))  # Reading of an accelerometer at rest in world axes [m/s²], (3,)
 LONGEST_GAP_ROWS = 5  # A gap of more rows than this and of more than LONGEST_GAP_S ends a flight
 LONGEST_GAP_S = 0.1  # [s]
+GAP_STEPS = 2.5  # A longer step, in usual steps, is a gap and does not count for the rate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,7 @@ class Recording:
     rotor_speed: Array | None = None  # Measured [rad/s], (T, R); None for rotors in force mode
     rotor_command: Array | None = None  # Commanded speeds from each row on [rad/s], in force mode thrusts [N], (T, R)
     battery: Array | None = None  # Voltage [V], (T,)
+    lost: Flags | None = None  # Rows within a gap of the log, interpolated and not compared, (T,); None without gaps
     attitude_integrated: bool = False  # Whether the attitude is the integrated gyro, and so no independent measurement
     other_position: Array | None = None  # Body origin of another vehicle [m], world, (T, 3); NaN where unknown
     ground_height: float = 0.0  # World z of the ground [m]
@@ -75,6 +77,9 @@ class FlightLog(Recording):
 
     relative_commands: bool = False
     """Whether commands are shares of the largest speed, 0 to 1, as firmwares log them."""
+
+    sample_times: Mapping[str, Array] = field(default_factory=dict)
+    """Times of the samples of streams that mostly repeat values [s], by field name."""
 
     lines: Indices | None = None
     """Line of each row in its file, (T,); None for binary logs and resampled rows."""

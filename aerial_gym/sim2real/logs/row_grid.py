@@ -1,13 +1,16 @@
 """Bring the streams of one flight onto the samples of the gyro. Letters: T rows."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import inf
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.streams import Stream
 
 GYRO_RATES_HZ = (50.0, 2000.0)  # Range of rates in which the gyro gives the rows
@@ -34,6 +37,21 @@ def resample_streams(streams: Mapping[str, Stream], rows: Array) -> dict[str, Ar
     are interpolated too: they are rare samples of fast commands, and holding them would delay these by half a sample.
     """
     return {name: _resample(stream, rows) for name, stream in streams.items()}
+
+
+def without_slow_rotor_data(log: FlightLog, rates: Mapping[str, float]) -> FlightLog:
+    """Return the log without the lags and torques that rotor data at native ``rates`` [Hz], by quantity, do not show."""
+    slow = [n for n in ("rotor_speed", "rotor_command") if rates.get(n, inf) < SLOWEST_COMMANDS_HZ]
+    if not slow:
+        return log
+    notes = [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": rates[name]}) for name in slow]
+    lag = log.rotor_speed is None  # a lag needs both, fast
+    return replace(
+        log,
+        rotor_command=log.rotor_command if lag else None,
+        torques=log.torques and ("rotor_command" if lag else "rotor_speed") not in slow,
+        notes=tuple(dict.fromkeys((*log.notes, *notes))),
+    )
 
 
 def _resample(stream: Stream, rows: Array) -> Array:

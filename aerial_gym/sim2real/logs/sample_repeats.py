@@ -11,7 +11,8 @@ import numpy as np
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, sample_rate
+from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, without_slow_rotor_data
 from aerial_gym.sim2real.logs.signals import interpolate_columns, quaternion_signs
 
 SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
@@ -69,8 +70,9 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
         raise DataError(
             f"{log.path}: {whole.share_of_repeats:.0%} of the rows repeat the one before; write each sample once, at its own t"
         )
-    changes: dict[str, object] = {}
-    notes = []
+    changes: dict[str, Array] = {}
+    sampled: dict[str, Array] = {}
+    timings, notes = dict(log.streams), []
     for name, values in sensors.items():
         repeats = find_repeated_samples(values, moving)
         frozen = _longest_freeze(log, name, repeats)
@@ -83,7 +85,28 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
             changes[name] = interpolate_columns(log.time, log.time[repeats.fresh], values[repeats.fresh])
         if repeats.share_of_repeats > LEAST_SHARE:
             notes.append(_repeat_finding(log, name, repeats))
-    return replace(log, **changes, notes=(*log.notes, *notes))
+        if repeats.share_of_repeats > 0.5:
+            timings[name] = StreamTiming(source=name, rate=sample_rate(log) * (1.0 - repeats.share_of_repeats))
+            sampled[name] = log.time[repeats.fresh]
+    mended = replace(log, **changes, streams=timings, sample_times=sampled, notes=(*log.notes, *notes))
+    return mended if {"rotor_speed", "rotor_command"} & log.streams.keys() else _without_held_rotor_data(mended)
+
+
+def _without_held_rotor_data(log: FlightLog) -> FlightLog:
+    """Return rows of a text log with rotor data that are slower than ``SLOWEST_COMMANDS_HZ`` interpolated between changes."""
+    changes: dict[str, Array] = {}
+    timings, step = dict(log.streams), 1.0 / sample_rate(log)
+    for name in ("rotor_speed", "rotor_command"):
+        values = getattr(log, name)
+        if values is None:
+            continue
+        fresh = find_repeated_samples(values, np.ones(len(values), dtype=bool)).fresh
+        rows = float(np.median(np.diff(fresh))) if fresh.size > 1 else 1.0
+        if rows > 1.0 and 1.0 / (rows * step) < SLOWEST_COMMANDS_HZ:
+            changes[name] = interpolate_columns(log.time, log.time[fresh], values[fresh])
+            timings[name] = StreamTiming(source=name, rate=1.0 / (rows * step))
+    slow = without_slow_rotor_data(replace(log, **changes), {name: one.rate for name, one in timings.items()})
+    return replace(slow, streams=timings)
 
 
 def _is_moving(log: FlightLog) -> Flags:

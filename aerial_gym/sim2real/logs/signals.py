@@ -15,8 +15,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.math.decay import sum_with_decay
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
-from aerial_gym.sim2real.logs.recording import NORM_OFF, FlightLog, longest_bridgeable_gap, row_arrays, take_rows
+from aerial_gym.sim2real.logs.recording import GAP_STEPS, FlightLog, longest_bridgeable_gap, row_arrays, take_rows
 
 FILTER_ORDER = 4  # Order of the Butterworth low-pass, which runs forwards and backwards
 DERIVED_BAND = 0.2  # Bandwidth of derivatives that replace a sensor, as a share of the rate
@@ -199,7 +198,7 @@ def drop_ends_beyond_gaps(log: FlightLog) -> FlightLog:
 
 
 def log_at_equal_steps(log: FlightLog) -> FlightLog:
-    """Return the log at equal time steps with unit quaternions of continuous sign; commands stay held.
+    """Return the log at equal time steps with unit quaternions of continuous sign; commands stay held, gaps are marked.
 
     Raise ``DataError`` if a gap cannot be bridged.
     """
@@ -219,8 +218,12 @@ def log_at_equal_steps(log: FlightLog) -> FlightLog:
     if log.battery is not None:
         moved["battery"] = np.interp(time, log.time, log.battery)
     span = {"shortest_s": float(steps.min()), "longest_s": float(steps.max()), "step_s": step}
-    note = Finding("steps_resampled", "", span)
-    return replace(log, **moved, time=time, lines=None, notes=(*log.notes, note))
+    notes = [*log.notes, Finding("steps_resampled", "", span)]
+    before = np.clip(np.searchsorted(log.time, time, "right") - 1, 0, steps.size - 1)
+    lost = (steps > GAP_STEPS * step)[before] & (time > log.time[before])
+    if lost.any():
+        notes.append(Finding("rows_lost", "", {"share": float(lost.mean()), "longest_s": float(steps.max())}))
+    return replace(log, **moved, time=time, lost=lost if lost.any() else None, lines=None, notes=tuple(notes))
 
 
 def _without_loose_ends(log: FlightLog) -> FlightLog:

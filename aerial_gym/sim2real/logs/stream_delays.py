@@ -7,15 +7,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation, Slerp
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, MATERIAL, fit_sensor_errors
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
+from aerial_gym.sim2real.logs.clock_offset import LATE_S
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, StreamTiming, sample_rate, take_rows
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
 DELAY_ROWS_HZ = 125.0  # Enough rows for the comparison, 30 a period at its largest frequency
 LARGEST_S = 0.5  # Largest delay that is searched [s]
+WITHIN_TOLERANCE_S = 3.0 * LATE_S  # Delay of rows [s] that the tolerance of a sensor's delay covers: three std
 CORRECTED_S = 0.25  # Largest delay that is corrected [s]; a stream with a larger one is left out
 TRIALS = 41  # Delays of the coarse search; their distance is a tenth of a period of the comparison
 REFINEMENTS = 3  # Linear fits about the best delay; each one reduces the error by its square
@@ -33,6 +37,57 @@ class StreamDelay:
     def is_material(self) -> bool:
         """Return whether the delay is significant and large enough to matter."""
         return abs(self.delay) > max(self.half_width, MATERIAL["clock"])
+
+
+def correct_row_delays(log: FlightLog) -> FlightLog:
+    """Return rows of a text log without delays of attitude, velocity and position beyond their tolerance.
+
+    Smaller delays are nuisance parameters of every prediction. A stream later than ``CORRECTED_S`` is left out, except the
+    attitude, which the checks of the log judge.
+    """
+    corrected = any(name != one.source for name, one in log.streams.items())  # by a reader of binary logs
+    delays = {} if corrected else stream_delays(log)
+    late = {n: one for n, one in delays.items() if abs(one.delay) - one.half_width > WITHIN_TOLERANCE_S}
+    changes: dict[str, Array | None] = {}
+    notes, timings, first, last = list(log.notes), dict(log.streams), log.time[0], log.time[-1]
+    for name, one in late.items():
+        values = {"topic": name, "late_ms": 1e3 * one.delay, "half_width_ms": 1e3 * one.half_width}
+        far = abs(one.delay) > CORRECTED_S
+        if far and name == "attitude":
+            continue
+        notes.append(Finding("stream_too_late" if far else "stream_moved", "", values))
+        changes[name] = None if far else _stream_later(log, name, one.delay)
+        if not far:
+            first, last = max(first, log.time[0] - one.delay), min(last, log.time[-1] - one.delay)
+            known = timings.get(name, StreamTiming(source=name, rate=sample_rate(log)))
+            timings[name] = replace(known, delay=one.delay, half_width=one.half_width)
+    times = {
+        n: t - late[n].delay if n in late else t for n, t in log.sample_times.items() if changes.get(n, t) is not None
+    }
+    moved = replace(log, **changes, streams=timings, sample_times=times, notes=tuple(notes))
+    return take_rows(_with_motion_between_samples(moved), (log.time >= first) & (log.time <= last))
+
+
+def _with_motion_between_samples(log: FlightLog) -> FlightLog:
+    """Return the log with slow velocities and positions that follow the measured acceleration between their samples."""
+    if log.specific_force is None or log.attitude_integrated:
+        return log
+    acceleration = Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST
+    for name, rate in (("lin_vel", acceleration), ("position", None)):
+        at, values = log.sample_times.get(name), getattr(log, name)
+        rate = log.lin_vel if rate is None else rate
+        if at is not None and values is not None and rate is not None:
+            motion = cumulative_trapezoid(rate, log.time, axis=0, initial=0.0)
+            error = interpolate_columns(at, log.time, values - motion)
+            log = replace(log, **{name: motion + interpolate_columns(log.time, at, error)})
+    return log
+
+
+def _stream_later(log: FlightLog, name: str, seconds: float) -> Array:
+    """Return the values of a stream that the log shows ``seconds`` later, (T, any)."""
+    if name == "attitude":
+        return _attitude_later(log, seconds)
+    return interpolate_columns(log.time + seconds, log.time, getattr(log, name))
 
 
 def stream_delays(log: FlightLog) -> dict[str, StreamDelay]:

@@ -12,12 +12,11 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel
 from aerial_gym.sim2real.logs.readers.csv_table import LARGEST
-from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCorrection, correct_stamps
-from aerial_gym.sim2real.logs.recording import NORM_OFF
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, correct_stamps
+from aerial_gym.sim2real.logs.recording import GAP_STEPS, NORM_OFF
 from aerial_gym.sim2real.logs.signals import quaternion_signs
 
 WRAP_S = 2**32 * 1e-6  # Wrap period of a 32-bit counter of microseconds [s]
-GAP_STEPS = 2.5  # A longer step, in usual steps, is a gap and does not count for the rate
 CLOCKS = ("attitude", "ang_vel", "specific_force")  # The first of these that is logged is the reference clock
 
 

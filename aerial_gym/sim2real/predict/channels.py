@@ -42,8 +42,15 @@ def comparison_band(flights: Sequence[Flight], bandwidth: float) -> float:
     return min(bandwidth, HIGHEST_BAND * min(comparable_rate(flight, flight.rate) for flight in flights))
 
 
-def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
-    """Return the channels that every flight has. Raise ``DataError`` if there are none."""
+def find_channels(flights: Sequence[Flight], bandwidth: float = 0.0) -> tuple[Channel, ...]:
+    """Return the channels that every flight has below ``bandwidth`` [Hz]. Raise ``DataError`` if there are none.
+
+    Kinematics imply the motion up to half the rate of attitude and velocity (Nyquist), and is compared only so far.
+    """
+
+    def resolve(name: str) -> bool:
+        return all(2.0 * bandwidth <= one.streams[name].rate for one in flights if name in one.streams)
+
     channels: list[Channel] = []
     if all(flight.specific_force is not None for flight in flights):
         channels += [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
@@ -53,8 +60,8 @@ def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
         channels += [Channel(kind="rotor_speed", axis=str(n + 1)) for n in range(flights[0].num_rotors)]
     if not channels:
         raise DataError("the flights have no quantity in common that can be compared; log acc or omega in all of them")
-    if all(flight.accelerometer and flight.lin_vel is not None for flight in flights):
+    if resolve("lin_vel") and all(flight.accelerometer and flight.lin_vel is not None for flight in flights):
         channels += [Channel(kind="kinematic_force", axis=axis) for axis in "xyz"]
-    if all(flight.gyro and not flight.attitude_integrated for flight in flights):
+    if resolve("attitude") and all(flight.gyro and not flight.attitude_integrated for flight in flights):
         channels += [Channel(kind="kinematic_rate", axis=axis) for axis in "xyz"]
     return tuple(channels)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
 from scipy.optimize import nnls
 
 from aerial_gym.config.robot import RobotCfg
@@ -85,7 +84,8 @@ def mean_square_of_rounding(
 ) -> Array:
     """Return the mean square of rounding errors in the band, beyond the level seen above it, (C,), by rounded copies."""
     given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
-    flown = slice(None) if flight.on_ground is None else ~flight.on_ground
+    excluded = flight.rows_without_comparison(0)
+    flown = slice(None) if excluded is None else ~excluded
     logs = {name: simulate_rounding(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
     flights = [replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True)]
     predictor = wide_band_predictor(robot, flights, channels, [estimate_as_measured(log) for log in flights])
@@ -166,12 +166,12 @@ def is_sensor_reading(channel: Channel, flight: Flight) -> bool:
 
 
 def longest_airborne_rows(flight: Flight, time: Array, bandwidth: float) -> slice:
-    """Return the rows at these times [s] of the longest airborne span; all rows if there is no ground contact."""
-    if flight.on_ground is None:
+    """Return the rows at these times [s] of the longest airborne span without lost rows; all rows if nothing is excluded."""
+    excluded = flight.rows_without_comparison(round(flight.rate / bandwidth))
+    if excluded is None:
         return slice(None)
-    near = 2 * round(flight.rate / bandwidth) + 1
-    stood = np.asarray(ndimage.maximum_filter1d(flight.on_ground, near), dtype=bool)[rows_at_times(flight, time)]
-    return slice(*max(true_spans(~stood), key=lambda span: span[1] - span[0], default=(0, 0)))
+    spans = true_spans(~excluded[rows_at_times(flight, time)])
+    return slice(*max(spans, key=lambda span: span[1] - span[0], default=(0, 0)))
 
 
 def _num_unfiltered_lines(frequency: Array, density: Array) -> int:

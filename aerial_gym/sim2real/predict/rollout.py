@@ -73,8 +73,9 @@ def find_windows(flights: Sequence[Flight], horizon: float) -> RolloutWindows:
     for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
         starts = np.arange(FIRST_WINDOW_S, span, every)
         rows = np.round(starts * flight.rate).astype(int)
-        if flight.on_ground is not None:
-            stood = np.concatenate(([0], np.cumsum(flight.on_ground)))
+        excluded = flight.rows_without_comparison(0)
+        if excluded is not None:
+            stood = np.concatenate(([0], np.cumsum(excluded)))
             last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
             clear = stood[last] == stood[rows]
             starts, rows = starts[clear], rows[clear]

@@ -92,7 +92,7 @@ def _position_jump_sentence(finding: Finding) -> str:
 def _stream_delay_text(finding: Finding) -> str:
     values, late = finding.values, float(finding.values["late_ms"])
     delay = f"{value_text(abs(late), values['half_width_ms'])} ± {value_text(values['half_width_ms'], values['half_width_ms'])}"
-    return f"Topic {values['topic']} is {delay} ms {'late' if late > 0.0 else 'early'} against the inertial sensors"
+    return f"Stream {values['topic']} is {delay} ms {'late' if late > 0.0 else 'early'} against the inertial sensors"
 
 
 def _reset_sentence(finding: Finding) -> str:
@@ -160,6 +160,7 @@ LOGS: dict[str, Template] = {
     "wind_not_declared": "The mapping declares no wind for a file of this name; still air is assumed.",
     "wind_declared": "The declared wind is ({wind_m_s[0]:g}, {wind_m_s[1]:g}, {wind_m_s[2]:g}) m/s, world axes.",
     "rows_cut": "{rows} rows at an end, beyond a gap of {gap_s:number} s, are cut off.",
+    "rows_lost": "{share:percent} of the rows are lost, up to {longest_s:number} s at a time; rows in gaps are not compared.",
     "steps_resampled": (
         "Unequal time steps ({shortest_s:number} to {longest_s:number} s) are resampled to {step_s:number} s."
     ),

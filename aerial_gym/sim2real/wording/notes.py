@@ -202,6 +202,7 @@ REASONS: dict[str, Template] = {
     "no_inertial_sensor": "The logs hold no inertial sensor: forces are derived from the velocity.",
     "torques_not_compared": "Torques are not compared here, and forces alone do not tell it from a drag or a turned sensor.",
     "effect_refused": "{error}.",
+    "interval_holds_neutral": "The interval of every parameter contains the value without effect.",
     "parameters_unknown": "These flights leave every parameter unknown by more than its scale.",
     "flights_disagree": (
         "Probable only if noise were the only error (log odds {log_odds:.0f}): the flights disagree on it, or it needs a "

@@ -26,7 +26,8 @@ def finding_on_untestable_effect(
     effect, flights = EFFECTS.get(name), [*train, *test]
     if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
         return Finding("no_inertial_sensor", name)
-    if effect.told_by_torques and not all(flight.gyro for flight in flights):
+    by_torques = effect.told_by_torques or any(parameter.kind == "rotor" for parameter in effect.parameters)
+    if by_torques and not all(flight.gyro for flight in flights):
         return Finding("torques_not_compared", name)
     needs = (*effect.logged, *effect.needs)
     if isinstance(effect, WindEffect) or "velocity" in effect.follows:

@@ -54,8 +54,8 @@ class MostProbableSet:
         """Return the named effects."""
         return self.named.effects
 
-    def without_undetermined_effect(self, name: str, neutral: Array) -> "MostProbableSet":
-        """Return the choice without a named effect of which the flights determine no parameter, also in ``without``."""
+    def without_undetermined_effect(self, name: str, neutral: Array, code: str) -> "MostProbableSet":
+        """Return the choice without a named effect that the flights do not determine, also in ``without``; ``code``: reason."""
         less = {
             other: replace(
                 one,
@@ -65,7 +65,7 @@ class MostProbableSet:
             for other, one in self.without.items()
             if other != name
         }
-        refused = self.refused | {name: Finding("parameters_unknown", name)}
+        refused = self.refused | {name: Finding(code, name)}
         in_part = tuple(rival for rival in self.in_part if rival.effect != name)
         return replace(self, named=self.without[name], without=less, refused=refused, in_part=in_part)
 

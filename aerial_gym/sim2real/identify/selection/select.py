@@ -14,7 +14,7 @@ from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestab
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Label
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, is_identifiable, uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
-from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import parameter_scales, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
@@ -165,18 +165,31 @@ class FinalFit:
         owners = {fit.parameter_owners[k]: k for k in fit.indices_of_fitted_effect_params}
         uncertain = fit.indices_of_fitted_effect_params[~is_identifiable(spread.plain)]  # by more than their scale
         unseen = {owner for owner, k in owners.items() if k in uncertain}
-        if not unseen:
-            return self.chosen, fit, spread
         blind = set(self.chosen.effects).difference(name for name, _ in owners.keys() - unseen)
-        if blind:  # the complete fit determines none of their parameters
+        code = "parameters_unknown" if blind else "interval_holds_neutral"
+        blind = blind or self.effects_near_neutral(fit, spread)
+        if blind:  # the complete fit determines none of their parameters, or not that one differs from neutral
             name = min(blind)
             neutral = neutral_params(name, self.declared, self.predictor.robot)
-            self.chosen = self.chosen.without_undetermined_effect(name, neutral)
+            self.chosen = self.chosen.without_undetermined_effect(name, neutral, code)
             return self.fit_determined()
+        if not unseen:
+            return self.chosen, fit, spread
         start = self.params_at_neutral(self.chosen.named.params, unseen)
         sets = self.chosen.without.items()
         without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
         return replace(self.chosen, without=without), *self.fit(self.chosen.effects, start, frozenset(unseen))
+
+    def effects_near_neutral(self, fit: ModelFit, spread: Uncertainty) -> set[str]:
+        """Return the effects of which every fitted parameter has its neutral value in its 95 % interval."""
+        distinct = set[str]()
+        for place, half_width in zip(spread.columns.tolist(), spread.half_width.tolist(), strict=True):
+            name, number = fit.parameter_owners[place]
+            neutral = neutral_params(name, self.declared, self.predictor.robot)[number]
+            distance = abs(fit.params.effects[name][number] - neutral) / parameter_scales((name,))[number]
+            if distance > half_width:
+                distinct.add(name)
+        return set(fit.effects) - distinct
 
     def params_at_neutral(self, params: ModelParams, places: Iterable[tuple[str, int]]) -> ModelParams:
         """Return model parameters with some, by effect and index, at their neutral values."""

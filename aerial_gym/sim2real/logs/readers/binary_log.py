@@ -22,7 +22,7 @@ from aerial_gym.sim2real.logs.readers.frames import to_package_frames
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
-from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ, resample_streams, row_times
+from aerial_gym.sim2real.logs.row_grid import resample_streams, row_times, without_slow_rotor_data
 from aerial_gym.sim2real.logs.signals import integrate_rates
 from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, DELAY_ROWS_HZ, StreamDelay, stream_delays
 from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams
@@ -112,20 +112,12 @@ def flight_of_streams(
     moved = _without_delays(streams, delays, path, notes)
     timings = {name: replace(timings[name], **_delay_fields(delays.get(name))) for name in moved}
     log = _assemble_flight(moved, row_times(moved, span, fastest), path, notes, hover=hover)
-    too_slow = [
-        name
-        for name in ("rotor_speed", "rotor_command")
-        if name in timings and timings[name].rate < SLOWEST_COMMANDS_HZ
-    ]
-    notes += [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": timings[name].rate}) for name in too_slow]
-    lag = log.rotor_speed is None or not too_slow  # a lag needs both, fast
+    log = without_slow_rotor_data(replace(log, notes=tuple(notes)), {name: one.rate for name, one in timings.items()})
     return replace(
         log,
-        rotor_command=log.rotor_command if lag else None,
-        torques=("rotor_speed" if log.rotor_speed is not None else "rotor_command") not in too_slow,
         relative_commands=relative and log.rotor_command is not None,
         streams=timings,
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(dict.fromkeys(log.notes)),
     )
 
 

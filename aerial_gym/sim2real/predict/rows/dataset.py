@@ -9,14 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import SETTLE_S, Flight
 from aerial_gym.sim2real.logs.signals import lowpass, lowpass_columns, num_edge_rows
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
@@ -27,7 +26,6 @@ THINNED_HZ = 50.0  # Least rate of the evaluated rows [Hz]: slow logs, often wit
 PREFILTER = 0.4  # Cut-off before thinning, as a share of the new rate; removes 0.4 % at the bandwidth
 SAMPLES_PER_BAND = 3.0  # Approximate rate of the residuals in bandwidths
 FAR_ABOVE = np.array([0.0, 0.0, 1e3])  # Position if a log has none [m], world: far from the ground
-SETTLE_S = 0.5  # Time dropped at the start if rotor speeds are simulated from commands [s]
 
 
 def row_stride(flight: Flight, bandwidth: float) -> int:
@@ -152,11 +150,8 @@ class Dataset:
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
         step = 1 if every_row else stride * max(1, round(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
         rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
-        if flight.on_ground is None or every_row:  # a spectrum needs every row
-            return rows
-        near = num_edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touchdown
-        touched = np.asarray(ndimage.maximum_filter1d(flight.on_ground, 2 * near + 1), dtype=bool)
-        return rows[np.logical_not(touched[rows])]
+        excluded = None if every_row else flight.rows_without_comparison(edge)  # a spectrum needs every row
+        return rows if excluded is None else rows[~excluded[rows]]
 
     def _quantity_at_rows(self, name: str, index: int) -> Tensor:
         values = getattr(self.flights[index], name)

@@ -8,6 +8,7 @@ from aerial_gym.sim2real.identify.selection.select import Rival
 from aerial_gym.sim2real.judge.ablation import Ablation, highest_reliable_frequency, reason_against_rival
 from aerial_gym.sim2real.judge.breakdown import FlightError, errors_by_flight
 from aerial_gym.sim2real.judge.evaluation import gap_closed
+from aerial_gym.sim2real.judge.outcome import Decision, decision_with_harm
 from aerial_gym.sim2real.judge.verdict import notes_on_materiality
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report.tables import flight_table
@@ -185,3 +186,14 @@ def test_the_table_marks_what_got_worse(parts: dict[str, list[FlightError]]) -> 
     assert (cells["calm"]["state"], cells["gusty"]["state"]) == ("worse", "better")
     assert (cells["calm"]["floor"], cells["gusty"]["floor"]) == ("0.05", None)
     assert flight_table(verdict, ["rotor_speed"])["rows"] == []
+
+
+def test_a_correction_that_worsens_a_channel_explains_nothing() -> None:
+    good, bad = make_outcome("specific_force.x", -0.3, -0.4, -0.2), make_outcome("specific_force.z", 1.07, 0.3, 1.9)
+    made = Decision(kind="explained", candidates=("constant_wind",), findings=(Finding("remains_near_floor"),))
+    assert not good.is_materially_worse
+    assert not make_outcome("x", 0.13, 0.04, 0.2).is_materially_worse
+    assert bad.is_materially_worse
+    assert decision_with_harm(made, []) is made
+    harmed = decision_with_harm(made, [bad])
+    assert (harmed.kind, harmed.candidates, harmed.findings) == ("unexplained", ("constant_wind",), ())

@@ -22,7 +22,7 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_pr
 from tests.unit.sim2real.predict.test_scene import hover
 
 
-@pytest.mark.parametrize("name", ["com_offset", "motor_tilt"])
+@pytest.mark.parametrize("name", ["com_offset", "motor_tilt", "weak_motor"])
 def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) -> None:
     whole = hover("a", 5.0)
     without = replace(whole, gyro=False)

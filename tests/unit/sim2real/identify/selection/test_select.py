@@ -13,6 +13,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.least_squares.derivatives import parameter_scales
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
@@ -194,7 +195,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     }
     assert chosen.without["com_offset"].params.effects["rotor_drag"].tolist() == [9.0, 8.0, 0.0]
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
-    given = PriorFit(named, dict.fromkeys(named.effects, [0.9] * 3))
+    given = PriorFit(named, dict.fromkeys(named.effects, [0.01] * 3))
     same, shown, _ = given.fit_determined()
     assert (shown.frozen, shown.params) == (frozenset(), named.params)
     assert same is given.chosen
@@ -210,6 +211,18 @@ def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> Non
     assert chosen.refused == {"com_offset": Finding("parameters_unknown", "com_offset")}
     assert chosen.without["rotor_drag"].effects == ()
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_an_effect_with_no_effect_in_all_its_intervals_has_no_name() -> None:
+    """Half widths of 1.96 times 0.3 scales; an offset of 0.1 scales is then no offset, one of 1 scale along x is."""
+    scale = parameter_scales(("com_offset",))
+    for first, named in ((0.1, False), (1.0, True)):
+        fitted = make_fit("com_offset", params={"com_offset": (scale * [first, 0.1, 0.0]).tolist()})
+        given = PriorFit(fitted, {"com_offset": [0.09] * 3})
+        given.chosen = replace(given.chosen, without={"com_offset": make_fit()})
+        chosen, _, _ = given.fit_determined()
+        assert chosen.effects == ("com_offset",) * named
+        assert chosen.refused.get("com_offset") == (None if named else Finding("interval_holds_neutral", "com_offset"))
 
 
 TRUE = np.array([1.3, 1.4, 1.6])  # Moments of inertia per declared ones
