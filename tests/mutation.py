@@ -29,7 +29,7 @@ px4 mixer: control.px4.mixer: cross/test_px4.py unit/control/px4/test_mixer.py
 allocation: control.allocation: unit/control/test_allocation.py unit/control/test_effectiveness.py
 crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
 mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
-crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py
+crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py unit/control/crazyflie/test_distribution.py
 betaflight: control.betaflight.controller: unit/control/betaflight/test_controller.py
 link drag: physics.effects.links: cross/mujoco/test_link_drag.py physics/articulated/test_link_drag.py
 link buoyancy: physics.effects.water: physics/articulated/test_link_buoyancy.py physics/test_water.py

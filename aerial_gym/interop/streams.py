@@ -1,13 +1,15 @@
-"""Warp launches on torch's current stream, in order with torch's work."""
+"""Warp launches on torch's current stream, in order with torch's work, and threads on the CPU."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from itertools import pairwise
 
 import torch
+from threadpoolctl import threadpool_limits
 
-from aerial_gym.interop.launches import wait_for_all
+from aerial_gym.interop.launches import ReusableLaunch, wait_for_all
 
 BLOCK_DIM = 64
 """Block size on a GPU for kernels of one thread per environment: with Warp's 256, a few thousand environments leave most

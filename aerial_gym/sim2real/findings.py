@@ -29,7 +29,7 @@ _BY_SEVERITY = {
     Severity.WARNING: (
         # the answer
         "error_rises keep_declared_where keep_declared_for_harm remains_unexplained correction_harms trust_nothing "
-        "structure_found fly_structure train_with_failure failure_suspected "
+        "structure_found fly_structure train_with_failure failure_suspected at_bound "
         "joints_held values_redeclared tolerance_strained tolerances_cut_off strained_changes strained_changes_little "
         # logs
         "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
@@ -48,7 +48,7 @@ _BY_SEVERITY = {
         "left_open_note offsets_sizes parameter_tied stands_in "
         # not testable, not named
         "not_excited no_soft_arms acts_on_links no_such_effect logs_lack voltage_too_steady commands_too_coarse "
-        "no_inertial_sensor torques_not_compared effect_refused parameters_unknown flights_disagree at_bound "
+        "no_inertial_sensor torques_not_compared effect_refused parameters_unknown flights_disagree "
         "not_told_from_nothing interval_holds_neutral told_beside_another only_linear less_probable trifle follows_structure "
         # rivals, gusts, learned residual
         "rival_less_probable rival_wider rival_not_rejected gusts_no_floor gusts_no_forces gusts_no_drag gusts_refused "

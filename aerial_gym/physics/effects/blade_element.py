@@ -128,6 +128,7 @@ class BladeElement(WrenchEffect):
         super().check(robot)
         share = robot.body.mass * STANDARD_GRAVITY / robot.num_rotors
         for rotor in robot.rotor_types:
+            assert rotor.radius is not None
             speed = rotor_state_for_thrust(rotor, share)
             thrust, torque = rotor_loads(rotor, speed)
             ideal = thrust * (thrust / (2.0 * AIR_DENSITY * pi * rotor.radius**2)) ** 0.5 / speed

@@ -48,6 +48,7 @@ from aerial_gym.sim2real.logs.flights import findings_on_rigid_joints, merge_fin
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
+from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle, deviations_beyond_tolerance, redeclare
 from aerial_gym.sim2real.predict.tolerances import STRAINED
 from aerial_gym.sim2real.progress import Progress
 
@@ -122,6 +123,23 @@ def judge_on_test_flights(
         gusty = params.with_effect(NAME, np.array(list(wind.params().values())))
     corrected = correct_robot(declared, gusty, accepted)
     return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
+
+
+def model_with_new_values(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
+    """Return the final model; if flights contradict declared values, with the values that fit the training flights best.
+
+    They are fitted together with the effects, which would be wrong without them. Without effects nothing is corrected.
+    """
+    model = final_model_of_robot_file(declared, selection)
+    if not selection.effects:
+        return model
+    deviation = model_with_training_deviations(model, selection.fit, selection.weights.weight).deviation
+    assert deviation is not None
+    for place, name in enumerate(declared.tolerances.names(declared.robot.num_rotors)):
+        deviation[place] *= name not in tolerances_of_absent_parts(declared, model)
+    if not deviations_beyond_tolerance(declared.tolerances, deviation, declared.robot):
+        return model
+    return replace(model, deviation=deviation_of_vehicle(deviation, declared.robot))
 
 
 def channels_worse_within_tolerances(
@@ -227,6 +245,16 @@ def verdict_notes(
         *notes_on_surrogates_and_offsets(selection),
         *notes_on_logs(declared),
     )
+
+
+def notes_on_bounds(declared: LoopSetup, selection: SelectionResult) -> list[Finding]:
+    """Return a note on each named effect with a parameter at a physical bound: its law fits only as far as it goes."""
+    params, robot = selection.fit.params, declared.train.robot
+    ends = {
+        name: parameters_at_bounds(name, params, neutral_params(name, declared.params, robot), robot)
+        for name in selection.effects
+    }
+    return [Finding("at_bound", name, {"parameters": at_end}) for name, at_end in ends.items() if at_end]
 
 
 def notes_on_redeclared_values(declared: LoopSetup, model: ModelParams) -> list[Finding]:

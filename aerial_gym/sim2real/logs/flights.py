@@ -38,7 +38,13 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
+from aerial_gym.sim2real.logs.signals import (
+    DERIVED_BAND,
+    drop_ends_beyond_gaps,
+    log_at_equal_steps,
+    lowpass,
+    without_bad_quaternions,
+)
 from aerial_gym.sim2real.logs.stream_delays import correct_row_delays
 
 MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
@@ -139,7 +145,7 @@ def load_flights(
                     seen.add(raw)
                     log = derive_velocity(scale_relative_commands(mend_position_jumps(resample_log(raw)), robot))
                     log = correct_row_delays(log)
-                    read[real.with_name(Path(one).name)] = (log, check_log(log, robot))
+                    read[real.with_name(Path(raw.path).name)] = (log, check_log(log, robot))
                     learned += learning is None or index < learning
     logs = [log for log, _ in read.values()]
     offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)

@@ -15,10 +15,6 @@ SMOOTH_S = 0.05  # Width of the Gaussian smoothing [s], which does not ring at a
 IDLE = 0.5  # Below this share of the flight's thrust the rotors do not carry the vehicle
 LIFTING = 0.9  # A vehicle on the ground remains there until the thrust reaches this share
 CARRIED = 0.8  # Least specific force [g] of a supported vehicle; in free fall it is less
-LEVER = 0.05  # Largest distance of the accelerometer from the centre of mass, where turning adds to its reading [m]
-LEAST_SHARE = (
-    1.0 / 3.0
-)  # Least share of the felt force that rotors give in flight; air alone gives two thirds in a dive at most
 STILL = {"lin_vel": 0.15, "ang_vel": 0.15}  # Largest speeds [m/s], [rad/s] at rest
 MOST = 0.8  # Largest share of rows on the ground in a usable log
 

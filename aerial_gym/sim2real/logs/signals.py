@@ -15,7 +15,15 @@ from aerial_gym.errors import DataError
 from aerial_gym.math.decay import sum_with_decay
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import GAP_STEPS, FlightLog, longest_bridgeable_gap, row_arrays, take_rows
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
+from aerial_gym.sim2real.logs.recording import (
+    GAP_STEPS,
+    NORM_OFF,
+    FlightLog,
+    longest_bridgeable_gap,
+    row_arrays,
+    take_rows,
+)
 
 FILTER_ORDER = 4  # Order of the Butterworth low-pass, which runs forwards and backwards
 DERIVED_BAND = 0.2  # Bandwidth of derivatives that replace a sensor, as a share of the rate

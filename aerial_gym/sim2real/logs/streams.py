@@ -12,7 +12,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel
 from aerial_gym.sim2real.logs.readers.csv_table import LARGEST
-from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, correct_stamps
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCorrection, correct_stamps
 from aerial_gym.sim2real.logs.recording import GAP_STEPS, NORM_OFF
 from aerial_gym.sim2real.logs.signals import quaternion_signs
 

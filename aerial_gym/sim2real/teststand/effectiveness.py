@@ -17,9 +17,10 @@ from scipy.ndimage import binary_erosion, gaussian_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.on_ground import is_held, largest_turning_force
+from aerial_gym.sim2real.logs.on_ground import CARRIED
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.statistics import Estimate, student_quantile
 
@@ -31,6 +32,8 @@ SLOWEST = 0.1  # A rotor below this share of the largest speed or command does n
 MOST_TURNING = 0.5  # Largest share of turning in the rows that show the thrust [m/s²]
 PARTS, FEWEST_FLIGHTS = 8, 4  # Parts that are left out in turn for intervals; each flight is one if there are so many
 CURVE_PARTS = 4  # The same for the command curve of a single flight
+LEVER = 0.05  # Largest distance of the accelerometer from the centre of mass, where turning adds to its reading [m]
+LEAST_SHARE = 0.33  # Least share of the felt force that rotors give in flight; air gives two thirds in a dive at most
 CURVE_HZ = 500.0  # Rate of the rows that show the command curve; rotors are slower than 10 ms
 
 
@@ -252,3 +255,20 @@ def _curve_parts(log: FlightLog, count: int) -> list[CurvePart]:
     groups = np.array_split(np.flatnonzero(turning), count)
     rows = [np.isin(np.arange(len(speed)), group) for group in groups if group.size]
     return [CurvePart(command=command, speed=speed, rate=rate, rows=flags) for flags in rows]
+
+
+def is_held(felt: Array, lift: Array, ang_vel: Array | None) -> Flags:
+    """Return the rows in which hands or ground carry a vehicle, (T,).
+
+    Args:
+        felt: Norm of the specific force [m/s²], (T,).
+        lift: Specific force of the rotors [m/s²], (T,).
+        ang_vel: Angular velocity [rad/s], body, (T, 3).
+    """
+    turning = 0.0 if ang_vel is None else largest_turning_force(ang_vel)
+    return (felt - turning > CARRIED * STANDARD_GRAVITY) & (lift < LEAST_SHARE * felt)
+
+
+def largest_turning_force(ang_vel: Array) -> Array:
+    """Return the specific force that turning can add to an accelerometer's reading, ``LEVER w²`` [m/s²], (T,)."""
+    return LEVER * (ang_vel * ang_vel).sum(axis=1)

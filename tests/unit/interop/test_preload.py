@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_info
 from aerial_gym.errors import StorageError
 from aerial_gym.interop import one_thread, start_warp
 from aerial_gym.interop import preload as module
-from aerial_gym.interop.streams import KernelLog
+from aerial_gym.interop.warp_start import KernelLog
 from tests.refusals import assert_refused
 
 

@@ -21,7 +21,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
 from aerial_gym.sim2real.logs.readers.frames import to_package_frames
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, split_flight_number
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.row_grid import resample_streams, row_times, without_slow_rotor_data
 from aerial_gym.sim2real.logs.signals import integrate_rates
 from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, DELAY_ROWS_HZ, StreamDelay, stream_delays
