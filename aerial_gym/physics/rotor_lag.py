@@ -84,7 +84,7 @@ class DecayLag:
     def follow(self, state: Tensor, command: Tensor, span: float | Tensor) -> Tensor:
         """Return ``c + (x - c) d^span``."""
         decay = select_by_direction(state, command, self.decay_up, self.decay_down)
-        return approach(state, command, _decay_after(span, decay))
+        return approach(state, command, _decay_over_span(span, decay))
 
     def rate(self, state: Tensor, command: Tensor, jump: Tensor, span: float | Tensor) -> Tensor:
         """Return ``-log(d) (c - x)``, and without lag ``jump / span``."""
@@ -93,7 +93,7 @@ class DecayLag:
         return torch.where(lags, -torch.log(torch.where(lags, decay, 1.0)) * (command - state), jump / span)
 
 
-def _decay_after(span: float | Tensor, decay: Tensor) -> Tensor:
+def _decay_over_span(span: float | Tensor, decay: Tensor) -> Tensor:
     """Return ``decay**span`` for spans from 0.
 
     A kernel takes fewer registers for an exponential than for a power with a computed exponent.
