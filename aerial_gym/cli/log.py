@@ -13,6 +13,7 @@ from aerial_gym.config.console import json_line
 if TYPE_CHECKING:
     from aerial_gym.sim2real.logs.inspection import FlightSummary, LogInspection
     from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+    from aerial_gym.sim2real.logs.recording import StreamTiming
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +139,7 @@ def _print_flight(flight: "FlightSummary") -> None:
     rows = [
         (
             name, stream.source, _number_text(stream.rate), _number_text(stream.latency, 1e3),
-            "" if stream.delay is None else f"{1e3 * stream.delay:.1f} ± {1e3 * (stream.half_width or 0.0):.1f}",
+            _delay_text(stream),
         )
         for name, stream in flight.streams.items()
     ]  # fmt: skip
@@ -146,6 +147,13 @@ def _print_flight(flight: "FlightSummary") -> None:
     print_table(rows, head, title=f"{flight.path}: {span}{voltage}")
     for note in flight.notes:
         Console(markup=False).print(f"  note: {text(note)}")
+
+
+def _delay_text(stream: "StreamTiming") -> str:
+    if stream.delay is None:
+        return ""
+    lag = " with the rotor lag" if stream.with_lag else ""
+    return f"{1e3 * stream.delay:.1f} ± {1e3 * (stream.half_width or 0.0):.1f}{lag}"
 
 
 def _number_text(value: float | None, scale: float = 1.0) -> str:

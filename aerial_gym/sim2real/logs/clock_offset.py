@@ -13,10 +13,9 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate, take_rows
+from aerial_gym.sim2real.logs.recording import LATE_S, FlightLog, sample_rate, take_rows
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, apply_lag, interpolate_columns, lowpass, num_edge_rows
 
-LATE_S = 0.003  # Standard deviation of each sensor's unknown delay [s]: milliseconds of filters and telemetry
 LARGEST_SHIFT_S = 0.05  # Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s
 SETTLED = 5.0  # Settling time of a lag in declared time constants
 

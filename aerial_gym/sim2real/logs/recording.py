@@ -19,6 +19,7 @@ from aerial_gym.sim2real.findings import Finding
 AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))  # Reading of an accelerometer at rest in world axes [m/s²], (3,)
 LONGEST_GAP_ROWS = 5  # A gap of more rows than this and of more than LONGEST_GAP_S ends a flight
 LONGEST_GAP_S = 0.1  # [s]
+LATE_S = 0.003  # Standard deviation of each sensor's unknown delay [s]: milliseconds of filters and telemetry
 GAP_STEPS = 2.5  # A longer step, in usual steps, is a gap and does not count for the rate
 
 
@@ -31,6 +32,7 @@ class StreamTiming:
     latency: float | None = None  # Delay from sampling to recording [s], if the format states both
     delay: float | None = None  # Measured delay behind the inertial sensors [s]; None if the motion does not show it
     half_width: float | None = None  # Half width of its 95 % interval [s]
+    with_lag: bool = False  # Whether the delay is that of commands less the rotor lag: no flight tells both apart
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,9 +1,10 @@
-"""Delays of the attitude, velocity and position streams behind the inertial sensors, by kinematics alone.
+"""Delays of the streams behind the inertial sensors, without a model of the vehicle.
 
-The gyro gives the clock of a flight. Attitude is compared with it, velocity with the accelerometer, position with velocity.
+The gyro gives the clock of a flight. Attitude and rotors are compared with it, velocity with the accelerometer, position with
+velocity. A late attitude turns gravity late, and so looks like an early horizontal velocity.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +14,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, MATERIAL, fit_sensor_errors
-from aerial_gym.sim2real.logs.clock_offset import LATE_S
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, StreamTiming, sample_rate, take_rows
+from aerial_gym.sim2real.logs.recording import AT_REST, LATE_S, FlightLog, StreamTiming, sample_rate, take_rows
+from aerial_gym.sim2real.logs.rotor_delays import rotor_delay
+from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
 DELAY_ROWS_HZ = 125.0  # Enough rows for the comparison, 30 a period at its largest frequency
@@ -32,11 +34,12 @@ class StreamDelay:
     quantity: str
     delay: float  # [s], positive: the stream is late
     half_width: float  # Half width of its 95 % interval [s]
+    with_lag: bool = False  # Whether it is that of commands, less the rotor lag
 
     @property
     def is_material(self) -> bool:
-        """Return whether the delay is significant and large enough to matter."""
-        return abs(self.delay) > max(self.half_width, MATERIAL["clock"])
+        """Return whether the delay is significant and large enough to matter; a rotor lag is no delay of a clock."""
+        return abs(self.delay) > max(self.half_width, CORRECTED_S if self.with_lag else MATERIAL["clock"])
 
 
 def correct_row_delays(log: FlightLog) -> FlightLog:
@@ -47,6 +50,7 @@ def correct_row_delays(log: FlightLog) -> FlightLog:
     """
     corrected = any(name != one.source for name, one in log.streams.items())  # by a reader of binary logs
     delays = {} if corrected else stream_delays(log)
+    delays = {name: one for name, one in delays.items() if not name.startswith("rotor")}  # the robot's rotors give theirs
     late = {n: one for n, one in delays.items() if abs(one.delay) - one.half_width > WITHIN_TOLERANCE_S}
     changes: dict[str, Array | None] = {}
     notes, timings, first, last = list(log.notes), dict(log.streams), log.time[0], log.time[-1]
@@ -96,13 +100,30 @@ def stream_delays(log: FlightLog) -> dict[str, StreamDelay]:
         return {}
     even, results = log_at_equal_steps(log), dict[str, StreamDelay]()
     turning = _rotation_pair(even)
-    if turning is not None and (one := _fit_delay("attitude", "gyro", *turning, sample_rate(even))) is not None:
-        results["attitude"] = one
-        even = replace(even, attitude=_attitude_later(even, one.delay if one.is_material else 0.0))
-    for name, sensor, measured, motion in _velocity_pairs(even):
+    attitude = None if turning is None else _fit_delay("attitude", "gyro", *turning, sample_rate(even))
+    if attitude is not None:
+        results["attitude"] = attitude
+        even = replace(even, attitude=_attitude_later(even, attitude.delay if attitude.is_material else 0.0))
+    for name, sensor, measured, motion in _velocity_pairs(even, vertical=attitude is None):
         if (one := _fit_delay(name, sensor, measured, motion, sample_rate(even))) is not None:
             results[name] = one
-    return _delays_behind_sensors(log, results)
+    if attitude is not None and (velocity := results.get("lin_vel")) is not None:
+        half_width = float(np.hypot(velocity.half_width, attitude.half_width))
+        results["lin_vel"] = replace(velocity, half_width=half_width)
+    return _delays_behind_sensors(log, results) | _rotor_delays(even, log.streams)
+
+
+def _rotor_delays(log: FlightLog, streams: Mapping[str, StreamTiming]) -> dict[str, StreamDelay]:
+    """Return the delays of rotor speeds and commands that are fast enough to show them."""
+    results = dict[str, StreamDelay]()
+    for name in ("rotor_speed", "rotor_command"):
+        rotors, timing = getattr(log, name), streams.get(name)
+        if rotors is None or timing is None or timing.rate < SLOWEST_COMMANDS_HZ:
+            continue
+        if (fit := rotor_delay(log, rotors, LARGEST_S)) is not None:
+            with_lag = name == "rotor_command"
+            results[name] = StreamDelay(quantity=name, delay=fit[0], half_width=fit[1], with_lag=with_lag)
+    return results
 
 
 def _attitude_later(log: FlightLog, seconds: float) -> Array:
@@ -137,13 +158,17 @@ def _rotation_pair(log: FlightLog) -> tuple[Array, Array] | None:
     return log.ang_vel, np.concatenate((inner[:1], inner, inner[-1:]))
 
 
-def _velocity_pairs(log: FlightLog) -> Iterator[tuple[str, str, Array, Array]]:
-    """Yield stream, sensor of its comparison, the sensor's values and the stream's motion, in world axes, (T, 3) each."""
+def _velocity_pairs(log: FlightLog, *, vertical: bool) -> Iterator[tuple[str, str, Array, Array]]:
+    """Yield stream, sensor of its comparison, the sensor's values and the stream's motion, in world axes, (T, 3) each.
+
+    ``vertical``: whether only vertical accelerations count, for an attitude of unknown delay.
+    """
+    axes = (0.0, 0.0, 1.0) if vertical else (1.0, 1.0, 1.0)
     rate, attitude = sample_rate(log), Rotation.from_quat(log.attitude)
     band = min(2.0 * CHECK_BANDWIDTH_HZ, 0.2 * rate)
     if log.lin_vel is not None and log.specific_force is not None:
         change = lowpass(log.lin_vel, rate, band, derivative=True)
-        yield "lin_vel", "accelerometer", attitude.apply(log.specific_force), change + AT_REST
+        yield "lin_vel", "accelerometer", attitude.apply(log.specific_force) * axes, (change + AT_REST) * axes
     if log.position is not None and log.lin_vel is not None:
         yield "position", "velocity", log.lin_vel, lowpass(log.position, rate, band, derivative=True)
 

@@ -110,7 +110,8 @@ def fit_sensor_errors(sensor: str, measured: Array, motion: Array, level: Array,
     scores = np.einsum("tik,ti->tk", causes, left - causes @ gains)
     sums = np.stack([np.bincount(blocks, weights=column) for column in scores.T], axis=1)
     count = len(sums)
-    spread = np.sqrt(np.diag(bread @ (sums.T @ sums) @ bread) * count / max(count - gains.size, 1))
+    variance = np.diag(bread @ (sums.T @ sums) @ bread) * count / max(count - gains.size, 1)
+    spread = np.sqrt(np.maximum(variance, 0.0))
     values, half_width = np.zeros(7), np.full(7, np.inf)
     values[shown] = gains
     half_width[shown] = student_quantile(0.975, max(count - gains.size, 1)) * spread

@@ -121,8 +121,8 @@ def flight_of_streams(
     )
 
 
-def _delay_fields(delay: StreamDelay | None) -> dict[str, float]:
-    return {} if delay is None else {"delay": delay.delay, "half_width": delay.half_width}
+def _delay_fields(delay: StreamDelay | None) -> dict[str, float | bool]:
+    return {} if delay is None else {name: value for name, value in vars(delay).items() if name != "quantity"}
 
 
 def _without_delays(

@@ -1,10 +1,13 @@
 """Delays of streams behind the inertial sensors, on exact flights with a known shift."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.logs.stream_delays import stream_delays
 from tests.unit.sim2real.flat_flights import flight
 from tests.unit.sim2real.ulog_files import read_topics, topics
@@ -35,6 +38,42 @@ def test_a_known_delay_is_found_and_corrected(topic: str, seconds: float, table:
     corrected = [note.values["topic"] for note in log.notes if note.code == "stream_moved"]
     assert corrected == [f"{topic}[0]"] * (seconds != 0.0)
     assert abs(stream_delays(log)[QUANTITIES[topic]].delay) < 2e-3  # of the corrected flight
+
+
+@pytest.mark.parametrize("seconds", [-0.03, 0.0, 0.05])
+def test_a_delay_of_rotor_speeds_is_found_and_corrected(seconds: float, table: pd.DataFrame) -> None:
+    log = read_topics(delay_topic(table, "esc_status", seconds))
+    timing = log.streams["rotor_speed"]
+    assert timing.delay == pytest.approx(seconds, abs=max(timing.half_width, 2e-3))
+    assert timing.half_width < 0.02
+    assert not timing.with_lag
+    assert ("stream_moved" in [note.code for note in log.notes]) == (seconds != 0.0)
+
+
+def test_commands_lead_by_the_lag_and_are_left_as_logged(table: pd.DataFrame) -> None:
+    results = topics(table)
+    stamp = results["vehicle_angular_velocity"]["timestamp"] - np.uint64(30_000)
+    share = table.filter(like="rotor_").to_numpy() / 2000.0
+    results["actuator_motors"] = {"timestamp": stamp} | {f"control[{i}]": share[:, i] for i in range(4)}
+    del results["esc_status"]
+    log = read_topics(results)
+    timing = log.streams["rotor_command"]
+    assert timing.with_lag
+    assert timing.delay == pytest.approx(-0.03, abs=max(timing.half_width, 2e-3))
+    assert "stream_moved" not in [note.code for note in log.notes]
+
+
+def test_a_velocity_needs_an_attitude_of_known_delay_or_vertical_motion(table: pd.DataFrame) -> None:
+    """In a flight that hardly turns, a late attitude and an early horizontal velocity are the same."""
+    log = read_topics(topics(table))
+    even = log_at_equal_steps(log)
+    known = stream_delays(even)
+    assert known["lin_vel"].half_width > known["attitude"].half_width
+    still = replace(even, ang_vel=None)
+    vertical = stream_delays(still)["lin_vel"]
+    assert vertical.delay == pytest.approx(0.0, abs=max(vertical.half_width, 1e-3))
+    level = replace(still, lin_vel=still.lin_vel * (1.0, 1.0, 0.0))
+    assert "lin_vel" not in stream_delays(level)
 
 
 def test_a_larger_delay_leaves_a_stream_out_or_refuses_the_log(table: pd.DataFrame) -> None:

@@ -1,0 +1,81 @@
+"""Delays of rotor speeds and commands behind the gyro, without a model of the vehicle.
+
+Squared rotor speeds give the angular acceleration about x and y by coefficients that a fit finds; the delay is common to both.
+Commands lead the motion by the rotor lag: their delay is that of their clock less the lag, and no flight tells both apart.
+Letters: T rows, R rotors, O outputs, G groups of rows, P parameters.
+"""
+
+import numpy as np
+
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, interpolate_columns, lowpass, num_edge_rows
+from aerial_gym.sim2real.statistics import student_quantile
+
+ROTOR_BANDWIDTH_HZ = 10.0  # Upper end of the comparison, where rotors turn the body more than the air does
+SLOWEST_SHARE = 0.05  # Lower end of the comparison as a share of the upper one: slow torques are of other causes
+LEAST_EXPLAINED = 0.5  # Least share of the variance of an output that the rotors explain at the best delay
+TRIAL_S = 0.01  # Distance of the delays of the search [s]: a tenth of the shortest period
+GROUPS = 8  # Parts of a flight that are left out in turn; each is much longer than residuals are correlated
+STEPS = 4  # Linear fits about the best delay of the search
+
+
+def rotor_delay(log: FlightLog, rotors: Array, largest: float) -> tuple[float, float] | None:
+    """Return the delay of rotor speeds or commands (T, R) and the half width of its 95 % interval [s]; positive: they are late.
+
+    The flight has equal steps. None if its motion does not show the delay. ``largest``: largest delay of the search [s].
+    """
+    rate = sample_rate(log)
+    band = min(ROTOR_BANDWIDTH_HZ, DERIVED_BAND * rate)
+    edge = num_edge_rows(rate, band) + round(largest * rate)
+    if log.ang_vel is None or len(rotors) <= 3 * edge:
+        return None
+    turning = lowpass(log.ang_vel[:, :2], rate, DERIVED_BAND * rate, derivative=True)
+    outputs, squares = (_band_pass(values, rate, band) for values in (turning, rotors**2))
+    shifts = np.arange(-round(largest * rate), round(largest * rate) + 1, max(1, round(TRIAL_S * rate)))
+    inner = slice(edge, len(outputs) - edge)
+    left = np.stack([_residual(outputs[inner], squares[edge + n : len(squares) - edge + n]) for n in shifts])
+    explained = left.min(axis=0) < 1.0 - LEAST_EXPLAINED
+    best = int(np.argmin(left[:, explained].sum(axis=1)))
+    if not explained.any() or best in (0, shifts.size - 1):
+        return None
+    return _refine(outputs[:, explained], squares, inner, float(shifts[best]) / rate, rate)
+
+
+def _band_pass(values: Array, rate: float, band: float) -> Array:
+    return lowpass(values, rate, band) - lowpass(values, rate, SLOWEST_SHARE * band)
+
+
+def _residual(outputs: Array, squares: Array) -> Array:
+    """Return the share of outputs (T, O) that squared speeds (T, R) do not explain, (O,)."""
+    product = squares.T @ outputs
+    explained = np.sum(product * (np.linalg.pinv(squares.T @ squares) @ product), axis=0)
+    return 1.0 - explained / np.sum(outputs**2, axis=0).clip(1e-300)
+
+
+def _refine(outputs: Array, squares: Array, inner: slice, delay: float, rate: float) -> tuple[float, float] | None:
+    """Return the delay near that of the search by least squares, and its half width by the jackknife over groups of rows.
+
+    Source: Efron, Tibshirani (1993), An Introduction to the Bootstrap, chapter 11; groups allow for correlated residuals.
+    """
+    time, slopes, start = np.arange(len(outputs)) / rate, np.gradient(squares, 1.0 / rate, axis=0), delay
+    target, number = outputs[inner], outputs.shape[1]
+    for _ in range(STEPS):
+        speed, slope = (interpolate_columns(time + delay, time, values)[inner] for values in (squares, slopes))
+        gains = np.linalg.lstsq(speed, target, rcond=None)[0]
+        errors = target - speed @ gains
+        errors_rms = np.sqrt(np.mean(errors**2, axis=0)).clip(1e-9 * np.abs(target).max())
+        causes = np.zeros((number, len(target), number * speed.shape[1] + 1))
+        for output in range(number):
+            causes[output, :, output * speed.shape[1] : (output + 1) * speed.shape[1]] = speed / errors_rms[output]
+            causes[output, :, -1] = slope @ gains[:, output] / errors_rms[output]
+        parts = (np.array_split(values, GROUPS, axis=1) for values in (causes, (errors / errors_rms).T))
+        pairs = [(np.einsum("otp,otq->pq", a, a), np.einsum("otp,ot->p", a, b)) for a, b in zip(*parts, strict=True)]
+        normal, sides = zip(*pairs, strict=True)
+        whole, side = np.sum(normal, axis=0), np.sum(sides, axis=0)
+        delay += float((np.linalg.pinv(whole) @ side)[-1])
+    if abs(delay - start) > 2.0 * TRIAL_S:
+        return None
+    partial_steps = [(np.linalg.pinv(whole - a) @ (side - b))[-1] for a, b in zip(normal, sides, strict=True)]
+    spread = np.sqrt((GROUPS - 1.0) * np.var(partial_steps))
+    return delay, float(student_quantile(0.975, GROUPS - 1) * spread)
