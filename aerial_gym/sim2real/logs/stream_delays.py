@@ -50,7 +50,9 @@ def correct_row_delays(log: FlightLog) -> FlightLog:
     """
     corrected = any(name != one.source for name, one in log.streams.items())  # by a reader of binary logs
     delays = {} if corrected else stream_delays(log)
-    delays = {name: one for name, one in delays.items() if not name.startswith("rotor")}  # the robot's rotors give theirs
+    delays = {
+        name: one for name, one in delays.items() if not name.startswith("rotor")
+    }  # the robot's rotors give theirs
     late = {n: one for n, one in delays.items() if abs(one.delay) - one.half_width > WITHIN_TOLERANCE_S}
     changes: dict[str, Array | None] = {}
     notes, timings, first, last = list(log.notes), dict(log.streams), log.time[0], log.time[-1]

@@ -19,7 +19,7 @@ from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.clock_offset import LATE_S
+from aerial_gym.sim2real.logs.recording import LATE_S
 
 LAYOUT: dict[str, str | tuple[str, ...]] = {
     "mass": ("",),
