@@ -10,7 +10,7 @@ LOG_READERS: Registry[Any] = Registry("log format")  # Readers of binary logs, e
 READERS: dict[str, tuple[str, tuple[bytes, ...]]] = {
     "blackbox": ("blackbox:BlackboxReader", (b"H Product:Blackbox",)),
     "crazyflie": ("crazyflie:CrazyflieReader", (b"\xbc",)),
-    "dataflash": ("dataflash:DataflashReader", (b"\xa3\x95",)),
+    "dataflash": ("dataflash:DataflashReader", (b"\xa3\x95", b"FMT,")),
     "ros": ("ros:RosReader", (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP", b"rosbag2_bagfile_information")),
     "ulog": ("ulog:UlogReader", (b"ULog\x01",)),
 }
