@@ -48,6 +48,7 @@ TIMES = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # Fields of the time and their units [
 INSTANCES = ("I", "Instance", "Inst", "C")  # Fields that number several sources of one message, if no unit marks them
 SMALLEST_DAMAGE = 256  # A log cut by power loss ends within a message, whose length is at most 255 bytes
 ARMED, DISARMED, LANDED_MAYBE, LANDED, FLYING = 10, 11, 17, 18, 28  # Codes of EV messages
+RESETS = {"position": 60, "attitude": 62}  # Codes of EV messages, of height and of yaw
 MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))  # SERVOn_FUNCTION of motors 1 to 12
 LEFT, RIGHT = 73, 74  # SERVOn_FUNCTION of the two motors of a tail-sitter with elevons
 TAIL_SITTER = 10  # Q_FRAME_CLASS
@@ -123,7 +124,7 @@ class DataflashReader(LogReader):
             for topic in log.find_topics(name, *fields)
         ]
         return [
-            *faster_first(vectors),
+            *(_with_resets(channel, log) for channel in faster_first(vectors)),
             *_gps_channels(log),
             *_rotor_channels(log),
             *_batteries(log),
@@ -239,6 +240,14 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str], unit: fl
     return replace(channel, time=1e-6 * topic.columns["SampleUS"]) if "SampleUS" in topic.columns else channel
 
 
+def _with_resets(channel: LogChannel, log: RawLog) -> LogChannel:
+    """Return a channel with the resets that the estimator reported, at the first sample after each."""
+    code = RESETS.get(channel.quantity)
+    events = [topic.time[topic.columns["Id"] == code] for topic in log.find_topics("EV", "Id")]
+    rows = np.searchsorted(channel.time, np.concatenate([[], *events]))
+    return replace(channel, resets=channel.time[rows[rows < channel.time.size]]) if rows.size else channel
+
+
 def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield position, from the first fix, and velocity of the GPS."""
     fields = ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ")
@@ -263,6 +272,8 @@ def _motor_outputs(log: RawLog) -> list[int]:
     outputs = {function: n for n, function in functions.items() if isinstance(function, float)}
     if motors := [outputs[function] for function in wanted if function in outputs]:
         return motors
+    if functions and frame != TAIL_SITTER and log.number("Q_ENABLE", 0.0) == 0.0:
+        return []
     if functions:
         return [outputs[side] for side in (LEFT, RIGHT) if side in outputs]
     count = {2.0: 6, 3.0: 8, 4.0: 8, 5.0: 6}.get(frame, 4)

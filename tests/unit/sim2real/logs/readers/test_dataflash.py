@@ -129,6 +129,7 @@ def outputs(prefix: str = "C") -> Topic:
         ((33, 34, 35, 36), {"FRAME_CLASS": 6.0}, []),  # servos of a helicopter's swash plate
         ((33, 34, 35, 36, 37, 38), {"FRAME_CLASS": 9.0}, [5, 6]),  # four flaps and two coaxial rotors
         ((77, 73, 74, 78), {"Q_FRAME_CLASS": 10.0, "SERVO2_MIN": 1000.0, "SERVO3_MIN": 1000.0}, [3, 2][::-1]),
+        ((73, 74), {}, []),  # a rover
         ((4, 19, 70, 21), {}, []),  # a plane without rotors for hover
         ((33, 34, 35, 36), {"MOT_PWM_MIN": 1100.0, "MOT_PWM_TYPE": 6.0}, [1, 2, 3, 4]),
     ],
@@ -144,6 +145,14 @@ def test_only_outputs_that_drive_rotors_are_rotors(functions, more, expected) ->
 def test_old_copters_have_other_names_of_outputs_and_planes_no_default() -> None:
     assert channel(bare_log({"RC3_MIN": 1000.0}, outputs("Ch")), "rotor_command").values.shape == (3, 4)
     assert not [*DataflashReader().channels(bare_log({}, outputs("Ch"), firmware="ArduPlane V3.8"))]
+
+
+def test_resets_of_the_estimator_are_at_the_first_sample_after_their_event(tmp_path) -> None:
+    """ATT and XKF1 come every 20 ms from 2 s on."""
+    log = read(tmp_path, files.log()[0] + files.message("EV", 3_001_000, 62) + files.message("EV", 4_000_000, 60))
+    np.testing.assert_allclose(channel(log, "attitude").resets, [3.02])
+    np.testing.assert_allclose(channel(log, "position").resets, [4.0])
+    assert channel(log, "ang_vel").resets is None
 
 
 def test_a_tail_sitter_is_in_hover_axes() -> None:
