@@ -95,11 +95,17 @@ class UlogReader(LogReader):
                 _topic(part.name, part.multi_id, part.data) for part in log.data_list if "timestamp" in part.data
             ),
             parameters=dict(log.initial_parameters),
-            messages=tuple(
-                LogMessage(
-                    time=1e-6 * m.timestamp, level=LEVELS.get(m.log_level_str(), "error"), text=m.message.strip()
-                )
-                for m in log.logged_messages
+            messages=(
+                *(
+                    LogMessage(
+                        time=1e-6 * m.timestamp, level=LEVELS.get(m.log_level_str(), "error"), text=m.message.strip()
+                    )
+                    for m in log.logged_messages
+                ),
+                *(
+                    LogMessage(time=1e-6 * d.timestamp, level="warning", text="messages were lost")
+                    for d in log.dropouts
+                ),
             ),
             metadata={name: str(value) for name, value in log.msg_info_dict.items()},
             notes=(Finding("file_damaged"),) if log.file_corruption else (),
@@ -200,7 +206,7 @@ def _motor_commands(log: RawLog) -> Iterator[LogChannel]:
         columns = [name for name in (f"control[{i}]" for i in range(MOST_MOTORS)) if name in topic.columns]
         used = [name for name in columns if np.isfinite(topic.columns[name]).any()]
         if used:
-            thrust = topic.numbers(*used)
+            thrust = np.nan_to_num(topic.numbers(*used), nan=0.0)  # NaN stops a motor
             command = np.sign(thrust) * _invert_thrust_curve(np.abs(thrust), log)
             yield _channel(topic, "rotor_command", command, ORDER)
 

@@ -1,5 +1,6 @@
 """PX4 ULog files that the test itself writes: topics, rotor order, thrust curve and parameters. A real one, if it is there."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,12 @@ def test_motor_commands_follow_the_thrust_curve_of_the_parameters() -> None:
     log = read_topics(hover(actuator_motors=controls), THR_MDL_FAC=0.8)
     np.testing.assert_allclose(log.rotor_command, 0.5)
     assert log.relative_commands
+
+
+def test_a_motor_without_a_command_stands_still() -> None:
+    """PX4 commands NaN to a motor that stops, such as the pusher of a VTOL in hover."""
+    controls = {f"control[{i}]": np.where((STAMP[400] < STAMP) | (i < 4), 0.5, np.nan) for i in range(5)}
+    np.testing.assert_array_equal(read_topics(hover(actuator_motors=controls)).rotor_command[[0, -1], 4], (0.0, 0.5))
 
 
 def test_outputs_of_any_instance_are_taken_in_the_order_and_range_of_the_parameters() -> None:
@@ -140,7 +147,9 @@ def test_a_battery_that_is_not_connected_has_no_voltage(volts: float, known: boo
 def test_a_file_is_recognised_by_its_content_and_read_with_its_parameters(tmp_path: Path) -> None:
     table = flight(5, seconds=6.0, rate=200.0)
     path = write_ulog(tmp_path / "flight.csv", topics(table), {"THR_MDL_FAC": 0.25})
+    path.write_bytes(path.read_bytes() + struct.pack("<HBH", 2, ord("O"), 120))  # 120 ms lost
     opened = open_log(path)
+    assert [message.level for message in opened.raw.messages] == ["warning"]
     assert isinstance(opened.raw, RawLog)
     assert (opened.raw.format, opened.raw.parameters) == ("ulog", {"THR_MDL_FAC": 0.25})
     log = read_flight_log(path)
