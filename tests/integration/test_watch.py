@@ -106,3 +106,31 @@ def test_a_followed_log_that_begins_anew_is_watched_as_another_flight(files, tmp
     out, err = capsys.readouterr()
     assert [json.loads(line)["name"] for line in out.splitlines()][-1] == "motor_failure"
     assert err.count("watched 8.0 s") == 2
+
+
+WRONG = {
+    "thrust_coefficient": {"scale": 0.88}, "motor_time_constant": {"tau": 0.06}, "battery_sag": {"gain": 0.8},
+    "com_offset": {"x": 0.006, "y": -0.004, "z": 0.0}, "rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.1},
+    "gusts": {"std": 1.5, "corr_time": 1.0},
+}  # fmt: skip
+LATE_FAILURE = Hidden(kind="motor_failure", motor=2, scale=0.8, time=37.0)
+
+
+@pytest.mark.slow
+def test_a_vehicle_that_does_not_fit_is_told_and_only_its_later_failure_is_named(tmp_path, capsys) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)
+        files = make_case(
+            tmp_path, effects=WRONG, seed=742, num_train=1, num_test=1, duration_s=44.0, rate_hz=100,
+            failures={"train_1": LATE_FAILURE},
+        )  # fmt: skip
+    alarms = {}
+    for path in (*files.train, *files.test):
+        assert main(["watch", str(files.robot), str(path), "--json"]) == 0
+        alarms[path.stem] = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for told in alarms.values():
+        assert [one["name"] for one in told if one["told_s"] < LATE_FAILURE.time] == ["vehicle_misfit"]
+    assert [one["stage"] for one in alarms["test_1"]] == ["misfit"]
+    *_, named = alarms["train_1"]
+    assert (named["stage"], named["name"], named["params"]["motor"]) == ("named", "motor_failure", 2.0)
+    assert named["params"]["time"] == pytest.approx(LATE_FAILURE.time, abs=0.3)

@@ -100,7 +100,7 @@ class FailureFinder:
         if not 0.0 < false_alarm_hours < np.inf:
             raise ConfigError(f"false_alarm_hours = {false_alarm_hours!r}: must be > 0 and finite")
         self.works, self.limit = RotorOutputModel(robot), least_log_odds(false_alarm_hours)
-        self._robot, self._tolerances = robot, tolerances or Tolerances()
+        self._robot, self.tolerances = robot, tolerances or Tolerances()
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
 
@@ -116,10 +116,10 @@ class FailureFinder:
                 return failure
         return None
 
-    def find_in_blocks(self, works: Sequence[RotorOutput], flight: str) -> Failure | None:
-        """Return the failure that the blocks show; None if the sum of odds is below the limit."""
-        causes = rank_causes(works, self._tolerances)
-        if not log_sum_of_odds(causes) > self.limit:
+    def find_in_blocks(self, works: Sequence[RotorOutput], flight: str, usual: float = 0.0) -> Failure | None:
+        """Return the failure that the blocks show; None if the log sum of odds is below the limit plus the ``usual`` one."""
+        causes = rank_causes(works, self.tolerances)
+        if not log_sum_of_odds(causes) > self.limit + usual:
             return None
         ranked = sorted((locate_onset(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
         odds = np.array([one.log_odds for one in ranked])
@@ -140,11 +140,11 @@ class FailureFinder:
         else:
             off = event.std
             if work.quantity == "thrust":  # the change is relative to declared thrust
-                off = hypot(off, event.change * self._tolerances.thrust, event.change * self._tolerances.mass)
+                off = hypot(off, event.change * self.tolerances.thrust, event.change * self.tolerances.mass)
             values = [self._share_of_command(cause, 1.0 + event.change + step * off) for step in (0.0, -1.96, 1.96)]
             name = "scale"
         params[name], interval[name], std[name] = values[0], (values[1], values[2]), (values[2] - values[1]) / 3.92
-        late = 1.96 * work.lag * self._tolerances.time_constant
+        late = 1.96 * work.lag * self.tolerances.time_constant
         params["time"], interval["time"] = event.time, (event.interval[0] - late, event.interval[1] + late)
         std["time"] = (interval["time"][1] - interval["time"][0]) / 3.92
         if event.end is not None:

@@ -151,7 +151,7 @@ class FailureEvidence:
         """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative change, and its standard deviation."""
         parameter = next(p for p in EFFECTS.get(kind).parameters if p.name == "scale")
         change = along / (inner + (self.least / parameter.scale) ** 2)
-        change = np.clip(change, parameter.low - 1.0, parameter.high - 1.0)
+        change = np.clip(change, parameter.low - 1.0, 0.0)  # a failure is a loss: no rotor gains by it
         rss = np.maximum(self.rss.sum() - 2.0 * change * along + change**2 * inner, 0.0)
         before, after = self.mean_square_with_tolerance(self.rss.sum()), self.mean_square_with_tolerance(rss)
         prior = ParameterPrior(away=change, scale=parameter.scale)

@@ -15,6 +15,8 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, FlightEvent
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput
+from aerial_gym.sim2real.failures.scan import log_sum_of_odds, rank_causes
+from aerial_gym.sim2real.failures.vehicle_fit import FIRST_S, VehicleMisfit, find_misfit
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
@@ -133,7 +135,7 @@ SETTLED_S = 2.0  # Time before a failure is named [s]: early, a stuck rotor rese
 SURE = 0.99  # Least probability among all failures for its naming
 AT_LATEST_S = 8.0  # Longest time after onset and first suspicion until a failure is named [s]
 
-SUSPECTED, NAMED = "suspected", "named"
+SUSPECTED, NAMED, MISFIT = "suspected", "named", "misfit"
 
 COLUMNS = {
     "position": ("p_x", "p_y", "p_z"),
@@ -152,8 +154,11 @@ STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])  # Required columns
 class Alarm:
     """A failure or sensor fault with the time of its report."""
 
-    stage: str  # suspected: a failure is certain and this is its most probable kind; named: the kind is certain
-    failure: Failure | SensorFault
+    stage: str
+    """suspected: a failure is certain and this is its most probable kind; named: the kind is certain; misfit: the declared
+    vehicle does not fit, and no failure is named in the first half minute."""
+
+    failure: Failure | SensorFault | VehicleMisfit
     told_s: float  # Time of the report from the first row [s]
 
     def as_mapping(self) -> dict[str, object]:
@@ -207,6 +212,10 @@ class FlightWatch:
         self._suspected: Failure | None = None
         self._since = 0.0
         self._stateless = 0
+        self._fits: bool | None = None
+        """Whether the declared vehicle fits the first half minute; None before this is known."""
+        self._usual = 0.0
+        """Largest log sum of odds in the first half minute of a vehicle that does not fit."""
         self.last_bad: Finding | None = None
         """Reason for the rejection of the last bad row."""
         self.over = False
@@ -320,10 +329,11 @@ class FlightWatch:
         return complete_flight(log, on_ground=idle if idle.any() else None)
 
     def _search_for_failure(self) -> list[Alarm]:
-        failure = self._finder.find_in_blocks(self._works, self._name) if self._works else None
-        if failure is None:
+        failure = self._finder.find_in_blocks(self._works, self._name, self._usual) if self._works else None
+        told = self._test_vehicle(failure)
+        if failure is None or (self._fits is False and self.watched_s <= FIRST_S):
             self._suspected = None
-            return []
+            return told
         if self._suspected is None:
             self._since = self.watched_s
         seen = self.watched_s - max(failure.time, self._since)
@@ -334,6 +344,22 @@ class FlightWatch:
         told = [] if self._suspected else [Alarm(stage=SUSPECTED, failure=failure, told_s=self.watched_s)]
         self._suspected = failure
         return told
+
+    def _test_vehicle(self, failure: Failure | None) -> list[Alarm]:
+        """Test the declared vehicle in the blocks before a failure, until ``FIRST_S``; return the alarm if it does not fit."""
+        first = self.watched_s <= FIRST_S
+        if self._fits is False and first:
+            self._usual = max(self._usual, log_sum_of_odds(rank_causes(self._works, self._finder.tolerances)))
+        if self._fits is not None or (failure is None and first):
+            return []
+        before = np.inf if failure is None else failure.interval["time"][0]
+        works = [work.select_blocks(work.time + work.length < before) for work in self._works]
+        misfit = find_misfit(works, self._robot, self._finder.tolerances, self._name)
+        if misfit is None:
+            self._fits = None if first else True
+            return []
+        self._fits = False
+        return [Alarm(stage=MISFIT, failure=misfit, told_s=self.watched_s), *self._test_vehicle(failure)]
 
     def finish(self) -> list[Alarm]:
         """Return the failure suspected at the end of the rows, since a fallen vehicle leaves little data."""

@@ -154,6 +154,11 @@ NOTES: dict[str, Template] = {
         f"A failure is suspected (log odds {f.values['log_odds']:.1f}), but the verdict does not use it. {failure_sentence(f)} "
         f"--failures compares {f.subject} up to its onset; a wrongly declared vehicle can look the same."
     ),
+    "vehicle_misfit": (
+        "The declared vehicle does not fit: the mean {quantity} of rotor {rotor} differs by {difference_share:percent} "
+        "± {half_width_share:percent} of hover (p = {p_value:.1g}). In the first half minute no failure is named; correct the "
+        "robot file by close-loop."
+    ),
     "train_with_failure": (
         "{subject} is compared up to its failure, which robot.yaml does not hold: not every flight has it. "
         "To train with it, add to effects: {effect}: {{{params:params}}}."

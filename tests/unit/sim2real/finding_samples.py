@@ -136,6 +136,9 @@ SAMPLES = [
     Finding("band_limited", "", {"band_hz": 5.0, "slowest_hz": 25.0}), Finding("few_flights", "", {"flights": 2}),
     Finding("joints_held", "", {"joints": ["arm0", "arm1"]}),
     Finding("failure_suspected", "train_2", {**FAILURE, "log_odds": 24.8}),
+    Finding("vehicle_misfit", "flight", {
+        "rotor": 2, "quantity": "thrust", "difference_share": 0.12, "half_width_share": 0.014, "p_value": 1e-9,
+    }),
     Finding("train_with_failure", "f1", {"effect": "motor_failure", "params": {"motor": 2.0, "scale": 0.5, "time": 3.0}}),
     Finding("gusts_are_random", "gusts"), Finding("gusts_refused", "gusts", {"objections": OBJECTION}),
     Finding("may_be_noise", "gusts", {"p_value": 0.02}), Finding("adds_too_little", "gusts"),
