@@ -223,3 +223,26 @@ def test_flights_that_begin_alike_or_rest_alike_are_different(table: pd.DataFram
     seen = LogRegister()
     for number, one in enumerate(logs):
         seen.add(read_flight_log(write(one, tmp_path / f"{number}.csv")))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_a_gyro_at_rest_is_refused_also_in_slow_turns_and_coarse_attitudes_are_not(
+    noise: float, tmp_path: Path
+) -> None:
+    """Turning at 0.2 rad/s, with attitude noise of 4 mrad, as of a camera system: 0.03 rad/s in the band of the check."""
+    rng = np.random.default_rng(4)
+    time = np.arange(1600) / 100.0
+    angles = 0.1 * np.sin(2.0 * np.pi * 0.35 * time[:, None] + np.arange(3))
+    rates = 0.1 * 2.0 * np.pi * 0.35 * np.cos(2.0 * np.pi * 0.35 * time[:, None] + np.arange(3))
+    table = flight(1, seconds=16.0, rate=100.0, noise=1.0)
+    for scale, passes in ((0.02, False), (0.4, True)):  # of the rates; 0.4: a real slow flight
+        shown = angles if not passes else scale * angles
+        turns = Rotation.from_rotvec(shown) * Rotation.from_rotvec(noise * rng.standard_normal(angles.shape))
+        gyro = scale * rates + 0.003 * rng.standard_normal(angles.shape)
+        bare = table.drop(columns=[*V, *P, *ACC])
+        slow = replace_columns(replace_columns(bare, Q, turns.as_quat()), OMEGA, gyro)
+        if passes:
+            check(slow, tmp_path)
+        else:
+            with pytest.raises(DataError, match="omega is at rest"):
+                check(slow, tmp_path)
