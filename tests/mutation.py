@@ -33,7 +33,7 @@ crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py 
 betaflight: control.betaflight.controller: unit/control/betaflight/test_controller.py
 link drag: physics.effects.links: cross/mujoco/test_link_drag.py physics/articulated/test_link_drag.py
 link buoyancy: physics.effects.water: physics/articulated/test_link_buoyancy.py physics/test_water.py
-added mass: physics.kirchhoff: physics/test_water.py
+added mass: physics.integrators: physics/test_water.py
 rotor lag: physics.rotor_lag: physics/test_rotor_modes.py physics/test_late_commands.py
 operations: interop.rows.operations: unit/interop/rows/test_operations.py
 simplification: interop.rows.simplification: unit/interop/rows unit/physics/test_packing.py

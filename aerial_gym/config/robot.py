@@ -12,9 +12,9 @@ from pathlib import Path
 from aerial_gym.config import checks
 from aerial_gym.config.checks import Vec3, require, require_angles, require_finite, require_positive
 from aerial_gym.config.controller import ControlCfg
-from aerial_gym.config.extends import load_extended
 from aerial_gym.config.joint import BASE, JointsCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
+from aerial_gym.config.loader import load_extended
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS, RotorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg, as_mounts, is_file

@@ -10,8 +10,7 @@ from typing import TypeVar
 
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.config.checks import require, require_count, require_positive
-from aerial_gym.config.extends import load_extended
-from aerial_gym.config.loader import convert
+from aerial_gym.config.loader import convert, load_extended
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.rl_training.learner_settings import ApgCfg, DistillCfg, LearnerCfg, PpoCfg
@@ -131,5 +130,5 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
 
 
 def load_settings(path: str | Path) -> TrainingCfg:
-    """Return the training in a YAML file, which may extend another (``config.extends``)."""
+    """Return the training in a YAML file, which may extend another (``config.loader``)."""
     return load_extended(TrainingCfg, path, family="training")

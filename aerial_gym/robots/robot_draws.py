@@ -19,8 +19,7 @@ from aerial_gym.errors import ConfigError, suggest_name
 from aerial_gym.physics import EFFECTS, Vehicle
 from aerial_gym.physics.effects import Effect, Parameter
 from aerial_gym.physics.vehicle import own_rows, share_row
-from aerial_gym.robots.parameter_draws import RandomQuantity, correlation_factor
-from aerial_gym.robots.quantities import BATTERY, QUANTITIES, apply_draw
+from aerial_gym.robots.parameter_draws import BATTERY, QUANTITIES, RandomQuantity, apply_draw, correlation_factor
 
 if TYPE_CHECKING:
     from aerial_gym.physics.articulated.articulation import Articulation

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from aerial_gym.config import family_files, read_summary
-from aerial_gym.config.extends import load_extended
+from aerial_gym.config.loader import load_extended
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
@@ -117,7 +117,7 @@ class TaskRegistry(Registry[TaskCfg]):
 
 
 def load_task(path: str | Path) -> TaskCfg:
-    """Return the task of a YAML file, which may extend another one (``config.extends``)."""
+    """Return the task of a YAML file, which may extend another one (``config.loader``)."""
     return load_extended(TaskCfg, path, family="tasks")
 
 

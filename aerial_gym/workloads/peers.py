@@ -25,8 +25,7 @@ from aerial_gym.registry import Registry
 from aerial_gym.sensors import SensorImages
 from aerial_gym.workloads.measure import WorkloadError, format_value, rate_figures
 from aerial_gym.workloads.process import PeerProgram, RunFailedError, absence_reason, interpreters, run_process
-from aerial_gym.workloads.scene_meshes import DISTINCT, SceneMeshes
-from aerial_gym.workloads.scenes import RenderScene
+from aerial_gym.workloads.scenes import DISTINCT, RenderScene, SceneMeshes
 
 RENDER_PEERS: Registry[PeerProgram] = Registry("render peer")
 

@@ -18,7 +18,7 @@ from aerial_gym.registry.registry import Registry
 from aerial_gym.rl_training import TRAINERS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
-from aerial_gym.robots.quantities import quantity_table
+from aerial_gym.robots.parameter_draws import quantity_table
 from aerial_gym.sensors import IMUS, SENSORS
 from aerial_gym.task import ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS, task_registry
 from docs.generate.aerial_gym_names import table_of_names

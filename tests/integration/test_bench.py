@@ -16,8 +16,7 @@ from aerial_gym.workloads.episodes import check_crashes, check_finite_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
 from aerial_gym.workloads.measure import WorkloadError, rate_figures, time_launches, torch_threads
 from aerial_gym.workloads.memory import array_bytes
-from aerial_gym.workloads.scene_meshes import SceneMeshes
-from aerial_gym.workloads.scenes import make_scene
+from aerial_gym.workloads.scenes import SceneMeshes, make_scene
 from tests.integration.commands import run, run_bench
 from tests.refusals import assert_refused
 from tests.repetitions import frequent_values

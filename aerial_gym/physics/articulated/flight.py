@@ -16,8 +16,7 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
-from aerial_gym.physics.articulated.link_fluid import LinkFluid
+from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid, motion_in_air
 from aerial_gym.physics.articulated.motion import move_links, place_links, rotations_to_base
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState

@@ -25,8 +25,7 @@ from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
 from aerial_gym.physics.articulated.complementarity import ROUNDS, ComplementarityProblem, EffortLimits, LimitState
 from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
-from aerial_gym.physics.articulated.link_damping import LinkDamping, add_damping
-from aerial_gym.physics.articulated.link_fluid import LinkFluid, add_fluid
+from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid, add_damping, add_fluid
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.state import JointEfforts
 

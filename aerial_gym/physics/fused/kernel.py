@@ -12,6 +12,7 @@ from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, store_q
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_dead_band, make_stepper
+from aerial_gym.physics.fused.formulas import constant_entries_of_vehicle
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
@@ -23,7 +24,6 @@ from aerial_gym.physics.fused.packing import (
     rotor_types_of_model,
 )
 from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
-from aerial_gym.physics.fused.row_model import constant_entries_of_vehicle
 from aerial_gym.physics.model import Model
 
 

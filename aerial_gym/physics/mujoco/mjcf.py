@@ -17,8 +17,7 @@ from xml.etree.ElementTree import Element, SubElement
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.tree import Links, Tree
-from aerial_gym.physics.ground import LinkContacts
-from aerial_gym.physics.solids import Solid, Solids
+from aerial_gym.physics.ground import LinkContacts, Solid, Solids
 
 HEAVY = 1e9  # Mass [kg] and inertia [kg m²] of a moving obstacle; a vehicle of 1 kg moves it by a share of 1e-9
 

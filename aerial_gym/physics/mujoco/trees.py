@@ -22,13 +22,12 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
-from aerial_gym.physics.articulated.link_damping import LinkDamping
-from aerial_gym.physics.articulated.link_fluid import LinkFluid
+from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid
 from aerial_gym.physics.articulated.steppers import advance_state, step_within_limits
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.ground import Solids
 from aerial_gym.physics.mujoco.bodies import LARGEST
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
-from aerial_gym.physics.solids import Solids
 from aerial_gym.physics.state import JointEfforts
 
 LEAST_MASS = 1e-9  # Mass [kg] and moments of inertia [kg m²] for links without any, because MuJoCo needs them

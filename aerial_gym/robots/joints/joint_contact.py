@@ -13,8 +13,7 @@ from aerial_gym.assets.shapes import half_size
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import PartCfg
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.physics.ground import LinkContacts, LinkShape
-from aerial_gym.physics.solids import Solid, Solids
+from aerial_gym.physics.ground import LinkContacts, LinkShape, Solid, Solids
 
 
 def shapes_on_links(

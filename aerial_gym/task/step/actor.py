@@ -15,8 +15,7 @@ from aerial_gym.config.task_terms import ActionCfg, fewest_and_most_steps
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.draws import UniformDraws, WhiteNoise
-from aerial_gym.task.step.history import HistoryLine
-from aerial_gym.task.step.row_kernels import StepKernel
+from aerial_gym.task.step.row_kernels import HistoryLine, StepKernel
 from aerial_gym.task.terms.actions import ROTOR_RANGE, Action, affine, direct
 from aerial_gym.task.values import Values
 

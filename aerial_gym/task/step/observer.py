@@ -13,8 +13,7 @@ from torch import Tensor
 from aerial_gym.config.task_terms import FaultCfg, ObservationCfg, fewest_and_most_steps
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.draws import UniformDraws, WhiteNoise
-from aerial_gym.task.step.history import HistoryLine
-from aerial_gym.task.step.row_kernels import StepKernel
+from aerial_gym.task.step.row_kernels import HistoryLine, StepKernel
 from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
 

@@ -14,7 +14,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import TreeAccelerations, equations, solve
 from aerial_gym.physics.articulated.flight import articulated_step
-from aerial_gym.physics.articulated.link_fluid import LinkFluid, add_fluid
+from aerial_gym.physics.articulated.link_loads import LinkFluid, add_fluid
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.capabilities import choose_backend, robot_needs

@@ -12,7 +12,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
 from aerial_gym.physics.articulated.flight import articulated_step, link_damping
-from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
+from aerial_gym.physics.articulated.link_loads import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState

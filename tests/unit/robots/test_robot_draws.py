@@ -16,7 +16,7 @@ from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.quantities import scale_second_moments
+from aerial_gym.robots.parameter_draws import scale_second_moments
 from tests.builders import simulation
 from tests.physics.vehicles import BATTERY
 

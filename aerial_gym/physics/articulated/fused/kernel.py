@@ -20,7 +20,7 @@ from aerial_gym.physics.articulated.fused.recursion import joint_types, make_rec
 from aerial_gym.physics.effects import DelayEffect, LinkFluidEffect, WrenchEffect
 from aerial_gym.physics.fused.contact import ContactParameters
 from aerial_gym.physics.fused.dynamics import make_dead_band, make_follow
-from aerial_gym.physics.fused.formulas import make_loads, make_wind
+from aerial_gym.physics.fused.formulas import constant_entries_of_vehicle, make_loads, make_wind, vehicle_rows
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
@@ -32,7 +32,6 @@ from aerial_gym.physics.fused.packing import (
     rotor_types_of_model,
 )
 from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
-from aerial_gym.physics.fused.row_model import constant_entries_of_vehicle, vehicle_rows
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.model import Model
 

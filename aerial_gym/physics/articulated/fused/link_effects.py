@@ -12,12 +12,10 @@ from torch import Tensor
 from aerial_gym.math.warp_functions import rotate, world_up
 from aerial_gym.physics.articulated.fused.inertia import Inertia, add_inertia
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
-from aerial_gym.physics.articulated.link_damping import damping_at_end
-from aerial_gym.physics.articulated.link_fluid import fluid_wrench
+from aerial_gym.physics.articulated.link_loads import damping_at_end, fluid_wrench
 from aerial_gym.physics.effects import Effect, LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.physics.fused.formulas import make_hub_loads
+from aerial_gym.physics.fused.formulas import make_hub_loads, row_effects
 from aerial_gym.physics.fused.packing import effect_values_type
-from aerial_gym.physics.fused.row_model import row_effects
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.model import Model

@@ -11,7 +11,7 @@ from aerial_gym.physics.effects.condition import Condition
 class FluidEffect(Effect):
     """Fluid that moves with the body (added mass).
 
-    The body then has a different mass along each of its axes, and follows Kirchhoff's equations (``physics.kirchhoff``).
+    The body then has a different mass along each of its axes, and follows Kirchhoff's equations (``physics.integrators``).
     """
 
     acts_on = "inertia"

@@ -19,7 +19,7 @@ from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import link_damping, link_fluid, link_wrenches
-from aerial_gym.physics.articulated.link_fluid import add_fluid
+from aerial_gym.physics.articulated.link_loads import add_fluid
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command, vehicle_lag

@@ -12,9 +12,8 @@ import torch
 
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.ground import LinkContacts
+from aerial_gym.physics.ground import LinkContacts, Solid, Solids
 from aerial_gym.physics.mujoco.mjcf import solver_numbers
-from aerial_gym.physics.solids import Solid, Solids
 from tests.cross.mujoco.contact.arms import (
     ARM,
     CFG,

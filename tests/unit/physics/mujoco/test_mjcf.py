@@ -9,9 +9,8 @@ import torch
 
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
-from aerial_gym.physics.ground import LinkContacts
+from aerial_gym.physics.ground import LinkContacts, Solid, Solids
 from aerial_gym.physics.mujoco.mjcf import Floor, contact_softness, solver_numbers, write_mjcf
-from aerial_gym.physics.solids import Solid, Solids
 
 TREE = Tree(joints=(Joint(parent=0, axis=(0.0, 1.0, 0.0), position=(0.1, 0.2, 0.3), attitude=(0.5, -0.5, 0.1, 0.7)),))
 LINKS = Links(

@@ -11,9 +11,9 @@ from torch.distributions import Normal, kl_divergence
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.config.storage import write_archive
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.rl_training.encoder.scenes import collision_distance
 from aerial_gym.sensors import pinhole_rays
 from aerial_gym.sensors.encoder import collision
-from aerial_gym.sensors.encoder.collision import collision_distance
 from aerial_gym.sensors.encoder.file import (
     Autoencoder,
     AutoencoderCfg,
