@@ -20,7 +20,7 @@ _BY_SEVERITY = {
     Severity.RESULT: (
         # the answer
         "effect_found effects_none declared_explains failure_found joint_found joint_effort joints_felt "
-        "errors_fall no_error_falls gusts_lower_no_error load_robot_file keep_declared "
+        "errors_fall no_error_falls gusts_lower_no_error law_preferred load_robot_file keep_declared "
         # meaning of the verdict
         "trust_corrected trust_declared correction_helps "
         # identification and learned residual

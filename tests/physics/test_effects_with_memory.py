@@ -145,11 +145,12 @@ def test_battery_files_are_checked() -> None:
             replace(BATTERY, **{name: value})
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.2])
-def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> None:
+@pytest.mark.parametrize(("dt", "vertical"), [(0.02, {}), (0.2, {}), (0.2, {"vertical": 0.4, "vertical_time": 0.5})])
+def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float, vertical: dict[str, float]) -> None:
     """Variance std² at once and later, exp(-t / T) after 0.4 s, axes independent; bounds: five standard deviations."""
-    num, std, corr_time = 20000, 3.0, 0.5
-    model = make_model({"gusts": {"std": std, "corr_time": corr_time}}, num)
+    num, corr_time = 20000, torch.tensor([0.5, 0.5, 0.5 * vertical.get("vertical_time", 1.0)], dtype=F64)
+    std = torch.tensor([3.0, 3.0, 3.0 * vertical.get("vertical", 1.0)], dtype=F64)
+    model = make_model({"gusts": {"std": 3.0, "corr_time": 0.5} | vertical}, num)
     memory, rotors = make_memory(model, dt), torch.zeros(num, 4, dtype=F64)
     winds: list[Tensor] = []
     for _ in range(round(1.0 / dt) + 1):
@@ -160,8 +161,10 @@ def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> N
     for wind in (winds[0], winds[-1]):
         assert (wind.mean(0).abs() < 5.0 * std / sqrt(num)).all()
         assert ((wind.var(0) / std**2 - 1.0).abs() < 5.0 * sqrt(2.0 / num)).all()
-    correlation = (winds[-1][:, None] * winds[-1 - back][..., None]).mean(0) / std**2  # rows: earlier axis
-    assert ((correlation - exp(-0.4 / corr_time) * torch.eye(3)).abs() < 5.0 / sqrt(num)).all()
+    correlation = (winds[-1][:, None] * winds[-1 - back][..., None]).mean(0) / torch.outer(
+        std, std
+    )  # rows: earlier axis
+    assert ((correlation - torch.diag((-0.4 / corr_time).exp())).abs() < 5.0 / sqrt(num)).all()
 
 
 @pytest.mark.parametrize(("dt", "hold"), [(0.002, 0.002), (0.001, 0.002), (0.0005, 0.003), (0.01, 0.002)])
@@ -328,7 +331,7 @@ def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
     ends = []
     for drags, gusts in (((0.1, 0.1), (1.0, 2.0)), ((0.2,), (3.0,))):
         rows = [(EFFECTS.get("rotor_drag"), torch.full((2, 3), drag)) for drag in drags]
-        rows += [(EFFECTS.get("gusts"), torch.tensor([[std, 0.5]] * 2)) for std in gusts]
+        rows += [(EFFECTS.get("gusts"), torch.tensor([[std, 0.5, 1.0, 1.0]] * 2)) for std in gusts]
         stepper, state = backend(), single(random_state(2))
         model = build_model(vehicle_from_config(asymmetric_robot(), num_envs=2), rows)
         stepper.allocate(model, SpeedControl(), integrator="rk4")

@@ -69,6 +69,9 @@ SMALL = 0.01  # Argument below which `1 - exp(-x)` comes from its series, exact 
 class Gusts(WindEffect):
     """Gusts: random wind with zero mean, an independent Ornstein-Uhlenbeck process on each axis.
 
+    Near the ground the vertical axis has less intensity and a shorter correlation time: ``vertical`` and ``vertical_time``,
+    relative to the horizontal axes. In MIL-F-8785C they are ``q^0.4`` and ``q^1.2``, ``q = 0.177 + 0.0027 h`` at h [m].
+
     ``dw = -w dt / T + std sqrt(2 / T) dW``, with the variance std² and the autocorrelation ``exp(-|t| / T)``. Over a
     substep ``w' = a w + std sqrt(1 - a²) N(0, 1)``, ``a = exp(-dt / T)``: exact at the ends of substeps of any length;
     within a substep the wind is constant. The first value after a reset is drawn from N(0, std²).
@@ -81,6 +84,8 @@ class Gusts(WindEffect):
     parameters = (
         Parameter("std", "m/s", 0.0, 20.0, 1.0, "standard deviation of each axis"),
         Parameter("corr_time", "s", 0.01, 100.0, 1.0, "correlation time T", neutral=1.0),
+        Parameter("vertical", "-", 0.0, 20.0, 0.2, "vertical per horizontal std", neutral=1.0, optional=True),
+        Parameter("vertical_time", "-", 0.05, 20.0, 0.2, "vertical per horizontal T", neutral=1.0, optional=True),
     )
     excitation = "a known drag, and flights much longer than the correlation time"
     confused_with = ("constant_wind", "downwash")
@@ -89,15 +94,18 @@ class Gusts(WindEffect):
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the wind of this substep, (E, 3)."""
-        share = moment.dt / values[:, 1:2]
+        std, corr_time, size, time = (values[:, k : k + 1] for k in range(4))
+        share = moment.dt / torch.cat((corr_time, corr_time, corr_time * time), dim=-1)
         begins = (moment.since == 0).unsqueeze(-1)
         decay = torch.where(begins, 0.0, torch.exp(-share))
-        spread = values[:, :1] * torch.where(begins, 1.0, (-torch.expm1(-2.0 * share)).sqrt())
-        return decay * values[:, 2:] + spread * normal_draws(moment.random, 0, 3, dtype=values.dtype)
+        spread = torch.cat((std, std, std * size), dim=-1) * torch.where(
+            begins, 1.0, (-torch.expm1(-2.0 * share)).sqrt()
+        )
+        return decay * values[:, 4:] + spread * normal_draws(moment.random, 0, 3, dtype=values.dtype)
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the wind in memory, (E, 3)."""
-        return params[:, 2:]
+        return params[:, 4:]
 
 
 class Downwash(WrenchEffect):

@@ -32,6 +32,7 @@ class Parameter:
     neutral: float = 0.0  # Value with which the robot behaves as declared
     kind: Literal["number", "rotor", "convention"] = "number"
     """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""
+    optional: bool = False  # Whether a robot file may leave it out, which then means ``neutral``
 
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]  # One of `config.rotor.ROTOR_TRAITS`
@@ -177,6 +178,7 @@ class Effect(ABC):
     def parse_params(self, values: Mapping[str, float]) -> tuple[float, ...]:
         """Return the parameters in order; raise ``ConfigError`` if one is unknown, missing or out of bounds."""
         known = [parameter.name for parameter in self.parameters]
+        values = {one.name: one.neutral for one in self.parameters if one.optional} | dict(values)
         if set(values) != set(known):
             raise ConfigError(f"effect {self.name}: parameters {sorted(values)} given, needs exactly {known}")
         for parameter in self.parameters:

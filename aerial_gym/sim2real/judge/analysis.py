@@ -120,7 +120,7 @@ def judge_on_test_flights(
     accepted = (*result.effects, *(effect.name for effect in gusts))
     gusty, wind = params, unexplained.wind
     if wind.is_accepted:
-        gusty = params.with_effect(NAME, np.array(list(wind.params().values())))
+        gusty = params.with_effect(NAME, np.array(EFFECTS.get(NAME).parse_params(wind.params())))
     corrected = correct_robot(declared, gusty, accepted)
     return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
 

@@ -316,7 +316,9 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "wind_shear": _wind_shear_sentence,
     "gusts": _value_template(
         "The wind gusts by {std} along each axis (standard deviation), with a correlation time of {corr_time}",
-        {"std": (1.0, "m/s"), "corr_time": (1.0, "s")},
+        {"std": (1.0, "m/s"), "corr_time": (1.0, "s"), "vertical": (1.0, ""), "vertical_time": (1.0, "")},
+        vertical="; vertically {vertical}times that",
+        vertical_time=", with {vertical_time}times the correlation time",
     ),
     "ground_effect": _value_template(
         "Ground effect acts with a strength of {k}(1: one rotor by itself)", {"k": (1.0, "")}

@@ -164,6 +164,7 @@ NOTES: dict[str, Template] = {
         "To train with it, add to effects: {effect}: {{{params:params}}}."
     ),
     "gusts_are_random": "Gusts predict no row and lower no residual; the noise floor after the correction includes them.",
+    "law_preferred": "{subject}: the flights prefer {law} to {other} (log odds {log_odds:.1f}).",
     "gusts_refused": lambda f: f"The remaining residual is not attributed to gusts. {_objection_sentences(f)}",
     "may_be_noise": "It may be noise (p = {p_value:number2}).",
     "adds_too_little": "It adds too little to the noise of any channel, or less than the tolerances may cause.",

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding, finding_on_refusal
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
@@ -32,6 +33,8 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
 NAME = "gusts"
+LAWS = ("a vertical axis of its own", "the same process on each axis")
+PARAMETERS = ("std", "corr_time", "vertical", "vertical_time")
 
 WIND_STEP = 0.01  # Difference step of the wind [m/s]
 
@@ -47,10 +50,14 @@ class RandomWind:
 
     std: float = 0.0  # Standard deviation of the wind along each axis [m/s]
     corr_time: float = 1.0  # Correlation time [s]
-    spread: tuple[float, float] = (0.0, 0.0)  # Standard deviations of the logarithms of ``std`` and ``corr_time``
+    spread: tuple[float, ...] = (0.0, 0.0)  # Standard deviations of the logarithms of the parameters
     p_value: float = 1.0  # P-value of the process against white noise alone
     objections: tuple[Finding, ...] = ()  # Reasons why the residual is not called gusts
     untestable: Finding | None = None  # Reason why the flights cannot show gusts; None if they can
+    vertical: tuple[float, ...] = ()  # Relative std and correlation time of the vertical axis; empty if it has no own
+
+    gain: float = 0.0
+    """Log likelihood that a vertical axis of its own gains, less the cost of its two parameters."""
 
     @property
     def is_accepted(self) -> bool:
@@ -59,13 +66,17 @@ class RandomWind:
 
     def params(self) -> dict[str, float]:
         """Return the parameters as in robot files."""
-        return {"std": float(f"{self.std:.6g}"), "corr_time": float(f"{self.corr_time:.6g}")}
+        values = (self.std, self.corr_time, *self.vertical)
+        return {name: float(f"{value:.6g}") for name, value in zip(PARAMETERS, values, strict=False)}
 
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Notes on gusts: their effect on the noise floor, or the objections to them."""
         if self.is_accepted:
-            return (Finding("gusts_are_random", NAME),)
+            laws = LAWS if self.vertical else LAWS[::-1]
+            odds = self.gain if self.vertical else -self.gain
+            law = Finding("law_preferred", NAME, {"law": laws[0], "other": laws[1], "log_odds": odds})
+            return (Finding("gusts_are_random", NAME), *([law] if self.gain else []))
         return (finding_on_refusal("gusts_refused", NAME, self.objections),) if self.objections else ()
 
     def decision(self, made: Decision) -> Decision:
@@ -87,15 +98,22 @@ class RandomWind:
     def channel_rms(self, predictor: Predictor, params: ModelParams) -> Array:
         """Return the rms that the wind adds to the residual of each channel below the bandwidth, (C,)."""
         response = np.concatenate(wind_response(predictor, params))
-        inside = float(covariance_of_filtered_process(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
-        return self.std * np.sqrt(inside * np.mean((response**2).sum(axis=2), axis=0))
+        size, time = self.vertical or (1.0, 1.0)
+        axes = ((1.0, 1.0), (1.0, 1.0), (size, time))
+        variance = [
+            (own * self.std) ** 2
+            * covariance_of_filtered_process(share * self.corr_time, predictor.bandwidth, np.zeros(1))[0]
+            for own, share in axes
+        ]
+        return np.sqrt(np.mean(response**2 @ np.array(variance), axis=0))
 
 
 def random_wind_in_file(robot: RobotCfg) -> RandomWind:
     """Return the gusts that a robot file declares; a std of 0 if it declares none."""
     if NAME not in robot.effects:
         return RandomWind()
-    return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
+    std, corr_time, *vertical = EFFECTS.get(NAME).parse_params(robot.effects[NAME])
+    return RandomWind(std=std, corr_time=corr_time, vertical=() if vertical == [1.0, 1.0] else tuple(vertical))
 
 
 def find_random_wind(
@@ -127,7 +145,14 @@ def find_random_wind(
         return RandomWind()
     series = wind_series(predictor, params, response, places)
     fit = fit_process(series)
-    results = RandomWind(fit.std, fit.corr_time, std_of_logarithms(series, fit), p_value_of_noise(series, fit))
+    results = RandomWind(
+        fit.std,
+        fit.corr_time,
+        std_of_logarithms(series, fit),
+        p_value_of_noise(series, fit),
+        vertical=fit.vertical,
+        gain=fit.gain,
+    )
     added = results.channel_rms(predictor, params)
     share = 1.0 - floor / np.sqrt(floor**2 + added**2)
     seen = added > criteria.visible * tolerated

@@ -1,12 +1,15 @@
 """An Ornstein-Uhlenbeck process with white noise, fitted to series of wind, and tests against other processes.
 
 The fit has maximum likelihood. Its covariance is that of the low-passed process plus white noise along each axis, about an
-unknown mean of each flight and axis. Letters: F flights, T rows, S series (one axis of one flight), P features.
+unknown mean of each flight and axis. All axes share one process, or the vertical axis has its own intensity and correlation
+time, as wind near the ground; it has where that is significantly more probable.
+Letters: F flights, T rows, S series (one axis of one flight), P features.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import log
 
 import numpy as np
 from scipy import optimize
@@ -19,6 +22,11 @@ LAGS = 20  # Number of lags in the autocorrelation test of the innovations
 LINES = 300  # Number of frequencies in the integral over the power that the low-pass removes
 NUDGE = 1e-6  # Difference step of the logarithms of parameters
 CORR_TIMES = (0.05, 100.0)  # Bounds of the fitted correlation time [s]
+VERTICAL = (
+    0.05,
+    20.0,
+)  # Bounds of intensity and correlation time of the vertical axis, relative to those of the horizontal
+SIGNIFICANCE = 0.001  # Largest p-value of one process for all axes at which the vertical has its own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +64,22 @@ class ProcessFit:
     corr_time: float
     noise: Array  # White noise of each axis [m/s], (3,)
     likelihood: float  # Restricted log likelihood, with the means of the series integrated out
+    vertical: tuple[float, ...] = ()  # Relative std and correlation time of the vertical axis; empty if it has no own
+
+    gain: float = 0.0
+    """Log likelihood that a vertical axis of its own gains, less half the logarithm of the rows for each of its parameters.
+
+    Source: Schwarz (1978), Estimating the dimension of a model, Annals of Statistics 6.
+    """
+
+    def process(self, std: float) -> "Process":
+        """Return the process with another standard deviation."""
+        return (std, self.corr_time, self.noise, *([self.vertical] if self.vertical else []))
 
 
-Process = tuple[float, float, Array]  # Standard deviation, correlation time [s] and noise of each axis, (3,)
+Process = (
+    tuple  # Standard deviation, correlation time [s], noise of each axis (3,), and perhaps ``ProcessFit.vertical``
+)
 
 
 def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: Sequence[int] = (0, 1, 2)) -> Array:
@@ -79,12 +100,15 @@ def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: S
     return -0.5 * (left + (np.log(variance)[..., None] * inside).sum(axis=2)).sum(axis=(1, 2))
 
 
-def axis_covariances(series: WindSeries, std: float, corr_time: float, noise: Array) -> Array:
+def axis_covariances(
+    series: WindSeries, std: float, corr_time: float, noise: Array, vertical: Sequence[float] = ()
+) -> Array:
     """Return the covariance of process and noise along each axis at every lag, (3, T)."""
-    rows = max(len(wind) for wind in series.wind)
-    results = np.tile(
-        std**2 * covariance_of_filtered_process(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1)
-    )
+    lags = series.step * np.arange(max(len(wind) for wind in series.wind))
+    results = np.tile(std**2 * covariance_of_filtered_process(corr_time, series.bandwidth, lags), (3, 1))
+    if vertical:
+        size, time = vertical
+        results[2] = (size * std) ** 2 * covariance_of_filtered_process(time * corr_time, series.bandwidth, lags)
     results[:, 0] += noise**2
     return results
 
@@ -114,32 +138,47 @@ def whiten_rows(covariance: Array, values: Array) -> tuple[Array, Array]:
 
 
 def fit_process(series: WindSeries) -> ProcessFit:
-    """Return the process of maximum likelihood, one for all axes and flights, with the noise of each axis."""
+    """Return the process of maximum likelihood, with the noise of each axis, and with its own vertical axis if significant."""
     jump = np.sqrt(np.mean([np.mean(np.diff(wind, axis=0) ** 2, axis=0) for wind in series.wind], axis=0) / 2.0)
     size = np.sqrt(np.mean([wind.var(axis=0).mean() for wind in series.wind]))
-    low = np.log(np.array([1e-3 * size, CORR_TIMES[0], *(0.03 * jump)]))
-    high = np.log(np.array([30.0 * size, CORR_TIMES[1], *(3.0 * jump)]))
-    start = np.log(np.array([size, 1.0, *(0.5 * jump)]))
+    low = [1e-3 * size, CORR_TIMES[0], *(0.03 * jump)]
+    high = [30.0 * size, CORR_TIMES[1], *(3.0 * jump)]
+    common = _fit_in_bounds(series, np.array([size, 1.0, *(0.5 * jump)]), low, high)
+    ends = [[*bound, end, end] for bound, end in zip((low, high), VERTICAL, strict=True)]
+    free = _fit_in_bounds(series, np.array([common.std, common.corr_time, *common.noise, 1.0, 1.0]), *ends)
+    gain = free.likelihood - common.likelihood
+    cost = log(sum(map(len, series.wind)))  # two parameters
+    return replace(free if chi_square_tail(2.0 * gain, 2) < SIGNIFICANCE else common, gain=gain - cost)
+
+
+def _fit_in_bounds(series: WindSeries, start: Array, low: Sequence[float], high: Sequence[float]) -> ProcessFit:
+    """Return the process of maximum likelihood, from std, correlation time, noise and perhaps the vertical axis."""
 
     def cost_and_slope(values: Array) -> tuple[float, Array]:
         costs = _negative_log_likelihoods(series, [values, *(values + NUDGE * np.eye(values.size))])
         return float(costs[0]), (costs[1:] - costs[0]) / NUDGE
 
-    bounds, options = list(zip(low, high, strict=True)), {"ftol": 1e-8}
-    results = optimize.minimize(cost_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    std, corr_time, *noise = np.exp(results.x)
-    return ProcessFit(std=float(std), corr_time=float(corr_time), noise=np.array(noise), likelihood=-float(results.fun))
+    bounds, options = list(zip(np.log(low), np.log(high), strict=True)), {"ftol": 1e-8}
+    first = np.clip(np.log(start), np.log(low), np.log(high))
+    results = optimize.minimize(cost_and_slope, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    std, corr_time, noise, *vertical = _process_of_logarithms(results.x)
+    more = {"vertical": vertical[0]} if vertical else {}
+    return ProcessFit(std=std, corr_time=corr_time, noise=noise, likelihood=-float(results.fun), **more)
+
+
+def _process_of_logarithms(values: Array) -> Process:
+    std, corr_time, *rest = np.exp(values).tolist()
+    return std, corr_time, np.array(rest[:3]), *([tuple(rest[3:])] if rest[3:] else [])
 
 
 def _negative_log_likelihoods(series: WindSeries, points: Sequence[Array]) -> Array:
-    """Return the negative log likelihood at logarithms of std, correlation time and noise, (5,) each."""
-    processes = [(float(one[0]), float(one[1]), one[2:]) for one in np.exp(points)]
-    return -log_likelihoods(series, processes)
+    """Return the negative log likelihood at logarithms of std, correlation time, noise and perhaps the vertical axis."""
+    return -log_likelihoods(series, [_process_of_logarithms(one) for one in points])
 
 
-def std_of_logarithms(series: WindSeries, fit: ProcessFit) -> tuple[float, float]:
-    """Return the standard deviation of log std and log corr_time, from the curvature of the likelihood."""
-    centre = np.log(np.array([fit.std, fit.corr_time, *fit.noise]))
+def std_of_logarithms(series: WindSeries, fit: ProcessFit) -> tuple[float, ...]:
+    """Return the standard deviations of the logarithms of std, corr_time and ``vertical``, by the likelihood's curvature."""
+    centre = np.log(np.array([fit.std, fit.corr_time, *fit.noise, *fit.vertical]))
     step, size = 0.02 * np.eye(centre.size), centre.size
     pairs = list(combinations(range(size), 2))
     away = [*(step[i] for i in range(size)), *(step[i] + step[j] for i, j in pairs)]
@@ -150,8 +189,8 @@ def std_of_logarithms(series: WindSeries, fit: ProcessFit) -> tuple[float, float
     curvature = np.diag(both[:size]) / 0.02**2
     for (i, j), mixed in zip(pairs, both[size:], strict=True):
         curvature[i, j] = curvature[j, i] = (mixed - both[i] - both[j]) / (2.0 * 0.02**2)
-    variance = np.diag(np.linalg.pinv(curvature, hermitian=True))[:2]
-    return float(np.sqrt(max(variance[0], 0.0))), float(np.sqrt(max(variance[1], 0.0)))
+    variance = np.diag(np.linalg.pinv(curvature, hermitian=True))[[0, 1, *range(5, size)]]
+    return tuple(np.sqrt(np.maximum(variance, 0.0)).tolist())
 
 
 def p_value_of_noise(series: WindSeries, fit: ProcessFit) -> float:
@@ -159,7 +198,7 @@ def p_value_of_noise(series: WindSeries, fit: ProcessFit) -> float:
     rows = sum(len(wind) - 1 for wind in series.wind)
     squares = np.sum([((wind - wind.mean(axis=0)) ** 2).sum(axis=0) for wind in series.wind], axis=0)
     alone = float(log_likelihoods(series, [(0.0, 1.0, np.sqrt(squares / rows))])[0])
-    return chi_square_tail(2.0 * (fit.likelihood - alone), 2)
+    return chi_square_tail(2.0 * (fit.likelihood - alone), 2 + len(fit.vertical))
 
 
 def p_values_of_rivals(series: WindSeries, fit: ProcessFit) -> dict[str, float]:
@@ -179,7 +218,7 @@ def compute_innovations(
     series: WindSeries, fit: ProcessFit
 ) -> tuple[list[Array], Callable[[list[Array]], list[list[Array]]]]:
     """Return the whitened wind of each flight without its mean, (T, 3), and a function that whitens features alike."""
-    covariance = axis_covariances(series, fit.std, fit.corr_time, fit.noise)
+    covariance = axis_covariances(series, *fit.process(fit.std))
 
     def subtract_mean(values: Array, axis: int) -> Array:
         white, _ = whiten_rows(covariance[axis, : len(values)], np.column_stack((values, np.ones(len(values)))))
@@ -232,9 +271,12 @@ def p_value_of_kurtosis(innovations: Sequence[Array]) -> float:
 
 
 def p_value_of_unequal_std(series: WindSeries, fit: ProcessFit, between: str) -> float:
-    """Return the p-value of the likelihood ratio of a separate std for each axis, or each flight, over a common one."""
+    """Return the p-value of the likelihood ratio of a separate std for each axis, or each flight, over a common one.
+
+    A vertical axis of its own is not among the axes.
+    """
     if between == "axes":
-        parts = [(series, (axis,)) for axis in range(3)]
+        parts = [(series, (axis,)) for axis in range(2 if fit.vertical else 3)]
     else:
         parts = [(replace(series, wind=[wind]), (0, 1, 2)) for wind in series.wind]
     if len(parts) < 2:
@@ -243,7 +285,7 @@ def p_value_of_unequal_std(series: WindSeries, fit: ProcessFit, between: str) ->
     for part, axes in parts:
 
         def cost(value: float, part: WindSeries = part, axes: tuple[int, ...] = axes) -> float:
-            return -float(log_likelihoods(part, [(float(np.exp(value)), fit.corr_time, fit.noise)], axes=axes)[0])
+            return -float(log_likelihoods(part, [fit.process(float(np.exp(value)))], axes=axes)[0])
 
         best = optimize.fminbound(cost, centre - 4.0, centre + 2.0, xtol=0.01)
         gained += cost(centre) - cost(float(np.asarray(best)))

@@ -142,7 +142,8 @@ def test_kind_and_open_points_follow_from_what_remains(effects, remains, kind, e
     assert decision.candidates == (*effects, *given.get("open_to", ()))
 
 
-RANDOM = {"gusts": {"std": 1.5, "corr_time": 0.8}, "random_force": {"x": 0.1, "y": 0.1, "z": 0.2, "hold": 0.01}}
+GUSTS = {"std": 1.5, "corr_time": 0.8, "vertical": 0.6, "vertical_time": 0.5}
+RANDOM = {"gusts": GUSTS, "random_force": {"x": 0.1, "y": 0.1, "z": 0.2, "hold": 0.01}}
 
 
 def mass_notes(size: float, left: list[float]) -> list[Finding]:
@@ -201,9 +202,9 @@ def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:
     result = correct_robot(declared, params, ["payload_mass"]).effects
     assert {name: result[name] for name in RANDOM} == RANDOM
     assert {"rotor_drag", "payload_mass"} == set(result) - set(RANDOM)
-    params = params.with_effect("gusts", np.array([2.0, 0.5]))
+    params = params.with_effect("gusts", np.array([2.0, 0.5, 1.0, 1.0]))
     result = correct_robot(declared, params, ["payload_mass", "gusts"]).effects
-    assert result["gusts"] == {"std": 2.0, "corr_time": 0.5}
+    assert result["gusts"] == {"std": 2.0, "corr_time": 0.5, "vertical": 1.0, "vertical_time": 1.0}
 
 
 OTHER = Finding("velocity_unknown")

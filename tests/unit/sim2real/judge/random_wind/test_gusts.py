@@ -96,6 +96,22 @@ def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
     assert p_value_of_noise(quiet, fit_process(quiet)) > 0.01
 
 
+def test_wind_whose_vertical_is_weaker_and_faster_is_found_as_such() -> None:
+    """Over 4 flights: within three standard deviations of 0.4 of the intensity and half the correlation time."""
+    wind = series()
+    rng = np.random.default_rng(8)
+    for flight in wind.wind:
+        flight[:, 2] = draw_wind(rng, TIME, 0.4, 0.5)[:, 2] + 0.05 * rng.standard_normal(ROWS)
+    fit = fit_process(wind)
+    spread = std_of_logarithms(wind, fit)
+    truth = (1.0, 1.0, 0.4, 0.5)
+    for value, true, std in zip((fit.std, fit.corr_time, *fit.vertical), truth, spread, strict=True):
+        assert abs(np.log(value / true)) < 3.0 * std
+    assert fit.gain > 20.0
+    assert min(p_values_of_rivals(wind, fit).values()) > 0.001
+    assert fit_process(series()).vertical == ()
+
+
 @pytest.mark.parametrize(("reason", "change"), [
     ("line", lambda f: 0.3 * np.sin(2.0 * np.pi * 3.1 * TIME + f)[:, None] * [1.0, 0.0, 0.0]),
     ("axes", lambda f: draw_wind(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
@@ -155,7 +171,8 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     named = result.as_effect(ROBOT)
     assert (named.name, named.params) == ("gusts", result.params())
     assert named.confidence > 0.999
-    assert [note.code for note in result.notes] == ["gusts_are_random"]
+    assert [note.code for note in result.notes] == ["gusts_are_random", "law_preferred"]
+    assert result.notes[1].values["log_odds"] > 0.0
 
 
 def test_where_gusts_are_not_looked_for_and_why() -> None:
@@ -178,6 +195,8 @@ def test_declared_gusts_are_taken_as_they_are() -> None:
     assert declared.is_accepted
     assert declared.params() == {"std": 0.5, "corr_time": 2.0}
     assert not random_wind_in_file(ROBOT).is_accepted
+    calm = {"std": 0.5, "corr_time": 2.0, "vertical": 0.4, "vertical_time": 0.3}
+    assert random_wind_in_file(replace(ROBOT, effects={"gusts": calm})).params() == calm
 
 
 def test_noise_has_no_memory_as_often_as_stated() -> None:
