@@ -129,28 +129,6 @@ def test_the_fused_step_is_that_of_the_reference(case: str) -> None:
             assert float((without[place] - right).abs().max()) > 100.0 * allowed
 
 
-def test_each_environment_flies_as_it_does_alone() -> None:
-    (robot, remaining), ends = CASES["drag on a stand"], []
-    for count in (8, 2):
-        vehicle = vehicle_from_config(robot, num_envs=count)
-        law, articulation = (
-            make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT),
-            build_articulation(robot, like=vehicle.mass),
-        )
-        rows = [(effect, params[:count]) for effect, params in effect_rows(robot, remaining, torch.float32)]
-        backend = WarpBackend()
-        model = build_model(vehicle, rows, articulation=articulation)
-        backend.allocate(model, law, integrator="euler", random=Randomness(count))
-        start = {name: rows[:count].float() for name, rows in vars(random_state(8, seed=1, rotor_speed=0.5)).items()}
-        joints = articulation.reference.repeat(count, 1)
-        state = ArticulatedState(**start, joint_pos=joints, joint_vel=torch.zeros_like(joints))
-        for _ in range(4):
-            backend.step(state, torch.full((count, 4), 0.5), DT, SUBSTEPS)
-        ends.append(state)
-    for one, other in zip(ends[0].tensors(), ends[1].tensors(), strict=True):
-        assert torch.equal(one[:2], other)
-
-
 def test_mujoco_carries_links_as_torch_does() -> None:
     """On a free base and on a stand; both hold the force through a step, and round."""
     pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")

@@ -12,9 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.physics import EFFECTS, vehicle_from_config
-from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.rigid_body import ForceBreakdown, force_breakdown
+from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
@@ -601,52 +599,6 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     without = replace(results, gyro=False)
     for name in ("imu_bias", "imu_misalignment"):
         assert finding_on_untestable_effect(name, ROBOT, [without]) == Finding("no_inertial_sensor", name)
-
-
-@pytest.mark.slow
-def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None:
-    """Every parameter of every effect and every tolerance, one after the other, each as a predictor of its own says: 1e-9."""
-    results = load(tmp_path, drag=0.25)
-    robot = replace(ROBOT, battery=BATTERY)
-
-    def fresh() -> Predictor:
-        return make_predictor([results], robot)
-
-    names = [n for n in EFFECTS if not EFFECTS.get(n).random and not isinstance(EFFECTS.get(n), LoadEffect)]
-    names = [n for n in names if not finding_on_untestable_effect(n, robot, [results])]
-    params = params_from_robot(robot)
-    for name in names:
-        scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
-        low, high = np.array(EFFECTS.get(name).bounds(robot)).T
-        params = params.with_effect(name, np.clip(np.array(EFFECTS.get(name).neutral(robot)) + 0.2 * scale, low, high))
-    asked, points = fresh(), [params]
-    for name in names:
-        scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
-        points += [params.with_effect(name, params.effects[name] + 0.05 * row) for row in np.diag(scale) if row.any()]
-    points += [replace(params, deviation=row) for row in 0.5 * np.eye(asked.num_tolerances)]
-    for there in (*points, params):
-        np.testing.assert_allclose(asked.predict(there)[0], fresh().predict(there)[0], rtol=0, atol=1e-9)
-
-
-def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(tmp_path, monkeypatch) -> None:
-    results, asked = load(tmp_path), []
-
-    def count_call(*args: object, **options: object) -> ForceBreakdown:
-        asked.append(1)
-        return force_breakdown(*args, **options)
-
-    monkeypatch.setattr("aerial_gym.sim2real.predict.rows.flight_batch.force_breakdown", count_call)
-    predictor = make_predictor([results])
-    params = params_from_robot(ROBOT)
-    misaligned = params.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0]))
-    alike = [params, params.with_effect("inertia_error", np.ones(3)), misaligned]
-    first, *remaining = (predictor.predict(one)[0] for one in alike)
-    assert len(asked) == 1
-    for other in remaining:
-        np.testing.assert_array_equal(other, first)
-    predictor.predict(params.with_effect("inertia_error", np.array([1.0, 1.0, 1.01])))
-    predictor.predict(replace(params, deviation=np.eye(predictor.num_tolerances)[0]))
-    assert len(asked) == 3
 
 
 @pytest.mark.parametrize(
