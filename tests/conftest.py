@@ -32,15 +32,7 @@ from aerial_gym.physics.fused.kernel import make_kernel  # noqa: E402
 from aerial_gym.robots import ROBOTS  # noqa: E402
 from aerial_gym.sensors import IMUS, SENSORS, imu  # noqa: E402
 from aerial_gym.sim2real.predict import replay  # noqa: E402
-from aerial_gym.task import (  # noqa: E402
-    ACTIONS,
-    BUFFERS,
-    COMMANDS,
-    OBSERVATIONS,
-    REWARDS,
-    TERMINATIONS,
-    task_registry,
-)
+from aerial_gym.task import ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS, task_registry  # noqa: E402
 
 torch.set_num_threads(_THREADS)
 

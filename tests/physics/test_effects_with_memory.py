@@ -13,15 +13,7 @@ from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import (
-    EFFECTS,
-    INTEGRATORS,
-    BodyState,
-    Model,
-    TorchBackend,
-    WarpBackend,
-    build_model,
-)
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, TorchBackend, WarpBackend, build_model
 from aerial_gym.physics.effects.actuation import speed_factor, voltage_under_load
 from aerial_gym.physics.memory import begin_substep, end_substep, link_state_of_load, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config

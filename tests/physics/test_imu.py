@@ -22,10 +22,7 @@ from aerial_gym.math.quaternion import (
     quat_rotate_inverse,
 )
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import (
-    effects_from_config,
-    state_at_rest,
-)
+from aerial_gym.physics import effects_from_config, state_at_rest
 from aerial_gym.physics.effects.sensor_errors import imu_errors
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.initial_state import InitialState

@@ -20,14 +20,7 @@ from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import CommandSwitch, DecayLag, follow_command, slew_limited_lag, stop_in_dead_band
 from aerial_gym.physics.rotor_maps import POLYNOMIAL
-from aerial_gym.physics.rotors import (
-    lag_speed,
-    map_terms,
-    rotor_thrust,
-    rotor_torque,
-    rotor_wrench,
-    state_for_thrust,
-)
+from aerial_gym.physics.rotors import lag_speed, map_terms, rotor_thrust, rotor_torque, rotor_wrench, state_for_thrust
 from aerial_gym.robots import ROBOTS
 from tests.physics.rotor_types import FORCE, REVERSIBLE, three_type_robot, with_rotor
 from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state, strong_effects

@@ -16,13 +16,7 @@ from benchmarks.control.control_flights import (
     robots_by_dynamics,
     time_to_settle_and_overshoot,
 )
-from benchmarks.control.control_table import (
-    BEGIN,
-    END,
-    ControlTableCmd,
-    Refusal,
-    fly_all,
-)
+from benchmarks.control.control_table import BEGIN, END, ControlTableCmd, Refusal, fly_all
 from benchmarks.control.robot_table import table_robots
 
 FLIGHT = ControlFlight(
