@@ -29,8 +29,9 @@ _BY_SEVERITY = {
     Severity.WARNING: (
         # the answer
         "error_rises keep_declared_where keep_declared_for_harm remains_unexplained correction_harms trust_nothing "
-        "structure_found fly_structure train_with_failure failure_suspected "
-        "joints_held vehicle_misfit tolerance_strained tolerances_cut_off strained_changes strained_changes_little "
+        "structure_found fly_structure train_with_failure failure_suspected at_bound "
+        "joints_held values_redeclared vehicle_misfit tolerance_strained tolerances_cut_off strained_changes "
+        "strained_changes_little "
         # logs
         "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
         "battery_left_out file_damaged frames_damaged bytes_left_out checksum_wrong position_jumps_left "

@@ -1,3 +1,6 @@
+# pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false, reportOptionalMemberAccess=false
+
 """The scenes of ``bench render``: shapes, obstacle states and where the cameras are.
 
 Frames: world of each environment, z up. Letters: E environments, A instances.

@@ -27,7 +27,8 @@ from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
 from aerial_gym.sensors.cells import LANES, ROWS, make_pool
 from aerial_gym.sensors.pixels import PixelOutputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
-from aerial_gym.task.kernels import draws, practice
+from aerial_gym.task.commands import gates
+from aerial_gym.task.kernels import draws
 from tests.builders import simulation
 from tests.physics.contact_rig import ObstacleRig, obstacle, start
 from tests.physics.rotor_types import three_type_robot
@@ -157,7 +158,7 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
     compile_for_gpu(make_pool(lanes=lanes, rows=rows).module)
 
 
-MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, practice, track, obstacle_motion)
+MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, gates, track, obstacle_motion)
 MODULES += (clearance, sensor_view, flow)
 
 

@@ -1,3 +1,6 @@
+# pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false
+
 """Gates: openings to be passed in order, each from its front.
 
 A training episode can start behind a gate of the track, as if the robot had just passed it.

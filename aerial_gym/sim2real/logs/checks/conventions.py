@@ -171,7 +171,7 @@ def _check_resting_gyro(log: FlightLog, size: float) -> None:
     Its gain ``<m a> / <a a'>`` compares the readings m with the attitude's rates a and a' of even and odd rows, whose noise
     is independent (instrumental variables: Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 6).
     """
-    if log.attitude_integrated:
+    if log.attitude_integrated or log.ang_vel is None:
         return
     rate = 0.5 * sample_rate(log)
     band, count = min(CHECK_BANDWIDTH_HZ, 0.2 * rate), log.time.size // 2

@@ -14,7 +14,6 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.ground import LinkContacts, Solid
-from aerial_gym.physics.mujoco.rollouts import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.joint_contact import shapes_on_links
 from tests.cross.mujoco.contact.arms import (

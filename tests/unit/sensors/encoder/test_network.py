@@ -11,9 +11,9 @@ from torch.distributions import Normal, kl_divergence
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.config.storage import write_archive
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.rl_training.encoder import scenes
 from aerial_gym.rl_training.encoder.scenes import collision_distance
 from aerial_gym.sensors import pinhole_rays
-from aerial_gym.sensors.encoder import collision
 from aerial_gym.sensors.encoder.file import (
     Autoencoder,
     AutoencoderCfg,
@@ -172,7 +172,7 @@ def test_images_and_blocks_of_rays_do_not_change_each_other(monkeypatch: pytest.
     rays = torch.nn.functional.normalize(torch.randn(4, 6, 3, generator=generator) + torch.tensor([3.0, 0, 0]), dim=-1)
     seen = 5.0 * torch.rand(7, 4, 6, generator=generator)
     whole = collision_distance(seen, rays, radius=RADIUS, largest=LARGEST)
-    monkeypatch.setitem(collision.PAIRS, "cpu", 50)
+    monkeypatch.setitem(scenes.PAIRS, "cpu", 50)
     blocks = collision_distance(seen, rays, radius=RADIUS, largest=LARGEST)
     torch.testing.assert_close(blocks, whole, atol=0.0, rtol=0.0)
     assert bool((whole <= seen).all())
