@@ -113,10 +113,9 @@ def test_rooms_of_sim2real_import_left() -> None:
     assert wrong_imports(ROOT / "sim2real", ROOM_RANK) == []
 
 
-def test_effects_laws_and_rotor_maps_import_nothing_from_the_fused_kernel() -> None:
-    """They are pure torch functions, from which the kernel is traced: a user's own have the speed of the built-in ones."""
-    folders = (ROOT / "physics" / "effects", ROOT / "control")
-    files = [*(file for folder in folders for file in sorted(folder.rglob("*.py"))), ROOT / "physics" / "rotor_maps.py"]
+def test_effects_import_nothing_from_the_fused_kernel() -> None:
+    """Effects are pure torch functions, from which the kernel is traced."""
+    files = sorted((ROOT / "physics" / "effects").rglob("*.py"))
     kernels = ("warp", "aerial_gym.physics.fused", "aerial_gym.math.warp_functions")
     assert [path.name for path in files if any(name.startswith(kernels) for name in module_imports(path))] == []
 
