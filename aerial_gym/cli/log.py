@@ -135,6 +135,8 @@ def _print_flight(flight: "FlightSummary") -> None:
     from aerial_gym.sim2real.wording import text
 
     voltage = "" if flight.battery is None else f", battery {flight.battery[0]:.2f} to {flight.battery[1]:.2f} V"
+    if flight.vertical_force is not None:
+        voltage += f", mean vertical specific force {flight.vertical_force:.2f} m/s² (9.81 for a sound accelerometer)"
     span = f"{flight.start:.2f} to {flight.end:.2f} s, ended by {flight.ended_by.replace('_', ' ')}"
     rows = [
         (

@@ -5,29 +5,36 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
+from aerial_gym.sim2real.logs.checks.kinematics import findings_on_sensors_at_rest
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
 from aerial_gym.sim2real.logs.readers.flight_log import LogFlights, open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import StreamTiming, row_arrays, split_flight_number
+from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, LogMapping, find_mapping
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays, split_flight_number
 from aerial_gym.sim2real.logs.row_grid import row_times
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps, without_bad_quaternions
 from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ
 from aerial_gym.sim2real.logs.streams import Stream
+
+ZERO_G_OFFSET = 0.080 * UNIT_G
+"""Largest offset of a sound accelerometer [m/s²]. Source: InvenSense (2013), MPU-6000 specification 3.4, section 6.2."""
 
 SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
 
 
 NAMES_WITH_UNITS = {
     **{name: f"{name}_s" for name in ("start", "end", "longest_gap", "latency", "delay", "half_width")},
-    **{"rate": "rate_hz", "battery": "battery_v"},
+    **{"rate": "rate_hz", "battery": "battery_v", "vertical_force": "vertical_force_m_s2"},
 }
 """Names in JSON of the fields with a unit."""
 
@@ -65,6 +72,7 @@ class FlightSummary:
     rate: float  # Rows per second [Hz]
     streams: Mapping[str, StreamTiming]  # By quantity
     battery: tuple[float, float] | None  # Lowest and highest voltage [V]
+    vertical_force: float | None  # Mean vertical specific force less dv/dt [m/s²]: g for a sound accelerometer
     notes: tuple[Finding, ...]
 
     def as_mapping(self) -> dict[str, object]:
@@ -133,6 +141,7 @@ def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
     span, log = opened.spans[number - 1], opened.flight(number, fastest=DELAY_ROWS_HZ)
     time = log.time if opened.rows is not None else row_times(opened.streams, span)
     rate = 1.0 / float(np.median(np.diff(time)))
+    vertical_force = _mean_vertical_force(log)
     quantities = [name for name in row_arrays(log) if name not in ("time", "lines")]
     return FlightSummary(
         path=log.path,
@@ -142,8 +151,28 @@ def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
         rate=rate,
         streams=log.streams or {name: StreamTiming(source="table[0]", rate=rate) for name in quantities},
         battery=None if log.battery is None else (float(log.battery.min()), float(log.battery.max())),
-        notes=tuple(note for note in log.notes if note not in opened.notes),
+        vertical_force=vertical_force,
+        notes=(*(note for note in log.notes if note not in opened.notes), *_findings_on_sensors(log, vertical_force)),
     )
+
+
+def _mean_vertical_force(log: FlightLog) -> float | None:
+    """Return the mean vertical specific force less that of the change of velocity [m/s²]; None if either is not logged."""
+    if log.specific_force is None or log.lin_vel is None:
+        return None
+    force = Rotation.from_quat(log.attitude).apply(log.specific_force)[:, 2]
+    gained = log.lin_vel[-1, 2] - log.lin_vel[0, 2]
+    return float((np.trapz(force, log.time) - gained) / np.ptp(log.time))
+
+
+def _findings_on_sensors(log: FlightLog, vertical_force: float | None) -> list[Finding]:
+    notes = list[Finding]()
+    if vertical_force is not None and abs(vertical_force - STANDARD_GRAVITY) > ZERO_G_OFFSET:
+        notes.append(Finding("vertical_force_off", "", {"mean_m_s2": vertical_force, "offset_m_s2": ZERO_G_OFFSET}))
+    try:
+        return notes + findings_on_sensors_at_rest(log_at_equal_steps(without_bad_quaternions(log)))
+    except DataError:  # the checks of a log for a comparison report it
+        return notes
 
 
 def topic_summary(topic: Topic) -> TopicSummary:

@@ -104,6 +104,17 @@ def _reset_sentence(finding: Finding) -> str:
 
 LOGS: dict[str, Template] = {
     "flight_left_out": "Left out: {error}.",
+    "log_simulated": lambda f: (
+        f"The log is of a simulation, not of a vehicle in the air: {join_words(f.values['evidence'])}."
+    ),
+    "sensor_at_rest": (
+        "The {sensor} does not follow the motion that {other} shows: its gain is {gain:number4} ± {half_width:number} "
+        "instead of 1. It measures another body, or its topic repeats old values."
+    ),
+    "vertical_force_off": (
+        "The mean vertical specific force, less the change of velocity, is {mean_m_s2:number4} m/s². A sound accelerometer "
+        "reads 9.81 ± {offset_m_s2:number} m/s²: its scale, its axes or the attitude are wrong."
+    ),
     "topic_left_out": "Topic left out: {error}.",
     "topic_covers_part": "Topic {topic} is left out: it covers {covered_s:number} s of {log_s:number} s.",
     "stream_too_late": lambda f: f"{_stream_delay_text(f)}, more than is corrected, and is left out.",

@@ -4,6 +4,7 @@ The comparison is pure kinematics, without mass, thrust or drag. Its results con
 Letters: T rows.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,17 +69,42 @@ class ImuErrors:
 def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
     """Return the errors of gyro and accelerometer against attitude rate and gravity plus acceleration, in body axes."""
     rate = sample_rate(log)
-    notes = []
+    fits = [
+        fit_sensor_errors(one, measured, motion, level, rate) for one, _, measured, motion, level in _sensor_pairs(log)
+    ]
+    return [errors for errors in fits if errors is not None]
+
+
+def findings_on_sensors_at_rest(log: FlightLog) -> list[Finding]:
+    """Return findings on gyro and accelerometer whose gain on the motion of attitude and velocity may be 0, but not 1."""
+    notes, rate = list[Finding](), sample_rate(log)
+    for sensor, other, measured, motion, level in _sensor_pairs(log):
+        band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
+        inner, block = slice(num_edge_rows(rate, band), -num_edge_rows(rate, band)), max(1, round(BLOCK_S * rate))
+        slow, shown = (lowpass(values - level, rate, band)[inner] for values in (motion, measured))
+        slow, shown = slow - slow.mean(axis=0), shown - shown.mean(axis=0)
+        if len(slow) <= FEWEST_BLOCKS * block or np.sqrt(np.mean(np.sum(slow**2, axis=1))) < QUIET[sensor]:
+            continue
+        power = np.sum(slow**2)
+        gain = float(np.sum(shown * slow) / power)
+        sums = np.add.reduceat(np.sum((shown - gain * slow) * slow, axis=1), np.arange(0, len(slow), block))
+        half_width = float(student_quantile(0.975, sums.size - 1) * np.sqrt(np.sum(sums**2)) / power)
+        if abs(gain) <= half_width < abs(1.0 - gain):
+            values = {"sensor": sensor, "other": other, "gain": gain, "half_width": half_width}
+            notes.append(Finding("sensor_at_rest", "", values))
+    return notes
+
+
+def _sensor_pairs(log: FlightLog) -> Iterator[tuple[str, str, Array, Array, Array]]:
+    """Yield sensor, other sensor, values of the sensor, the motion that the other one shows, and the motion at hover."""
+    rate, turn = sample_rate(log), Rotation.from_quat(log.attitude)
     if log.ang_vel is not None:
-        turn = Rotation.from_quat(log.attitude)
         inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)  # central differences
-        turning = np.concatenate((inner[:1], inner, inner[-1:]))
-        notes.append(fit_sensor_errors("gyro", log.ang_vel, turning, np.zeros(3), rate))
+        yield "gyro", "attitude", log.ang_vel, np.concatenate((inner[:1], inner, inner[-1:])), np.zeros(3)
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
-        motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)
-        notes.append(fit_sensor_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
-    return [errors for errors in notes if errors is not None]
+        motion = turn.apply(change + AT_REST, inverse=True)
+        yield "accelerometer", "velocity", log.specific_force, motion, AT_REST
 
 
 def fit_sensor_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:

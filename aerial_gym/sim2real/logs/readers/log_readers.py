@@ -2,10 +2,12 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from aerial_gym.registry.log_formats import LOG_READERS, reader_names
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
 
 HEAD_BYTES = 4096  # Length of the beginning by which a reader recognises its format
@@ -56,4 +58,19 @@ def read_raw_log(path: Path) -> RawLog | None:
 
 @lru_cache(maxsize=1)
 def _read_once(format_name: str, path: str, *_version: int) -> RawLog:
-    return LOG_READERS.get(format_name).read(Path(path))
+    raw = LOG_READERS.get(format_name).read(Path(path))
+    return replace(raw, notes=(*raw.notes, *findings_on_simulation(raw)))
+
+
+def findings_on_simulation(raw: RawLog) -> list[Finding]:
+    """Return the finding that a log is of a simulation, with its evidence; empty if the log shows none.
+
+    Source: PX4 parameter reference, SYS_HITL; PX4's ``ver_hw`` and topics ``*_groundtruth``, which only simulators publish;
+    ArduPilot documentation, *SITL*: parameters SIM_* are of builds for simulation; Gazebo's topics of ROS.
+    """
+    evidence = [f"SYS_HITL = {raw.number('SYS_HITL', 0.0):g}"] if raw.number("SYS_HITL", 0.0) > 0.0 else []
+    evidence += [f"hardware {name}" for name in [raw.metadata.get("ver_hw", "")] if "SITL" in name]
+    evidence += [f"topic {one.name}" for one in raw.topics if "groundtruth" in one.name or "/gazebo/" in one.name][:1]
+    if raw.format == "dataflash":
+        evidence += [f"parameter {name}" for name in raw.parameters if name.startswith("SIM_")][:1]
+    return [Finding("log_simulated", "", {"evidence": evidence})] if evidence else []

@@ -50,6 +50,33 @@ def test_a_ulog_has_flights_with_native_rates(table: pd.DataFrame, tmp_path: Pat
     assert mapping["flights"][0]["streams"]["attitude"]["source"] == "vehicle_attitude[0]"
 
 
+@pytest.mark.parametrize(("name", "value"), [("SYS_HITL", 1.0), ("SYS_HITL", 0.0)])
+def test_a_log_of_a_simulation_is_named(name: str, value: float, table: pd.DataFrame, tmp_path: Path) -> None:
+    log = inspect_log(write_ulog(tmp_path / "a.ulg", topics(table), {name: value}))
+    assert [note.values["evidence"] for note in log.notes if note.code == "log_simulated"] == [["SYS_HITL = 1"]] * int(
+        value
+    )
+    assert log.flights[0].vertical_force == pytest.approx(9.81, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("columns", "sensor"), [(("omega_x", "omega_y", "omega_z"), "gyro"), (("acc_x", "acc_y"), "accelerometer")]
+)
+def test_a_sensor_at_rest_in_flight_is_named(columns, sensor, table: pd.DataFrame, tmp_path: Path) -> None:
+    """Noise without motion has gain 0 on the motion; the sound sensors of the same flight are not named."""
+    draw = np.random.default_rng(0)
+    rest = table.assign(**{name: 0.01 * draw.normal(size=len(table)) for name in columns})
+    if sensor == "accelerometer":
+        rest["acc_z"] = 9.81 + 0.01 * draw.normal(size=len(table))
+    log = inspect_log(write(rest, tmp_path / "a.csv"))
+    notes = [note for note in log.flights[0].notes if note.code == "sensor_at_rest"]
+    assert [note.values["sensor"] for note in notes] == [sensor]
+    assert abs(notes[0].values["gain"]) < 0.1
+    assert not inspect_log(write(table, tmp_path / "b.csv")).flights[0].notes
+    scaled = inspect_log(write(table.assign(acc_z=0.4 * table["acc_z"]), tmp_path / "c.csv")).flights[0]
+    assert [note.code for note in scaled.notes] == ["vertical_force_off"]
+
+
 def test_a_log_without_a_flight_still_lists_its_topics(table: pd.DataFrame, tmp_path: Path) -> None:
     results = {name: part for name, part in topics(table).items() if name == "battery_status"}
     log = inspect_log(write_ulog(tmp_path / "a.ulg", results))
