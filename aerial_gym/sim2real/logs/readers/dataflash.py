@@ -48,6 +48,9 @@ TIMES = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # Fields of the time and their units [
 INSTANCES = ("I", "Instance", "Inst", "C")  # Fields that number several sources of one message, if no unit marks them
 SMALLEST_DAMAGE = 256  # A log cut by power loss ends within a message, whose length is at most 255 bytes
 ARMED, DISARMED, LANDED_MAYBE, LANDED, FLYING = 10, 11, 17, 18, 28  # Codes of EV messages
+HIGHEST_BATTERY_V = (
+    110.0  # More than any pack, and less than the hundredths of a volt that copters before 3.4 log for any
+)
 RESETS = {"position": 60, "attitude": 62}  # Codes of EV messages, of height and of yaw
 MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))  # SERVOn_FUNCTION of motors 1 to 12
 LEFT, RIGHT = 73, 74  # SERVOn_FUNCTION of the two motors of a tail-sitter with elevons
@@ -327,8 +330,9 @@ def _batteries(log: RawLog) -> Iterator[LogChannel]:
     """Yield the voltages that are measured."""
     for name, field in (("BAT", "Volt"), ("CURR", "Volt"), ("MOTB", "BatVolt")):
         for topic in log.find_topics(name, field):
-            if np.median(topic.columns[field]) > LOWEST_BATTERY_V:
-                yield topic.channel("battery", topic.numbers(field))
+            middle = np.median(topic.columns[field])
+            if middle > LOWEST_BATTERY_V:
+                yield topic.channel("battery", topic.numbers(field, unit=0.01 if middle > HIGHEST_BATTERY_V else 1.0))
 
 
 def _flight_states(log: RawLog) -> Iterator[LogChannel]:

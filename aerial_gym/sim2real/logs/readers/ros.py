@@ -25,11 +25,13 @@ from aerial_gym.sim2real.logs.readers.ros_files import BAG, DATABASE, MCAP, Mess
 from aerial_gym.sim2real.logs.readers.ros_layout import decode_messages
 from aerial_gym.sim2real.logs.readers.ulog import UlogReader
 
+METADATA = "metadata.yaml"  # File of a ROS 2 bag that stands for its folder
 LONGEST_DEFINITION = 50_000  # Characters of a message definition; the longest of PX4 have 20,000
 LARGEST_MESSAGE = 65_536  # Mean size [B] from which a topic, such as images, is listed without its content
 SETPOINTS = re.compile(
     "setpoint|target|desired|reference|command|cmd|goal|_ref$", re.IGNORECASE
 )  # Topics that measure nothing
+NOT_GIVEN = -1.0  # First covariance of an orientation, rate or acceleration that an IMU does not measure, by REP 145
 WORLD = ("attitude", "position", "lin_vel")  # Quantities with world axes
 LEAST_POSE_HZ = 10.0  # Lowest rate of an attitude that resolves the turns of a vehicle, below 5 Hz
 ON_GROUND, IN_AIR = 1.0, 2.0  # ``landed_state`` of mavros_msgs/ExtendedState
@@ -81,7 +83,7 @@ class RosReader(LogReader):
             raise MissingDependencyError("reading bags of ROS needs rosbags: pip install 'aerial-gym[logs]'") from None
         standard = get_typestore(Stores.LATEST).fielddefs
         topics, notes, types = list[Topic](), list[Finding](), dict[str, str]()
-        for source in read_sources(path):
+        for source in read_sources(path.parent if path.name == METADATA and path.is_file() else path):
             columns: dict[str, Array] = {}
             if sum(map(len, source.messages)) < LARGEST_MESSAGE * len(source.messages):
                 columns, error = _decode_source(source, {**standard, **_own_types(source)})
@@ -181,7 +183,8 @@ def _message_times(columns: dict[str, Array], recorded: Array) -> Array:
 
 def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequence[str]) -> Iterator[LogChannel]:
     names = [f"{field}.{component}" if field else component for component in components]
-    if not set(names) <= topic.columns.keys():
+    is_absent = f"{field}_covariance[0]" in topic.columns and topic.columns[f"{field}_covariance[0]"][0] == NOT_GIVEN
+    if is_absent or not set(names) <= topic.columns.keys():
         return
     values = topic.numbers(*names)
     if field == "vector":  # only the name tells what a bare vector is

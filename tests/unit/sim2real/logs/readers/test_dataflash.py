@@ -147,6 +147,12 @@ def test_old_copters_have_other_names_of_outputs_and_planes_no_default() -> None
     assert not [*DataflashReader().channels(bare_log({}, outputs("Ch"), firmware="ArduPlane V3.8"))]
 
 
+@pytest.mark.parametrize(("logged", "volts"), [(1110.0, 11.1), (50.4, 50.4)])
+def test_old_copters_log_hundredths_of_a_volt(logged, volts) -> None:
+    topic = Topic(name="CURR", time=np.arange(3.0), columns={"Volt": np.full(3, logged)})
+    np.testing.assert_allclose(channel(bare_log({}, topic), "battery").values, volts)
+
+
 def test_resets_of_the_estimator_are_at_the_first_sample_after_their_event(tmp_path) -> None:
     """ATT and XKF1 come every 20 ms from 2 s on."""
     log = read(tmp_path, files.log()[0] + files.message("EV", 3_001_000, 62) + files.message("EV", 4_000_000, 60))

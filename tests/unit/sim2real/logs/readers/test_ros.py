@@ -32,7 +32,7 @@ channel = partial(first_channel, reader=RosReader())
 @pytest.mark.parametrize(
     "kind",
     [
-        *("ros1", "ros1 bz2", "ros1 lz4", "ros1 nodes", "db3", "mcap", "db3 alone", "mcap alone"),
+        *("ros1", "ros1 bz2", "ros1 lz4", "ros1 nodes", "db3", "mcap", "db3 alone", "mcap alone", "db3 yaml"),
         *("db3 file", "mcap file", "db3 message", "mcap message"),
     ],
 )
@@ -46,6 +46,8 @@ def test_every_storage_gives_the_same_quantities(tmp_path, kind) -> None:
     else:
         packed = rest.upper() if rest in ("file", "message") else None
         numbers = ros_bags.write_folder(path, "SQLITE3" if storage == "db3" else "MCAP", packed=packed)
+    if rest == "yaml":
+        path /= "metadata.yaml"
     if rest == "alone":
         (path,) = path.glob(f"*.{storage}")
     log = read(path)
@@ -110,6 +112,17 @@ def test_a_type_without_definition_is_named(tmp_path) -> None:
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("UPDATE topics SET type = 'px4_msgs/msg/VehicleAttitude'")
     assert all("px4_msgs/msg/VehicleAttitude" in note.values["error"] for note in read(path).notes)
+
+
+def test_an_orientation_that_an_imu_does_not_give_is_none() -> None:
+    """Its covariance begins with -1, and the orientation may be any, such as level."""
+    columns = {f"orientation.{axis}": np.full(3, float(axis == "w")) for axis in "xyzw"}
+    columns |= {"orientation_covariance[0]": np.full(3, -1.0)} | {
+        f"angular_velocity.{axis}": np.ones(3) for axis in "xyz"
+    }
+    topic = Topic(name="/imu", time=np.arange(3.0), columns=columns)
+    log = RawLog(path="a", format="ros", topics=(topic,), metadata={"/imu[0]": ros_bags.IMU})
+    assert [one.quantity for one in RosReader().channels(log)] == ["ang_vel"]
 
 
 @pytest.mark.parametrize(("rate", "used"), [(20.0, "/odom[0]"), (2.0, "/imu[0]")])
