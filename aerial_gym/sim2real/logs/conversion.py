@@ -80,8 +80,13 @@ def _write_flight(log: FlightLog, out: Path) -> Path:
     return path
 
 
-def _file_name(topic: Topic) -> str:
-    return f"{re.sub(r'[^A-Za-z0-9_-]+', '_', topic.name).strip('_')}.{topic.instance}"
+def _files_of_topics(raw: RawLog) -> dict[str, Topic]:
+    """Return the topics by file name; a number tells apart those whose names differ only in signs that a file has not."""
+    files: dict[str, Topic] = {}
+    for topic in raw.topics:
+        name = f"{re.sub(r'[^A-Za-z0-9_-]+', '_', topic.name).strip('_')}.{topic.instance}"
+        files[name if name not in files else f"{name}.{len(files)}"] = topic
+    return files
 
 
 def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
@@ -89,15 +94,16 @@ def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
     import pyarrow
     from pyarrow import parquet
 
-    files = []
-    for topic in raw.topics:
-        table = {"time": topic.time} | {name: np.ascontiguousarray(values) for name, values in topic.columns.items()}
-        files.append(out / f"{_file_name(topic)}.parquet")
+    files, topics = list[Path](), _files_of_topics(raw)
+    for file, topic in topics.items():
+        columns = {{"time": "time_logged"}.get(name, name): values for name, values in topic.columns.items()}
+        table = {"time": topic.time} | {name: np.ascontiguousarray(values) for name, values in columns.items()}
+        files.append(out / f"{file}.parquet")
         parquet.write_table(pyarrow.table(table), files[-1])
-    topics = {
-        _file_name(one): {"name": one.name, "instance": one.instance, "units": dict(one.units)} for one in raw.topics
+    entries = {
+        file: {"name": one.name, "instance": one.instance, "units": dict(one.units)} for file, one in topics.items()
     }
-    head = {**select_fields(raw, "path", "format", "metadata"), "topics": topics}
+    head = {**select_fields(raw, "path", "format", "metadata"), "topics": entries}
     content = head | {"parameters": _finite_numbers(raw.parameters), **select_fields(raw, "messages")}
     write_json(out / "metadata.json", content)
     return [*files, out / "metadata.json"]

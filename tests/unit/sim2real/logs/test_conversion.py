@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.conversion import convert_log
+from aerial_gym.sim2real.logs.conversion import _write_parquet, convert_log
+from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.recording import FlightLog, row_arrays
 from tests.unit.sim2real.flat_flights import flight
@@ -78,6 +79,18 @@ def test_parquet_holds_every_column_with_its_type(table: pd.DataFrame, tmp_path:
     content = json.loads(meta.read_text())
     assert content["parameters"] == {"A": 1.5, "B": "nan"}
     assert content["topics"]["esc_status.0"]["name"] == "esc_status"
+
+
+def test_parquet_loses_no_topic_and_no_column_to_another_of_its_name(tmp_path: Path) -> None:
+    """``/a/b`` and ``/a_b`` have one file name without signs, and a blackbox has a column ``time``."""
+    parquet = pytest.importorskip("pyarrow.parquet", exc_type=ImportError)
+    seconds = np.arange(3.0)
+    topics = tuple(Topic(name=name, time=seconds, columns={"time": 1e6 * seconds}) for name in ("/a/b", "/a_b"))
+    files = _write_parquet(RawLog(path="a", format="ros", topics=topics), tmp_path)
+    assert len(set(files)) == 3
+    table = parquet.read_table(files[1]).to_pydict()
+    np.testing.assert_array_equal(table["time"], seconds)
+    np.testing.assert_array_equal(table["time_logged"], 1e6 * seconds)
 
 
 def test_mcap_holds_every_sample(table: pd.DataFrame, tmp_path: Path) -> None:
