@@ -22,40 +22,42 @@ LEAST_SHARE = 1e-3  # Share of the largest distance below which distances are no
 TINY = 1e-6  # A distance [m] below which there is no direction
 
 
-@OBSERVATIONS.term(width=3)
-def position_error_world(target_position: Tensor, robot_position: Tensor) -> Tensor:
-    """Return target minus position [m], world, (E, 3)."""
-    return target_position - robot_position
+def _same(tensor: Tensor) -> Tensor:
+    return tensor
+
+
+def _difference(first: Tensor, second: Tensor) -> Tensor:
+    return first - second
+
+
+for _name, _width, _inputs, _text in (
+    ("attitude", 4, ("robot_orientation",), "attitude, body to world, xyzw, (E, 4)"),
+    ("lin_vel_world", 3, ("robot_linvel",), "velocity [m/s], world, (E, 3)"),
+    ("lin_vel_body", 3, ("robot_body_linvel",), "velocity [m/s], body, (E, 3)"),
+    ("ang_vel_body", 3, ("robot_body_angvel",), "angular velocity [rad/s], body, (E, 3)"),
+    ("last_action", ACTION, ("robot_actions",), "last command that the controller took, (E, U)"),
+    (LATENTS, None, (LATENTS,), "latents of the first sensor's image by the task's encoder, (E, L)"),
+    ("position_error_world", 3, ("target_position", "robot_position"),
+     "offset of the target from the robot [m], world, (E, 3)"),
+    ("velocity_error_world", 3, ("target_velocity", "robot_linvel"),
+     "velocity of the target relative to the robot [m/s], world, (E, 3)"),
+    ("following_gate_world", 3, ("following_position", "robot_position"),
+     "centre of the gate after the next one minus position [m], world, (E, 3)"),
+    ("load_offset_world", 3, ("load_position", "robot_position"),
+     "load's position relative to the body origin [m], world, (E, 3)"),
+    ("load_vel_world", 3, ("load_linvel", "robot_linvel"),
+     "velocity of the load relative to the body origin [m/s], world, (E, 3)"),
+):  # fmt: skip
+    _value = _same if len(_inputs) == 1 else _difference
+    OBSERVATIONS.register(
+        _name, Term(name=_name, value=_value, width=_width, inputs=_inputs, text=f"Return the {_text}.")
+    )
 
 
 @OBSERVATIONS.term(width=3)
 def position_error_body(target_position: Tensor, robot_position: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return target minus position [m], body, (E, 3)."""
     return quat_rotate_inverse(robot_orientation, target_position - robot_position)
-
-
-@OBSERVATIONS.term(width=3)
-def velocity_error_world(target_velocity: Tensor, robot_linvel: Tensor) -> Tensor:
-    """Return velocity of the target minus velocity [m/s], world, (E, 3)."""
-    return target_velocity - robot_linvel
-
-
-@OBSERVATIONS.term(width=3)
-def following_gate_world(following_position: Tensor, robot_position: Tensor) -> Tensor:
-    """Return the centre of the gate after the next one minus position [m], world, (E, 3)."""
-    return following_position - robot_position
-
-
-@OBSERVATIONS.term(width=3)
-def load_offset_world(load_position: Tensor, robot_position: Tensor) -> Tensor:
-    """Return the load's position relative to the body origin [m], world, (E, 3)."""
-    return load_position - robot_position
-
-
-@OBSERVATIONS.term(width=3)
-def load_vel_world(load_linvel: Tensor, robot_linvel: Tensor) -> Tensor:
-    """Return the velocity of the load relative to the body origin [m/s], world, (E, 3)."""
-    return load_linvel - robot_linvel
 
 
 @OBSERVATIONS.term(width=3)
@@ -69,12 +71,6 @@ def direction_vehicle(target_position: Tensor, robot_position: Tensor, robot_ori
 def distance(target_position: Tensor, robot_position: Tensor) -> Tensor:
     """Return the distance to the target [m], (E, 1)."""
     return (target_position - robot_position).norm(dim=-1, keepdim=True)
-
-
-@OBSERVATIONS.term(width=4)
-def attitude(robot_orientation: Tensor) -> Tensor:
-    """Return the attitude, body to world, xyzw, (E, 4)."""
-    return robot_orientation
 
 
 @OBSERVATIONS.term(width=6)
@@ -99,34 +95,10 @@ def roll_pitch(robot_orientation: Tensor) -> Tensor:
     return euler_from_quat(robot_orientation)[:, :2]
 
 
-@OBSERVATIONS.term(width=3)
-def lin_vel_world(robot_linvel: Tensor) -> Tensor:
-    """Return the velocity [m/s], world, (E, 3)."""
-    return robot_linvel
-
-
-@OBSERVATIONS.term(width=3)
-def lin_vel_body(robot_body_linvel: Tensor) -> Tensor:
-    """Return the velocity [m/s], body, (E, 3)."""
-    return robot_body_linvel
-
-
-@OBSERVATIONS.term(width=3)
-def ang_vel_body(robot_body_angvel: Tensor) -> Tensor:
-    """Return the angular velocity [rad/s], body, (E, 3)."""
-    return robot_body_angvel
-
-
 @OBSERVATIONS.term(width=1)
 def zero(robot_position: Tensor) -> Tensor:
     """Return the constant 0, (E, 1)."""
     return torch.zeros_like(robot_position[:, :1])
-
-
-@OBSERVATIONS.term(width=ACTION)
-def last_action(robot_actions: Tensor) -> Tensor:
-    """Return the last command that the controller took, (E, U)."""
-    return robot_actions
 
 
 @OBSERVATIONS.term("nearest_in_cells", named={"cells": CELLS})
@@ -146,12 +118,6 @@ def log_nearest_in_cells(cells: Tensor, *, rows: int = 8, columns: int = 8) -> T
 def inverse_nearest(cells: Tensor, largest_distance: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
     """Return the inverse of the smallest distance in each of some cells [1/m], (E, rows columns)."""
     return 1.0 / (cells.clamp_min(LEAST_SHARE) * largest_distance)
-
-
-@OBSERVATIONS.term()
-def image_latents(image_latents: Tensor) -> Tensor:
-    """Return the latents of the first sensor's image by the task's encoder, (E, L)."""
-    return image_latents
 
 
 @OBSERVATIONS.term()
@@ -236,13 +202,4 @@ def tensor_term(name: str) -> Term:
         entries = tensor.reshape(tensor.shape[0], -1)
         return entries if entries.dtype == torch.float64 else entries.float()
 
-    return TensorTerm(name=name, value=value)
-
-
-class TensorTerm(Term):
-    """Term that observes one tensor by name."""
-
-    @property
-    def reads(self) -> tuple[str, ...]:
-        """Return the name."""
-        return (self.name,)
+    return Term(name=name, value=value, inputs=(name,))

@@ -5,6 +5,8 @@ one; a penalty is one of these less its height.
 Letters: E environments, U entries of a command.
 """
 
+from collections.abc import Callable, Sequence
+from inspect import Parameter, Signature, signature
 from math import inf
 
 import torch
@@ -13,9 +15,10 @@ from torch import Tensor
 from aerial_gym.control.laws import LAWS
 from aerial_gym.math.quaternion import yaw_from_quat
 from aerial_gym.task.terms.gate_path import gate_path_length
-from aerial_gym.task.terms.term import TermRegistry
+from aerial_gym.task.terms.term import Term, TermRegistry
 
 REWARDS = TermRegistry("reward term")  # Terms by the name that a task configuration uses
+Quantity = Callable[..., Tensor]  # Function of tensors whose names are those of its arguments
 VELOCITY = LAWS["velocity"].action  # Command: forward, left and upward velocity, and yaw rate
 
 
@@ -43,22 +46,71 @@ def _point_distance(a: Tensor, b: Tensor) -> Tensor:
     return (a - b).norm(dim=-1)
 
 
+def _nose_error(attitude: Tensor) -> Tensor:
+    """Return 1 minus the world x component of body x, (E,)."""
+    _, y, z, _ = attitude.unbind(-1)
+    return 2.0 * (y * y + z * z)
+
+
+def _make_reward(shape: Callable[[Tensor, float, float], Tensor], quantity: Quantity) -> Quantity:
+    """Return the term ``shape(x, height, width)`` of a quantity x, (E,), or its sum over the entries of x, (E, W)."""
+
+    def reward(*inputs: Tensor, height: float, width: float) -> Tensor:
+        value = shape(quantity(*inputs), height, width)
+        return value if value.ndim == 1 else value.sum(dim=-1)
+
+    numbers = [Parameter(number, Parameter.KEYWORD_ONLY) for number in ("height", "width")]
+    reward.__signature__ = Signature([*signature(quantity).parameters.values(), *numbers])  # type: ignore[attr-defined]
+    return reward
+
+
+def _register_rewards(
+    shape: Callable[[Tensor, float, float], Tensor], formula: str, rows: Sequence[tuple[str, Quantity, str]]
+) -> None:
+    """Register rewards of a shape by name, quantity, and the letter of the quantity in the formula with its meaning."""
+    for name, quantity, text in rows:
+        letter, _, meaning = text.partition(": ")
+        line = f"Return {formula.format(letter)}, {meaning}, (E,)."
+        REWARDS.register(name, Term(name=name, value=_make_reward(shape, quantity), text=line))
+
+
+_register_rewards(bell, "``height exp(-width {}²)``", (
+    ("distance_bell", lambda target_position, robot_position: _point_distance(target_position, robot_position),
+     "d: d the distance to the target [m]"),
+    ("velocity_error_bell", lambda target_velocity, robot_linvel: _point_distance(target_velocity, robot_linvel),
+     "e: e the difference between the target's velocity and the robot's [m/s]"),
+    ("tilt_bell", lambda robot_orientation: 1.0 - body_up_component(robot_orientation),
+     "t: with t = 1 - R33, which is 0 for an upright body"),
+    ("nose_along_x_bell", lambda robot_orientation: _nose_error(robot_orientation),
+     "t: with t = 1 - R11, which is 0 where body x is along world x"),
+    ("calm", lambda robot_body_angvel: robot_body_angvel.norm(dim=-1), "w: w the size of the angular velocity [rad/s]"),
+    ("yaw_rate_bell", lambda robot_body_angvel: robot_body_angvel[:, 2], "w_z: w_z the rate about body z [rad/s]"),
+    ("slow", lambda robot_linvel: robot_linvel.norm(dim=-1), "v: v the speed [m/s]"),
+    ("load_distance_bell", lambda load_target, load_position: _point_distance(load_target, load_position),
+     "d: d the distance of the load to its target [m]"),
+    ("load_slow", lambda load_linvel: load_linvel.norm(dim=-1), "v: v the speed of the load [m/s]"),
+))  # fmt: skip
+_register_rewards(bell, "the sum of ``height exp(-width {}²)``", (
+    ("velocity_bells", lambda robot_linvel: robot_linvel, "v: v the velocity along each axis [m/s], world"),
+    ("rates_bells", lambda robot_body_angvel: robot_body_angvel, "w: w the angular velocity about each axis [rad/s], body"),
+    ("roll_pitch_bells", lambda robot_euler_angles: robot_euler_angles[:, :2], "angle: of roll and pitch [rad]"),
+))  # fmt: skip
+_register_rewards(cusp, "``height exp(-width |{}|)``", (
+    ("distance_cusp", lambda target_position, robot_position: _point_distance(target_position, robot_position),
+     "d: d the distance to the target [m]"),
+    ("yaw_cusp", lambda robot_orientation: yaw_from_quat(robot_orientation), "yaw: yaw from -pi to pi [rad]"),
+))  # fmt: skip
+_register_rewards(dip, "the sum of ``height (exp(-width {}²) - 1)``", (
+    ("joint_rates_size", lambda dof_velocity: dof_velocity, "q': q' the rate of each joint [rad/s]"),
+    ("all_actions_change", lambda robot_actions, robot_prev_actions: robot_actions - robot_prev_actions,
+     "du: du the change of each entry of the command since the last step"),
+))  # fmt: skip
+
+
 @REWARDS.term()
 def constant(robot_position: Tensor, *, value: float = 1.0) -> Tensor:
     """Return a constant reward per step, (E,), for staying alive."""
     return torch.full_like(robot_position[:, 0], value)
-
-
-@REWARDS.term()
-def distance_bell(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width d²)``, d the distance to the target [m], (E,)."""
-    return bell(_point_distance(target_position, robot_position), height, width)
-
-
-@REWARDS.term()
-def distance_cusp(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width d)``, d the distance to the target [m], (E,)."""
-    return cusp(_point_distance(target_position, robot_position), height, width)
 
 
 @REWARDS.term()
@@ -97,12 +149,6 @@ def progress(
 
 
 @REWARDS.term()
-def velocity_error_bell(target_velocity: Tensor, robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width e²)``, e the difference between the target's velocity and the robot's [m/s], (E,)."""
-    return bell(_point_distance(target_velocity, robot_linvel), height, width)
-
-
-@REWARDS.term()
 def velocity_error_cost(target_velocity: Tensor, robot_linvel: Tensor, *, weight: float) -> Tensor:
     """Return ``-weight e²``, e the difference between the target's velocity and the robot's [m/s], (E,)."""
     error = target_velocity - robot_linvel
@@ -129,82 +175,9 @@ def upright(robot_orientation: Tensor, *, height: float, offset: float) -> Tenso
 
 
 @REWARDS.term()
-def tilt_bell(robot_orientation: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width t²)`` with t = 1 - R33, which is 0 for an upright body, (E,)."""
-    return bell(1.0 - body_up_component(robot_orientation), height, width)
-
-
-@REWARDS.term()
-def nose_along_x_bell(robot_orientation: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width t²)`` with t = 1 - R11, which is 0 where body x is along world x, (E,)."""
-    _, y, z, _ = robot_orientation.unbind(-1)
-    return bell(2.0 * (y * y + z * z), height, width)
-
-
-@REWARDS.term()
-def yaw_cusp(robot_orientation: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width |yaw|)``, yaw from -pi to pi [rad], (E,)."""
-    return cusp(yaw_from_quat(robot_orientation), height, width)
-
-
-@REWARDS.term()
-def velocity_bells(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return the sum over axes of ``height exp(-width v²)``, v the velocity [m/s], world, (E,)."""
-    return bell(robot_linvel, height, width).sum(dim=-1)
-
-
-@REWARDS.term()
-def rates_bells(robot_body_angvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return the sum over axes of ``height exp(-width w²)``, w the angular velocity [rad/s], body, (E,)."""
-    return bell(robot_body_angvel, height, width).sum(dim=-1)
-
-
-@REWARDS.term()
 def still(robot_body_angvel: Tensor, *, height: float) -> Tensor:
     """Return ``height / (1 + |w|²)``, w the angular velocity [rad/s], (E,)."""
     return height / (1.0 + (robot_body_angvel * robot_body_angvel).sum(-1))
-
-
-@REWARDS.term()
-def calm(robot_body_angvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width w²)``, w the size of the angular velocity [rad/s], (E,)."""
-    return bell(robot_body_angvel.norm(dim=-1), height, width)
-
-
-@REWARDS.term()
-def yaw_rate_bell(robot_body_angvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width w_z²)``, w_z the rate about body z [rad/s], (E,)."""
-    return bell(robot_body_angvel[:, 2], height, width)
-
-
-@REWARDS.term()
-def roll_pitch_bells(robot_euler_angles: Tensor, *, height: float, width: float) -> Tensor:
-    """Return the sum over roll and pitch [rad] of ``height exp(-width angle²)``, (E,)."""
-    return bell(robot_euler_angles[:, :2], height, width).sum(dim=-1)
-
-
-@REWARDS.term()
-def joint_rates_size(dof_velocity: Tensor, *, height: float, width: float) -> Tensor:
-    """Return the sum over joints of ``height (exp(-width q'²) - 1)``, q' the rate of a joint [rad/s], (E,)."""
-    return dip(dof_velocity, height, width).sum(dim=-1)
-
-
-@REWARDS.term()
-def slow(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width v²)``, v the speed [m/s], (E,)."""
-    return bell(robot_linvel.norm(dim=-1), height, width)
-
-
-@REWARDS.term()
-def load_distance_bell(load_target: Tensor, load_position: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width d²)``, d the distance of the load to its target [m], (E,)."""
-    return bell(_point_distance(load_target, load_position), height, width)
-
-
-@REWARDS.term()
-def load_slow(load_linvel: Tensor, *, height: float, width: float) -> Tensor:
-    """Return ``height exp(-width v²)``, v the speed of the load [m/s], (E,)."""
-    return bell(load_linvel.norm(dim=-1), height, width)
 
 
 @REWARDS.term()
@@ -231,12 +204,6 @@ def all_actions_size(robot_actions: Tensor, *, offset: float, height: float, wid
 def all_actions_square(robot_actions: Tensor, *, offset: float, weight: float) -> Tensor:
     """Return the sum over entries of ``weight (u - offset)²``, u an entry of the command, (E,)."""
     return weight * (robot_actions - offset).square().sum(dim=-1)
-
-
-@REWARDS.term()
-def all_actions_change(robot_actions: Tensor, robot_prev_actions: Tensor, *, height: float, width: float) -> Tensor:
-    """Return the sum over entries of ``height (exp(-width du²) - 1)``, du its change since the last step, (E,)."""
-    return dip(robot_actions - robot_prev_actions, height, width).sum(dim=-1)
 
 
 @REWARDS.term()

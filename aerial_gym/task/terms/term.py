@@ -30,19 +30,22 @@ class Term:
     width: int | None = None  # Number of entries per environment, ``ACTION``, or None if only a call determines it
     command: tuple[str, ...] | None = None  # Required controller command (``Law.action``); None fits all
 
+    inputs: tuple[str, ...] | None = None  # Names of its input tensors; those of the arguments if not given
+    text: str = ""  # One line about it; that of the function's docstring if not given
     named: Mapping[str, str] = field(default_factory=dict)
     """Names of tensors that follow from its numbers, by the argument: ``"nearest_in_{rows}x{columns}_cells"``."""
 
     @property
     def reads(self) -> tuple[str, ...]:
         """Names of the input tensors, with the names of ``named`` where given."""
-        names = (name for name, each in _signature_parameters(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
+        parameters = _signature_parameters(self.value)
+        names = self.inputs or (name for name, each in parameters if each.kind is not Parameter.KEYWORD_ONLY)
         return tuple(self.named.get(name, name) for name in names)
 
     @property
     def summary(self) -> str:
         """One line about it."""
-        return (self.value.__doc__ or "").partition("\n")[0]
+        return self.text or (self.value.__doc__ or "").partition("\n")[0]
 
 
 @dataclass(frozen=True, kw_only=True)

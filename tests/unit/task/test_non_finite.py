@@ -80,7 +80,7 @@ def test_a_bad_reward_or_observation_ends_its_row(monkeypatch, caplog) -> None:
         worth = reward.value(target_position, robot_position, height=height, width=width)
         return torch.where((robot_position[:, 2] > 1.0) & (robot_position[:, 2] < 7.0), nan, worth)
 
-    def break_rows(robot_position):
+    def break_rows(target_position, robot_position):
         return torch.where(robot_position[:, 2:] > 1.0, inf, robot_position)
 
     for label, registry, entry in (
@@ -147,7 +147,7 @@ def test_terms_that_return_another_shape_are_refused(monkeypatch: pytest.MonkeyP
     def replace_reward(change: Callable[[Tensor], object]) -> object:
         return replace(reward, value=lambda robot_position, *, height, width: change(robot_position * height * width))
 
-    wide = replace(term, value=lambda robot_position: torch.cat((robot_position, robot_position), dim=-1))
+    wide = replace(term, value=lambda a, b: torch.cat((a, b), dim=-1))
     column = r"reward 'near' \(distance_bell\): returns \(4, 1\) .*\(E,\) = \(4,\)"
     whole = r"returns \(4,\) torch.int32, needs .* floating point"
     for registry, entry, message in (
