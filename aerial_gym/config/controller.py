@@ -5,9 +5,14 @@ from dataclasses import dataclass
 from math import pi
 from typing import ClassVar, Literal
 
-from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
-from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.config.autopilots import (
+    BetaflightCfg,
+    BrescianiniCfg,
+    CrazyflieLeeCfg,
+    CrazyfliePidCfg,
+    MellingerCfg,
+    Px4Cfg,
+)
 from aerial_gym.config.checks import Vec3, require, require_choice, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 

@@ -5,9 +5,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, family_files, load
-from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
-from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.config.autopilots import (
+    BetaflightCfg,
+    BrescianiniCfg,
+    CrazyflieLeeCfg,
+    CrazyfliePidCfg,
+    MellingerCfg,
+    Px4Cfg,
+)
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.registry import Registry

@@ -18,54 +18,27 @@ from aerial_gym.control.lee import (
 from aerial_gym.physics.state import BodyState
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Law:
     """A geometric law and the meaning of its action."""
 
-    wrench: Callable[[BodyState, Tensor, LeeGains], Tensor]
-    """State, action (E, 4) and gains to the wanted wrench (E, 6), body."""
-
+    wrench: Callable[[BodyState, Tensor, LeeGains], Tensor]  # State, action and gains to the wanted wrench (E, 6), body
     action: tuple[str, ...]  # Meaning and unit of each entry of the action
-    lateral: bool = False  # Whether it commands lateral force, which needs rotors in more than one direction
     trim: str  # Axes of ``control.stability`` that the law controls
+    lateral: bool = False  # Whether it commands lateral force, which needs rotors in more than one direction
 
+
+_PLACE, _VELOCITY, _RATE = ("x [m]", "y [m]", "z [m]"), ("vx [m/s]", "vy [m/s]", "vz [m/s]"), "yaw rate [rad/s]"
+_QUATERNION, _ALL = ("q_x [-]", "q_y [-]", "q_z [-]", "q_w [-]"), "x y z roll pitch yaw vx vy vz p q r"
+_THRUST = "thrust - 1 [weights]"
 
 LAWS: dict[str, Law] = {
-    "position": Law(
-        wrench=position_control,
-        action=("x [m]", "y [m]", "z [m]", "yaw [rad]"),
-        trim="x y z roll pitch yaw vx vy vz p q r",
-    ),
-    "pose": Law(
-        wrench=pose_control,
-        action=("x [m]", "y [m]", "z [m]", "q_x [-]", "q_y [-]", "q_z [-]", "q_w [-]"),
-        lateral=True,
-        trim="x y z roll pitch yaw vx vy vz p q r",
-    ),
-    "steering": Law(
-        wrench=steering_control,
-        action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw [rad]"),
-        trim="roll pitch yaw vx vy vz p q r",
-    ),
-    "velocity": Law(
-        wrench=velocity_control,
-        action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]"),
-        trim="roll pitch vx vy vz p q r",
-    ),
-    "acceleration": Law(
-        wrench=acceleration_control,
-        action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]"),
-        trim="roll pitch p q r",
-    ),
-    "attitude": Law(
-        wrench=attitude_control,
-        action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]"),
-        trim="roll pitch p q r",
-    ),
-    "rates": Law(
-        wrench=rates_control,
-        action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]"),
-        trim="p q r",
-    ),
+    "position": Law(position_control, (*_PLACE, "yaw [rad]"), _ALL),
+    "pose": Law(pose_control, (*_PLACE, *_QUATERNION), _ALL, lateral=True),
+    "steering": Law(steering_control, (*_VELOCITY, "yaw [rad]"), "roll pitch yaw vx vy vz p q r"),
+    "velocity": Law(velocity_control, (*_VELOCITY, _RATE), "roll pitch vx vy vz p q r"),
+    "acceleration": Law(acceleration_control, ("ax [m/s²]", "ay [m/s²]", "az [m/s²]", _RATE), "roll pitch p q r"),
+    "attitude": Law(attitude_control, (_THRUST, "roll [rad]", "pitch [rad]", _RATE), "roll pitch p q r"),
+    "rates": Law(rates_control, (_THRUST, "p [rad/s]", "q [rad/s]", "r [rad/s]"), "p q r"),
 }
 """The geometric laws. ``thrust`` and ``rotor_speed`` pass the action to the rotors instead."""

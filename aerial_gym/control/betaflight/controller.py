@@ -17,7 +17,7 @@ from math import radians
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.betaflight import BetaflightCfg
+from aerial_gym.config.autopilots import BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight.parameters import derive_parameters, make_filters, require_betaflight_vehicle

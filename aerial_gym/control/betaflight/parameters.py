@@ -9,7 +9,7 @@ from math import radians
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.betaflight import SCALES, YAW_INTEGRAL, BetaflightCfg
+from aerial_gym.config.autopilots import SCALES, YAW_INTEGRAL, BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix

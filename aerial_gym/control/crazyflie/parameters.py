@@ -13,7 +13,7 @@ from math import degrees, tan
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie.brescianini import BrescianiniGains

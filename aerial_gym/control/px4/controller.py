@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.config.autopilots import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import apply_filter

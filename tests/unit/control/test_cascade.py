@@ -7,9 +7,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.betaflight import BetaflightCfg
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
-from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.config.autopilots import (
+    BetaflightCfg,
+    BrescianiniCfg,
+    CrazyflieLeeCfg,
+    CrazyfliePidCfg,
+    MellingerCfg,
+    Px4Cfg,
+)
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.cascade import CascadeController

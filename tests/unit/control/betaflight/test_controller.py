@@ -7,7 +7,7 @@ from math import cos, pi, radians, sqrt
 import pytest
 import torch
 
-from aerial_gym.config.autopilots.betaflight import SCALES, BetaflightCfg
+from aerial_gym.config.autopilots import SCALES, BetaflightCfg
 from aerial_gym.config.controller import RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller

@@ -8,7 +8,7 @@ from math import acos
 import pytest
 import torch
 
-from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
+from aerial_gym.config.autopilots import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.crazyflie import brescianini

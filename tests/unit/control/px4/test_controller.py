@@ -10,7 +10,7 @@ import torch
 from scipy.optimize import brentq
 
 from aerial_gym import EFFECTS, ROBOTS
-from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.config.autopilots import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.loader import build
 from aerial_gym.config.robot import RobotCfg

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.config.autopilots.px4 import Px4Cfg
+from aerial_gym.config.autopilots import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.px4.mixer import MixerOutput, mix
 from aerial_gym.errors import ConfigError

@@ -1,1 +1,0 @@
-"""Parameters of real autopilots, by the names that these give them."""
