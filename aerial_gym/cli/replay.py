@@ -13,7 +13,10 @@ from aerial_gym.config.console import json_line
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayCmd:
-    """Compare a robot as declared with measured flights: residuals and open-loop rollouts."""
+    """Compare a robot as declared with measured flights: residuals and open-loop rollouts.
+
+    Unusable logs are named and left out; the exit status is then 1.
+    """
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]  # Flight logs
@@ -42,7 +45,7 @@ class ReplayCmd:
             )  # fmt: skip
         if self.json:
             print(json_line(result.as_mapping()))
-            return 0
+            return int(bool(result.left_out))
         console = Console(markup=False)
         rows = [[str(row[key]) for key in ("name", "before", "floor")] for row in channel_rows(result.evaluation, None)]
         head = ("channel", "residual", "noise floor")
@@ -55,4 +58,4 @@ class ReplayCmd:
         if (more := len(result.notes) - SHOWN_NOTES) > 0:
             place = "in the report" if self.out else "with --json, or in the report of --out"
             console.print(f"{more} more notes {place}")
-        return 0
+        return int(bool(result.left_out))

@@ -1,7 +1,7 @@
 """Replay of flights with a declared model, without any fit: residuals, rollouts and a page with figures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from aerial_gym.config.robot import RobotCfg
@@ -43,12 +43,14 @@ class Replay:
     params: ModelParams
     bandwidth: float
     evaluation: ModelEvaluation
+    left_out: tuple[Finding, ...] = ()  # One finding for each unusable log
 
     @property
     def notes(self) -> list[Finding]:
-        """Findings on the vehicle, the logs and missing rollouts."""
+        """Findings on logs left out, the vehicle, the logs and missing rollouts."""
         missing = reason_against_rollouts(self.flights)
         return [
+            *self.left_out,
             *findings_on_rigid_joints(self.robot),
             *merge_findings_of_flights(self.flights),
             *([] if missing is None else [missing]),
@@ -58,6 +60,7 @@ class Replay:
         """Return the results for JSON."""
         return {
             "flights": [flight.path for flight in self.flights],
+            "left_out": [text(note) for note in self.left_out],
             "bandwidth_hz": self.bandwidth,
             "replay": self.evaluation.as_mapping(),
             "notes": [text(note) for note in self.notes],
@@ -74,7 +77,7 @@ def replay(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Replay:
-    """Return the prediction errors of a declared robot on flights.
+    """Return the prediction errors of a declared robot on flights; unusable logs become findings.
 
     With ``out_dir``, write replay.json, report.html, residuals.csv and profiles.csv there.
 
@@ -88,7 +91,7 @@ def replay(
         progress: Called with each stage and the completed share.
 
     Raises:
-        DataError: If a log is unusable.
+        DataError: If no log is usable.
         ConfigError, UnknownNameError: If robot or mapping is invalid or unknown.
     """
     if not flights:
@@ -102,9 +105,14 @@ def replay(
     layout = None if mapping is None else find_mapping(mapping)
     with one_thread():
         digests = file_digests(flights)
-        results = load_flights(flights, declared, mapping=layout, bandwidth=bandwidth)
+        refused = list[DataError]()
+        results = load_flights(flights, declared, mapping=layout, bandwidth=bandwidth, refused=refused)
+        if not results:
+            raise refused[0]
         progress("predicting every row, rolling out every window", 0.3)
         result = replay_flights(declared, results, bandwidth=bandwidth, seed=seed)
+        left_out = tuple(Finding("flight_left_out", "", {"error": str(error)}) for error in refused)
+        result = replace(result, left_out=left_out)
         if out_dir is not None:
             progress("writing the report", 0.9)
             config = {"command": "replay", "robot": str(robot), "flights": [str(path) for path in flights]}

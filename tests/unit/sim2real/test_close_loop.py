@@ -294,6 +294,19 @@ def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(results.evaluation.residual[0].value)
 
 
+def test_a_replay_goes_on_beside_an_unusable_log_and_says_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The rotors of one log are in another order."""
+    table, names = pd.read_csv(folder / "f2.csv"), [f"rotor_{n}" for n in (1, 2, 3, 4)]
+    wrong = write(table.assign(rotor_1=table["rotor_2"], rotor_2=table["rotor_1"]), folder.parent / "wrong.csv")
+    files = [str(folder / "f3.csv"), str(wrong)]
+    assert main(["replay", str(folder / "robot.yaml"), *files, "--json"]) == 1
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["flights"] == files[:1]
+    assert "rotor_2, rotor_1" in printed["left_out"][0]
+    with pytest.raises(DataError, match=f"the probable order is {names[1]}"):
+        replay(folder / "robot.yaml", [wrong])
+
+
 def test_a_replay_rolls_nothing_out_that_the_log_does_not_begin(folder: Path, tmp_path: Path) -> None:
     whole = pd.read_csv(folder / "f3.csv")
     blind = write(whole.drop(columns=[c for c in whole if c.startswith(("p_", "v_"))]), tmp_path / "blind.csv")

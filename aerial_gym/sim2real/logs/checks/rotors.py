@@ -10,6 +10,7 @@ from itertools import permutations
 
 import numpy as np
 import torch
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
@@ -95,18 +96,27 @@ def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
 
 
 MOST_ROTORS = 6  # More rotors have too many orders to try
-BETTER = 0.4  # Another order is accepted if its residual is less than this share of the declared order's
+MORE_PROBABLE = 1e4  # Least likelihood ratio of another order of the rotors that refuses the declared one
 
 
-def check_rotor_order(log: FlightLog, robot: RobotCfg) -> None:
-    """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better."""
+def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None = None) -> None:
+    """Raise ``DataError`` if the courses of the angular acceleration make another order of the rotor columns probable.
+
+    Each axis has a free gain, so wrong moments of inertia or thrusts do not matter; only airborne rows count.
+    """
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
         return
     rate = sample_rate(log)
     edge, stride = num_edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
+    flies = np.ones(log.time.size, dtype=bool)
+    if on_ground is not None:
+        flies = ~np.asarray(ndimage.maximum_filter1d(on_ground, 2 * edge + 1), dtype=bool)
+    flies = flies[edge:-edge:stride]
+    if not flies.any():
+        return
 
     def lowpass_without_mean(values: Array, *, derivative: bool = False) -> Array:
-        filtered = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride]
+        filtered = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride][flies]
         return filtered - filtered.mean(axis=0)
 
     inertia = np.array(robot.body.inertia)
@@ -116,9 +126,11 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg) -> None:
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        misses = _residuals_of_rotor_orders(robot, turning, lowpass_without_mean, values, orders, inertia)
-        best = int(np.argmin(misses))
-        if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
+        left = _residuals_of_rotor_orders(robot, turning, lowpass_without_mean, values, orders, inertia)
+        independent = flies.sum() * stride / rate * CHECK_BANDWIDTH_HZ
+        log_likelihood = -0.5 * independent * np.log(np.maximum(left, 1e-12)).sum(axis=1)
+        misses, best = np.sqrt(left.mean(axis=1)), int(np.argmax(log_likelihood))
+        if misses[0] > WORST_AGREEMENT and log_likelihood[best] - log_likelihood[0] > np.log(MORE_PROBABLE):
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
                 f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
@@ -134,15 +146,17 @@ def _residuals_of_rotor_orders(
     orders: Indices,
     inertia: Array,
 ) -> Array:
-    """Return the relative residual of the angular acceleration under each order, mean over axes, (N,)."""
+    """Return the unexplained share of each angular acceleration's mean square under each order, with a gain >= 0, (N, 3)."""
     one, count = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), robot.num_rotors
     single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
     lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))
     speed = torch.from_numpy(values)
     thrust, drag = (lowpass_without_mean(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
     torque = np.einsum("tnr,rk->ntk", thrust[:, orders], lever) + np.einsum("tnr,rk->ntk", drag[:, orders], reaction)
-    left = np.mean((turning - torque @ np.linalg.inv(inertia)) ** 2, axis=1)
-    return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=1))
+    expected = torque @ np.linalg.inv(inertia)
+    along = np.maximum(np.einsum("tk,ntk->nk", turning, expected), 0.0)
+    squares = np.sum(turning**2, axis=0) * np.sum(expected**2, axis=1)
+    return 1.0 - along**2 / np.maximum(squares, 1e-300)
 
 
 WINDOW_S = 0.25  # Length of the averaging windows [s]

@@ -1,5 +1,6 @@
 """Columns of rotors, commands and voltage that are not what they claim to be."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,3 +54,17 @@ def test_columns_in_another_order_are_told_by_what_they_turn(table, tmp_path, na
     right = ", ".join(names[order.index(rotor)] for rotor in range(4))
     with pytest.raises(DataError, match=rf"in the declared order predict .* the probable order is {right}: reorder"):
         load_log(mixed, tmp_path)
+
+
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (0, 2, 1, 3)])
+def test_the_order_is_told_beside_wrong_moments_of_inertia(table: pd.DataFrame, tmp_path: Path, order) -> None:
+    """Declared moments are 0.4, 1.5 and 1.05 times the true ones: sizes of torques are wrong, their courses are right."""
+    rows = tuple(
+        tuple(value * share for value in row) for row, share in zip(ROBOT.body.inertia, (0.4, 1.5, 1.05), strict=True)
+    )
+    robot = replace(ROBOT, body=replace(ROBOT.body, inertia=rows))
+    settings = {"mapping": None, "bandwidth": 10.0}
+    assert load_flight(write(table, tmp_path / "a.csv"), robot, **settings).num_rotors == 4
+    mixed = table.assign(**{ROTORS[k]: table[ROTORS[rotor]] for k, rotor in enumerate(order)})
+    with pytest.raises(DataError, match="in the declared order predict"):
+        load_flight(write(mixed, tmp_path / "a.csv"), robot, **settings)
