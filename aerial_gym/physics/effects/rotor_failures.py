@@ -112,7 +112,7 @@ class MotorFailure(CommandEffect):
     summary = "from a given time on one rotor follows a part of its command, or stops"
     parameters = (
         ROTOR,
-        Parameter("scale", "-", 0.0, 2.0, 0.3, "speed, in force mode thrust, per command, after it", neutral=1.0),
+        Parameter("scale", "-", 0.0, 1.0, 0.3, "speed, in force mode thrust, per command, after it", neutral=1.0),
         TIME,
     )
     excitation = "an episode that goes on after it; a log does not say when its reset was"
@@ -175,7 +175,7 @@ class BrownOut(CommandEffect):
     name = "brown_out"
     summary = "for a while all rotors reach a part of their commands, or nothing"
     parameters = (
-        Parameter("scale", "-", 0.0, 2.0, 0.3, "speed, in force mode thrust, per command, while it lasts", neutral=1.0),
+        Parameter("scale", "-", 0.0, 1.0, 0.3, "speed, in force mode thrust, per command, while it lasts", neutral=1.0),
         TIME,
         Parameter("duration", "s", 0.0, LATEST, 0.1, "until the supply recovers", kind="convention"),
     )

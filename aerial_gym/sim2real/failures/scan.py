@@ -148,10 +148,10 @@ class FailureEvidence:
         return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds - np.log(self.rotors)), change=kept)
 
     def change_odds(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
-        """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative change, and its standard deviation."""
+        """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative loss <= 0, and its standard deviation."""
         parameter = next(p for p in EFFECTS.get(kind).parameters if p.name == "scale")
         change = along / (inner + (self.least / parameter.scale) ** 2)
-        change = np.clip(change, parameter.low - 1.0, 0.0)  # a failure is a loss: no rotor gains by it
+        change = np.clip(change, parameter.low - 1.0, 0.0)  # no failure makes a rotor stronger
         rss = np.maximum(self.rss.sum() - 2.0 * change * along + change**2 * inner, 0.0)
         before, after = self.mean_square_with_tolerance(self.rss.sum()), self.mean_square_with_tolerance(rss)
         prior = ParameterPrior(away=change, scale=parameter.scale)

@@ -129,7 +129,7 @@ def test_sums_give_the_least_squares_of_every_onset_of_a_change(seed: int) -> No
         for rotor in range(3):
             column = np.where(np.arange(24) >= onset, work.own[:, rotor], 0.0)
             rss, change, inner = least_squares(evidence, rotor, column)
-            if change > 0.0:  # a gain is no failure
+            if change > 0.0:  # no failure makes a rotor stronger
                 rss, change = none[rotor], 0.0
             assert onsets.change[onset, rotor] == pytest.approx(change, rel=1e-3)  # of a ridge of 1e-4 of the squares
             rest = sum(none) - none[rotor]
@@ -151,6 +151,14 @@ def test_sums_give_every_beginning_and_end_of_a_brown_out() -> None:
         change = sum(part[1] * part[2] for part in parts) / inner
         assert onsets.change[begin, lasting] == pytest.approx(min(change, 0.0), rel=1e-3)
     assert np.isneginf(onsets.log_odds[20, 8]).all()  # beyond the last block: that is to the end
+
+
+def test_stronger_rotors_are_no_failure() -> None:
+    work = make_work(5)
+    stronger = replace(work, done=work.done + 0.1 * work.own * (np.arange(24) >= 12)[:, None])
+    evidence = FailureEvidence(stronger, LEAST)
+    assert evidence.odds_of_brown_outs("brown_out").log_odds.max() < 0.0
+    assert evidence.odds_of_changes("motor_failure").log_odds.max() < 0.0
 
 
 def test_sums_give_every_onset_of_a_rotor_that_sticks() -> None:
