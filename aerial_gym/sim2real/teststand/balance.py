@@ -29,7 +29,7 @@ from aerial_gym.sim2real.teststand.causes import (
     prior_probabilities_of_causes,
 )
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, find_hover_rows
-from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pool_scatter
+from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence_of_cause, pool_scatter
 from aerial_gym.sim2real.teststand.statistics import rms
 
 SIGNIFICANCE = 0.01
@@ -284,7 +284,9 @@ def _with_probabilities(fits: Sequence[CauseFit], groups: Sequence[Array], usual
     """Return the fits with posterior probabilities, from groups (L, R) of logs: baseline, condition, others."""
     scatter, share = pool_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
-    evidence = [log_evidence(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits]
+    evidence = [
+        log_evidence_of_cause(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits
+    ]
     probability = special.softmax(
         np.array(evidence) + np.log(prior_probabilities_of_causes([fit.cause for fit in fits]))
     )

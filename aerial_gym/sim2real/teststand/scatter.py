@@ -94,8 +94,8 @@ def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -
 NODES = 32  # Nodes of each of the two evidence integrals; twice as many change no probability by 0.001
 
 
-def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) -> float:
-    """Return the log evidence of ``target = columns params``, integrated over the parameters.
+def log_evidence_of_cause(target: Array, columns: Array, scatter: Scatter, share: float) -> float:
+    """Return the log evidence that a cause with these regressors made the changes ``target = columns params``.
 
     Their effect on the rows has an isotropic normal prior in the columns' span. Its size is log-uniform between the scatter
     and 1 (a change by 100 %). More columns spread the same probability over more changes, so they win only if needed.

@@ -66,7 +66,7 @@ class AxisRelation:
         return self.significant_axes & (self.factor < 0.0) & (self.share > SHARED)
 
     @property
-    def unit_errors(self) -> Flags:
+    def wrong_unit_axes(self) -> Flags:
         """Return the axes whose factor differs from 1 and is nearest to that of a mistaken unit, (3,)."""
         size = np.log(np.where(self.significant_axes, np.abs(self.factor), 1.0))
         unit = np.argmin(np.abs(size[:, None] - WRONG), axis=1) > 0
@@ -80,7 +80,7 @@ class AxisRelation:
     @property
     def wrong_axes(self) -> Flags:
         """Return the axes with a wrong order, sign or unit, (3,)."""
-        return self.axis_swaps | self.sign_flips | self.unit_errors
+        return self.axis_swaps | self.sign_flips | self.wrong_unit_axes
 
 
 def axis_relation(effect: Array, cause: Array) -> AxisRelation | None:
@@ -150,7 +150,7 @@ def check_units_against_accelerometer(log: FlightLog) -> None:
             f"{log.path}: {names} contradict acc and attitude; it looks as if {columns} have the wrong sign: multiply the "
             "columns by -1"
         )
-    if by.significant_axes.sum() >= 2 and np.array_equal(by.unit_errors, by.significant_axes):
+    if by.significant_axes.sum() >= 2 and np.array_equal(by.wrong_unit_axes, by.significant_axes):
         factor = _mean_factor_of_wrong_axes(by)
         ways = "; ".join(_unit_remedy(letter, by, factor, 1.0 / factor) for letter in letters)
         raise DataError(f"{log.path}: the change of {names} contradicts acc and attitude; it looks as if {ways}")
@@ -205,14 +205,14 @@ def _remedies(relation: AxisRelation, letters: list[str]) -> str:
         )
     if relation.sign_flips.any():
         said.append(f"{_column_names(letters, relation.sign_flips)} have the wrong sign: multiply each column by -1")
-    if relation.unit_errors.any():
+    if relation.wrong_unit_axes.any():
         factor = _mean_factor_of_wrong_axes(relation)
         said.append(_unit_remedy("v" if factor < 1.0 else "p", relation, factor, min(factor, 1.0 / factor)))
     return "; and ".join(said)
 
 
 def _mean_factor_of_wrong_axes(relation: AxisRelation) -> float:
-    return float(np.exp(np.mean(np.log(np.abs(relation.factor[relation.unit_errors])))))
+    return float(np.exp(np.mean(np.log(np.abs(relation.factor[relation.wrong_unit_axes])))))
 
 
 def _unit_remedy(letter: str, relation: AxisRelation, factor: float, mends: float) -> str:

@@ -51,5 +51,6 @@ def to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str,
         result |= {n: attitude_with_world_enu(q) for n, q in result.items() if n == "attitude"}
     if layout.body_frame == "frd":
         result |= {name: flu_from_frd(result[name]) for name in ("ang_vel", "specific_force") if name in result}
+    if (layout.attitude_body_frame or layout.body_frame) == "frd":
         result |= {n: attitude_with_body_flu(q) for n, q in result.items() if n == "attitude"}
     return result

@@ -154,6 +154,9 @@ class LogMapping:
     body_frame: str = "flu"
     """Axes of body quantities in the file: flu (x forward, y left, z up) or frd."""
 
+    attitude_body_frame: str | None = None
+    """Body axes to which the attitude refers, flu or frd, if others than ``body_frame``, those of the inertial sensors."""
+
     world_frame: str = "enu"
     """Axes of world quantities in the file: enu (z up) or ned (z down)."""
 
@@ -166,11 +169,14 @@ class LogMapping:
     def __post_init__(self) -> None:
         for name, known in (
             ("body_frame", BODY_FRAMES),
+            ("attitude_body_frame", (*BODY_FRAMES, None)),
             ("world_frame", WORLD_FRAMES),
             ("attitude_direction", DIRECTIONS),
         ):
             if getattr(self, name) not in known:
-                raise ConfigError(f"LogMapping.{name} = {getattr(self, name)!r}: must be one of {', '.join(known)}")
+                raise ConfigError(
+                    f"LogMapping.{name} = {getattr(self, name)!r}: must be one of {', '.join(map(str, known))}"
+                )
         for name, count in (*((key, 1) for key in SCALARS), ("attitude", 4), *((key, 3) for key in VECTORS)):
             quantity = getattr(self, name)
             if quantity is not None and len(quantity.columns) != count:

@@ -22,7 +22,7 @@ from aerial_gym.sim2real.teststand.balance import (
     judge_balance,
 )
 from aerial_gym.sim2real.teststand.causes import candidate_causes, experiments_for_causes, prior_probabilities_of_causes
-from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
+from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence_of_cause, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
 """Hubs at 0.0325 m along x and y: 1 front right, 2 back right, 3 back left, 4 front left; 1 and 3 turn alike."""
@@ -149,7 +149,7 @@ def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() 
     degrees, share = scatter.freedom - 1, 1.5
     student = stats.multivariate_t(shape=share * scatter.squares / degrees, df=degrees)
     column, target = np.array([[0.6], [0.8]]), np.array([0.5, 0.3])
-    plain = log_evidence(target, np.empty((2, 0)), scatter, share)
+    plain = log_evidence_of_cause(target, np.empty((2, 0)), scatter, share)
     constant = student.logpdf(target) - plain
     assert constant == pytest.approx(-np.log(2.0 * np.pi), abs=1e-3)
     least = np.sqrt(scatter.std @ scatter.std * share / 2.0)
@@ -158,7 +158,7 @@ def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() 
         return float(student.pdf(target - column[:, 0] * effect) * stats.norm.pdf(effect, scale=np.exp(log_size)))
 
     whole, _ = integrate.dblquad(density, np.log(least), 0.0, -4.0, 4.0, epsabs=1e-9, epsrel=1e-4)
-    results = log_evidence(target, column, scatter, share) + constant
+    results = log_evidence_of_cause(target, column, scatter, share) + constant
     assert results == pytest.approx(np.log(whole / -np.log(least)), abs=2e-3)
 
 

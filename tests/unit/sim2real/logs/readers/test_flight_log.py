@@ -171,6 +171,15 @@ def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame,
         np.testing.assert_allclose(getattr(log, name), expected, rtol=1e-12, atol=1e-12)
 
 
+def test_an_attitude_of_other_body_axes_than_the_gyro_becomes_ours(table: pd.DataFrame, tmp_path: Path) -> None:
+    names = ["q_x", "q_y", "q_z", "q_w"]
+    matrix = Rotation.from_quat(table[names]).as_matrix() @ np.diag([1.0, -1, -1])
+    other = table.assign(**dict(zip(names, Rotation.from_matrix(matrix).as_quat().T, strict=True)))
+    log = read_flight_log(write(other, tmp_path / "a.csv"), mapping=mapping(attitude_body_frame="frd"))
+    assert (Rotation.from_quat(log.attitude).inv() * Rotation.from_quat(table[names])).magnitude().max() < 1e-9
+    np.testing.assert_allclose(log.ang_vel, table[[f"omega_{axis}" for axis in "xyz"]], rtol=1e-12)
+
+
 def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
     assert {"aerial_gym", "idsia_nanodrone"} < set(mapping_names())
     with pytest.raises(UnknownNameError, match=r"no log mapping 'px4'\. Known: aerial_gym, .*idsia_nanodrone"):
@@ -181,6 +190,8 @@ def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
         mapping(attitude=ColumnsCfg(columns=("q_x", "q_y", "q_z")))
     with pytest.raises(ConfigError, match=r"body_frame = 'up': must be one of flu, frd"):
         mapping(body_frame="up")
+    with pytest.raises(ConfigError, match=r"attitude_body_frame = 'ned': must be one of flu, frd"):
+        mapping(attitude_body_frame="ned")
     (tmp_path / "m.yaml").write_text("summary: x\ntimes: {columns: [t]}\n")
     with pytest.raises(ConfigError, match=r"unknown field 'times'\. Did you mean 'time'\?"):
         find_mapping(tmp_path / "m.yaml")
