@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -162,7 +163,7 @@ def _mean_vertical_force(log: FlightLog) -> float | None:
         return None
     force = Rotation.from_quat(log.attitude).apply(log.specific_force)[:, 2]
     gained = log.lin_vel[-1, 2] - log.lin_vel[0, 2]
-    return float((np.trapz(force, log.time) - gained) / np.ptp(log.time))
+    return float((trapezoid(force, log.time) - gained) / np.ptp(log.time))
 
 
 def _findings_on_sensors(log: FlightLog, vertical_force: float | None) -> list[Finding]:
