@@ -40,7 +40,7 @@ from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     DERIVED_BAND,
-    drop_ends_beyond_gaps,
+    check_gaps,
     log_at_equal_steps,
     lowpass,
     without_bad_quaternions,
@@ -194,7 +194,8 @@ def resample_log(log: FlightLog) -> FlightLog:
     """Return the log at equal time steps with repeated values repaired."""
     log = without_bad_quaternions(log)
     check_duration_and_rate(log)
-    mended = mend_repeated_samples(drop_ends_beyond_gaps(without_copied_commands(log)))
+    check_gaps(log)
+    mended = mend_repeated_samples(without_copied_commands(log))
     check_for_alternating_flights(mended)
     return log_at_equal_steps(mended)
 

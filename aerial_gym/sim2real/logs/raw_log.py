@@ -87,10 +87,17 @@ class RawLog:
     metadata: Mapping[str, str] = field(default_factory=dict)  # Firmware, hardware, vehicle and others, for display
     notes: tuple[Finding, ...] = ()  # Defects that decoding has met
 
-    def find_topics(self, name: str, *fields: str) -> list[Topic]:
+    def topic_instances(self, name: str, *fields: str) -> list[Topic]:
         """Return the topics of a name that hold the fields, by instance."""
         topics = (topic for topic in self.topics if topic.name == name and set(fields) <= topic.columns.keys())
         return sorted(topics, key=lambda topic: topic.instance)
+
+    def batteries(self, name: str, field: str) -> Iterator[tuple[Topic, Array]]:
+        """Yield the topics of a name that measure a voltage, with its values (T, 1)."""
+        for topic in self.topic_instances(name, field):
+            voltage = topic.numbers(field)
+            if np.median(voltage) > LOWEST_BATTERY_V:
+                yield topic, voltage
 
     def number(self, name: str, default: float) -> float:
         """Return a parameter; the default if it is missing or text."""

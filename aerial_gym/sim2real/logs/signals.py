@@ -27,7 +27,6 @@ from aerial_gym.sim2real.logs.recording import (
 
 FILTER_ORDER = 4  # Order of the Butterworth low-pass, which runs forwards and backwards
 DERIVED_BAND = 0.2  # Bandwidth of derivatives that replace a sensor, as a share of the rate
-LOOSE_END = 0.05  # Largest share of rows beyond a gap at either end that is cut off
 
 
 def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
@@ -191,9 +190,8 @@ def interpolate_columns(at: Array, time: Array, values: Array) -> Array:
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
-def drop_ends_beyond_gaps(log: FlightLog) -> FlightLog:
-    """Return the log without short pieces at either end beyond a time gap. Raise ``DataError`` if a longer gap remains."""
-    log = _without_loose_ends(log)
+def check_gaps(log: FlightLog) -> None:
+    """Raise ``DataError`` if a time gap cannot be bridged, such as one left by bad quaternions."""
     steps = np.diff(log.time)
     step = float(np.median(steps))
     gap = int(np.argmax(steps))
@@ -202,7 +200,6 @@ def drop_ends_beyond_gaps(log: FlightLog) -> FlightLog:
             f"{log.row_name(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
             "cut the log there and give both parts as flights"
         )
-    return log
 
 
 def log_at_equal_steps(log: FlightLog) -> FlightLog:
@@ -210,7 +207,7 @@ def log_at_equal_steps(log: FlightLog) -> FlightLog:
 
     Raise ``DataError`` if a gap cannot be bridged.
     """
-    log = drop_ends_beyond_gaps(log)
+    check_gaps(log)
     steps = np.diff(log.time)
     step = float(np.median(steps))
     attitude = continuous_quaternion(log.attitude)
@@ -232,18 +229,3 @@ def log_at_equal_steps(log: FlightLog) -> FlightLog:
     if lost.any():
         notes.append(Finding("rows_lost", "", {"share": float(lost.mean()), "longest_s": float(steps.max())}))
     return replace(log, **moved, time=time, lost=lost if lost.any() else None, lines=None, notes=tuple(notes))
-
-
-def _without_loose_ends(log: FlightLog) -> FlightLog:
-    """Return the log without short pieces at either end beyond a gap, with a finding."""
-    steps = np.diff(log.time)
-    limit = longest_bridgeable_gap(float(np.median(steps)))
-    edges = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), log.time.size]
-    sizes = np.diff(edges)
-    longest = int(np.argmax(sizes))
-    if len(sizes) == 1 or sizes[longest] < (1.0 - LOOSE_END) * log.time.size:
-        return log
-    part = slice(edges[longest], edges[longest + 1])
-    cut = {"rows": int(log.time.size - sizes[longest]), "gap_s": float(steps.max())}
-    note = Finding("rows_cut", "", cut)
-    return replace(take_rows(log, part), notes=(*log.notes, note))

@@ -13,7 +13,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, MATERIAL, fit_sensor_errors
+from aerial_gym.sim2real.logs.checks.kinematics import (
+    CHECK_BANDWIDTH_HZ,
+    MATERIAL,
+    fit_sensor_errors,
+    rate_by_differences,
+)
 from aerial_gym.sim2real.logs.recording import AT_REST, LATE_S, FlightLog, StreamTiming, sample_rate, take_rows
 from aerial_gym.sim2real.logs.rotor_delays import rotor_delay
 from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ
@@ -155,9 +160,7 @@ def _rotation_pair(log: FlightLog) -> tuple[Array, Array] | None:
     """Return the gyro and the angular velocity by the attitude, (T, 3) each; None without both."""
     if log.ang_vel is None or log.attitude_integrated:
         return None
-    attitude = Rotation.from_quat(log.attitude)
-    inner = (attitude[:-2].inv() * attitude[2:]).as_rotvec() * (0.5 * sample_rate(log))
-    return log.ang_vel, np.concatenate((inner[:1], inner, inner[-1:]))
+    return log.ang_vel, rate_by_differences(Rotation.from_quat(log.attitude), sample_rate(log))
 
 
 def _velocity_pairs(log: FlightLog, *, vertical: bool) -> Iterator[tuple[str, str, Array, Array]]:

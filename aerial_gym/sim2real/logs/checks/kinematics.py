@@ -95,12 +95,17 @@ def findings_on_sensors_at_rest(log: FlightLog) -> list[Finding]:
     return notes
 
 
+def rate_by_differences(attitude: Rotation, rate: float) -> Array:
+    """Return the angular velocity [rad/s], body, (T, 3), by central differences of an attitude at a rate [Hz]."""
+    inner = (attitude[:-2].inv() * attitude[2:]).as_rotvec() * (0.5 * rate)
+    return np.concatenate((inner[:1], inner, inner[-1:]))
+
+
 def _sensor_pairs(log: FlightLog) -> Iterator[tuple[str, str, Array, Array, Array]]:
     """Yield sensor, other sensor, values of the sensor, the motion that the other one shows, and the motion at hover."""
     rate, turn = sample_rate(log), Rotation.from_quat(log.attitude)
     if log.ang_vel is not None:
-        inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)  # central differences
-        yield "gyro", "attitude", log.ang_vel, np.concatenate((inner[:1], inner, inner[-1:])), np.zeros(3)
+        yield "gyro", "attitude", log.ang_vel, rate_by_differences(turn, rate), np.zeros(3)
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = turn.apply(change + AT_REST, inverse=True)

@@ -22,7 +22,6 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import (
-    LOWEST_BATTERY_V,
     LazyColumns,
     LogChannel,
     LogMessage,
@@ -65,6 +64,8 @@ HOVER_AXES = Rotation.from_euler(
     "y", 90.0, degrees=True
 )  # Of a tail-sitter: from body axes in hover to those of the sensors
 METRES_PER_DEG = 111_319.5  # Length of a degree of the equator. Source: WGS 84, 6378137 m pi / 180
+
+BATTERIES = (("BAT", "Volt"), ("CURR", "Volt"), ("MOTB", "BatVolt"))  # Messages and fields of voltages
 
 VECTORS = (
     ("ang_vel", ("IMU", "GYR"), ("GyrX", "GyrY", "GyrZ"), 1.0),
@@ -124,7 +125,7 @@ class DataflashReader(LogReader):
             for quantity, names, fields, unit in VECTORS
             for name in names
             if not (hovers and name in ("ATT", "RATE"))  # whose axes change between hover and forward flight
-            for topic in log.find_topics(name, *fields)
+            for topic in log.topic_instances(name, *fields)
         ]
         return [
             *(_with_resets(channel, log) for channel in faster_first(vectors)),
@@ -246,7 +247,7 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str], unit: fl
 def _with_resets(channel: LogChannel, log: RawLog) -> LogChannel:
     """Return a channel with the resets that the estimator reported, at the first sample after each."""
     code = RESETS.get(channel.quantity)
-    events = [topic.time[topic.columns["Id"] == code] for topic in log.find_topics("EV", "Id")]
+    events = [topic.time[topic.columns["Id"] == code] for topic in log.topic_instances("EV", "Id")]
     rows = np.searchsorted(channel.time, np.concatenate([[], *events]))
     return replace(channel, resets=channel.time[rows[rows < channel.time.size]]) if rows.size else channel
 
@@ -254,7 +255,7 @@ def _with_resets(channel: LogChannel, log: RawLog) -> LogChannel:
 def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield position, from the first fix, and velocity of the GPS."""
     fields = ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ")
-    for topic in log.find_topics("GPS", "Status", *fields):
+    for topic in log.topic_instances("GPS", "Status", *fields):
         fix = topic.columns["Status"] >= 3.0  # three-dimensional
         if not fix.any():
             continue
@@ -301,7 +302,7 @@ def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
     note, outputs = note_on_rotor_order("ArduPilot"), _motor_outputs(log)
     if not outputs:
         return
-    escs = {topic.instance: topic for topic in log.find_topics("ESC", "RPM")}
+    escs = {topic.instance: topic for topic in log.topic_instances("ESC", "RPM")}
     numbers = [n - 1 for n in outputs]
     if not set(numbers) <= escs.keys() and len(escs) == len(
         outputs
@@ -316,7 +317,7 @@ def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
     low, high = np.array([_signal_range(log, n) for n in outputs]).T
     for prefix in ("C", "Ch", "Chan") if np.all(high > low) else ():  # the latter before Copter 3.4
         fields = [f"{prefix}{n}" for n in outputs]
-        for topic in log.find_topics("RCOU", *fields):
+        for topic in log.topic_instances("RCOU", *fields):
             yield topic.channel("rotor_command", np.clip((topic.numbers(*fields) - low) / (high - low), 0.0, 1.0), note)
 
 
@@ -328,17 +329,15 @@ def _time_order(time: Array, values: Array) -> tuple[Array, Array]:
 
 def _batteries(log: RawLog) -> Iterator[LogChannel]:
     """Yield the voltages that are measured."""
-    for name, field in (("BAT", "Volt"), ("CURR", "Volt"), ("MOTB", "BatVolt")):
-        for topic in log.find_topics(name, field):
-            middle = np.median(topic.columns[field])
-            if middle > LOWEST_BATTERY_V:
-                yield topic.channel("battery", topic.numbers(field, unit=0.01 if middle > HIGHEST_BATTERY_V else 1.0))
+    for names in BATTERIES:
+        for topic, volts in log.batteries(*names):
+            yield topic.channel("battery", volts * (0.01 if np.median(volts) > HIGHEST_BATTERY_V else 1.0))
 
 
 def _flight_states(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground; before the first event the state is the opposite one."""
     start = min((float(topic.time[0]) for topic in log.topics), default=0.0)
-    for topic in log.find_topics("EV", "Id"):
+    for topic in log.topic_instances("EV", "Id"):
         codes = topic.columns["Id"]
         for quantity, on, off in (("armed", (ARMED,), (DISARMED,)), ("landed", (LANDED_MAYBE, LANDED), (FLYING,))):
             rows = np.isin(codes, (*on, *off))
@@ -348,5 +347,5 @@ def _flight_states(log: RawLog) -> Iterator[LogChannel]:
                 values = np.append(1.0 - states[0], states)[:, None]
                 yield replace(topic.channel(quantity, values), time=time)
     for name, quantity, field, flying in (("STAT", "armed", "Armed", 1.0), ("STAT", "landed", "isFlying", 0.0)):
-        for topic in log.find_topics(name, field):  # of planes
+        for topic in log.topic_instances(name, field):  # of planes
             yield topic.channel(quantity, (topic.numbers(field) == flying).astype(float))

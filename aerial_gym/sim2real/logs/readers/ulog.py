@@ -17,7 +17,6 @@ from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import (
-    LOWEST_BATTERY_V,
     LogChannel,
     LogMessage,
     RawLog,
@@ -129,19 +128,19 @@ class UlogReader(LogReader):
             _vector_channel(topic, quantity, fields)
             for quantity, names, fields in vectors
             for name in names
-            for topic in log.find_topics(name, *fields)
+            for topic in log.topic_instances(name, *fields)
         ]
         return [
             *faster_first([one for one in usable if np.isfinite(one.values).any()]),
             *(
                 _vector_channel(topic, "lin_vel", GPS_VELOCITY)
                 for name in ("vehicle_gps_position", "sensor_gps")
-                for topic in log.find_topics(name, *GPS_VELOCITY)
+                for topic in log.topic_instances(name, *GPS_VELOCITY)
             ),
             *_rotor_speeds(log),
             *faster_first([*_motor_commands(log), *_output_commands(log)]),
             *_control_commands(log),
-            *_batteries(log),
+            *(_channel(one, "battery", volts) for one, volts in log.batteries("battery_status", "voltage_v")),
             *_flight_states(log),
         ]
 
@@ -186,7 +185,7 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogCh
 
 def _rotor_speeds(log: RawLog) -> Iterator[LogChannel]:
     """Yield measured rotor speeds in the order of motors, by ``actuator_function`` if that is logged."""
-    for topic in log.find_topics("esc_status"):
+    for topic in log.topic_instances("esc_status"):
         usable: dict[int, Array] = {}
         for index in range(MOST_MOTORS):
             if f"esc[{index}].esc_rpm" not in topic.columns:
@@ -202,7 +201,7 @@ def _rotor_speeds(log: RawLog) -> Iterator[LogChannel]:
 
 def _motor_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield commands of ``actuator_motors``: thrusts from 0 to 1, which become speeds by ``_invert_thrust_curve``."""
-    for topic in log.find_topics("actuator_motors"):
+    for topic in log.topic_instances("actuator_motors"):
         columns = [name for name in (f"control[{i}]" for i in range(MOST_MOTORS)) if name in topic.columns]
         used = [name for name in columns if np.isfinite(topic.columns[name]).any()]
         if used:
@@ -223,7 +222,7 @@ def _invert_thrust_curve(thrust: Array, log: RawLog) -> Array:
 def _output_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of ``actuator_outputs``; each instance has the driver whose range fits its outputs."""
     drivers = _motor_outputs(log)
-    for topic in log.find_topics("actuator_outputs"):
+    for topic in log.topic_instances("actuator_outputs"):
         options = [_relative_outputs(topic, ranges) for ranges in drivers]
         fitting = [values for values in options if values is not None]
         if fitting:
@@ -281,27 +280,19 @@ def _control_commands(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of a quadrotor from ``actuator_controls_0`` (before PX4 1.13) by the mixer of an X frame."""
     names = [f"control[{index}]" for index in range(4)]
     is_x = log.number("MAV_TYPE", QUADROTOR) == QUADROTOR and log.number("SYS_AUTOSTART", 0.0) // 1000 != PLUS_FRAMES
-    for topic in log.find_topics("actuator_controls_0", *names) if is_x else ():
+    for topic in log.topic_instances("actuator_controls_0", *names) if is_x else ():
         torque_and_thrust = topic.numbers(*names)
         thrust = torque_and_thrust[:, :3] @ QUAD_X.T + torque_and_thrust[:, 3:]
         signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), log)
         yield _channel(topic, "rotor_command", signal, (*ORDER, Finding("commands_mixed")))
 
 
-def _batteries(log: RawLog) -> Iterator[LogChannel]:
-    """Yield the voltages of connected batteries."""
-    for topic in log.find_topics("battery_status", "voltage_v"):
-        voltage = topic.numbers("voltage_v")
-        if np.median(voltage) > LOWEST_BATTERY_V:
-            yield _channel(topic, "battery", voltage)
-
-
 def _flight_states(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground."""
-    for topic in log.find_topics("actuator_armed", "armed"):
+    for topic in log.topic_instances("actuator_armed", "armed"):
         yield _channel(topic, "armed", topic.numbers("armed"))
-    for topic in log.find_topics("vehicle_status", "arming_state"):
+    for topic in log.topic_instances("vehicle_status", "arming_state"):
         yield _channel(topic, "armed", (topic.numbers("arming_state") == ARMED).astype(float))
-    for topic in log.find_topics("vehicle_land_detected"):
+    for topic in log.topic_instances("vehicle_land_detected"):
         flags = [name for name in ("landed", "maybe_landed", "ground_contact") if name in topic.columns]
         yield _channel(topic, "landed", np.any(topic.numbers(*flags) != 0.0, axis=1, keepdims=True).astype(float))
