@@ -17,7 +17,11 @@ from aerial_gym.sim2real.logs.recording import GAP_STEPS, NORM_OFF
 from aerial_gym.sim2real.logs.signals import quaternion_signs
 
 WRAP_S = 2**32 * 1e-6  # Wrap period of a 32-bit counter of microseconds [s]
-CLOCKS = ("attitude", "ang_vel", "specific_force")  # The first of these that is logged is the reference clock
+CLOCKS = (
+    "attitude",
+    "ang_vel",
+    "specific_force",
+)  # The first of these that is usable is the reference clock, else any other
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,15 +59,14 @@ def usable_streams(channels: Sequence[LogChannel], notes: list[Finding]) -> dict
     """Return the first usable channel of each quantity as a stream, all on one clock; a finding names each unusable one."""
     streams: dict[str, Stream] = {}
     stamps: dict[int, StampCorrection] = {}  # by the place in memory of the times that channels of one topic share
-    clock = next((name for name in CLOCKS if any(one.quantity == name for one in channels)), "")
-    for channel in sorted(channels, key=lambda one: one.quantity != clock):  # the reference clock first
+    for channel in sorted(channels, key=lambda one: (*CLOCKS, one.quantity).index(one.quantity)):
         if channel.quantity in streams or not np.isfinite(channel.values).any():
             continue
         try:
             key = id(channel.time)
             stamps[key] = stamps.get(key) or correct_stamps(channel.time, f"topic {channel.source}")
             stream = _stream(channel, stamps[key], notes)
-            streams[channel.quantity] = _align_clock(streams[clock], stream) if clock in streams else stream
+            streams[channel.quantity] = _align_clock(next(iter(streams.values()), stream), stream)
         except DataError as error:
             notes.append(Finding("topic_left_out", "", {"topic": channel.source, "error": str(error)}))
     if streams:

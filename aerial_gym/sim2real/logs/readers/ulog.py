@@ -93,7 +93,10 @@ class UlogReader(LogReader):
             topics=tuple(
                 _topic(part.name, part.multi_id, part.data) for part in log.data_list if "timestamp" in part.data
             ),
-            parameters=dict(log.initial_parameters),
+            parameters={  # damaged ones are bytes
+                name: value if isinstance(value, int | float) else str(value)
+                for name, value in log.initial_parameters.items()
+            },
             messages=(
                 *(
                     LogMessage(

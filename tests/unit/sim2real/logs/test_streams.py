@@ -41,6 +41,17 @@ def check_same(one: FlightLog, other: FlightLog, *, rows: int = 0, **tolerance: 
             np.testing.assert_allclose(values[first], arrays[name][second], err_msg=name, **tolerance)
 
 
+def test_without_a_usable_attitude_the_gyro_gives_the_reference_clock() -> None:
+    def channel(quantity: str, time: np.ndarray) -> LogChannel:
+        return LogChannel(quantity=quantity, time=time, values=np.ones((400, 3)), source=quantity)
+
+    steps = np.where(np.arange(400) < 200, TIME, TIME - 1.5)
+    channels = [channel("position", steps), channel("attitude", np.full(400, np.nan)), channel("ang_vel", TIME)]
+    notes = list[Finding]()
+    assert list(usable_streams(channels, notes)) == ["ang_vel"]
+    assert [note.code for note in notes] == 2 * ["topic_left_out"]
+
+
 @pytest.mark.parametrize("name", list(topics(flight(2, seconds=1.0))))
 def test_one_absurd_stamp_costs_one_sample(name: str, table: pd.DataFrame) -> None:
     good = read_topics(topics(table))

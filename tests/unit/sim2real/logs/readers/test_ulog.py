@@ -161,7 +161,10 @@ def test_a_file_is_recognised_by_its_content_and_read_with_its_parameters(tmp_pa
         np.testing.assert_allclose(getattr(log, name)[5:-5], columns[5:-5], atol=size)
     speeds = table.filter(like="rotor_").to_numpy()[: len(log.time)]
     np.testing.assert_allclose(log.rotor_speed[5:-5], speeds[5:-5], rtol=1e-2)
-    (tmp_path / "broken").write_bytes(path.read_bytes()[:9])
+    data = path.read_bytes()
+    (tmp_path / "bytes").write_bytes(data.replace(b"float THR_MDL_FAC", b"fl\x00at THR_MDL_FAC"))
+    assert isinstance(open_log(tmp_path / "bytes").raw.number("THR_MDL_FAC", 1.0), float)
+    (tmp_path / "broken").write_bytes(data[:9])
     with pytest.raises(DataError):
         read_flight_log(tmp_path / "broken")
 
