@@ -121,6 +121,7 @@ def _other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[s
 
     It is the one with the most topics. Names such as ``/uav1/imu`` and ``/uav2/imu`` differ before their last part only.
     """
+    topics = [topic for topic in topics if not SETPOINTS.search(topic.name)]
     names = {topic.name: tuple(topic.name.strip("/").split("/")) for topic in topics}
     first: dict[tuple[str, str, int], tuple[str, ...]] = {}
     roots = dict[tuple[str, ...], int]()

@@ -144,6 +144,7 @@ def test_attitude_comes_from_the_topic_of_position_and_velocity_if_that_is_fast_
     [
         (("/b/imu", "/a/imu", "/a/odom"), {"/a/imu", "/a/odom"}),  # two vehicles
         (("/vrpn/wall/pose", "/vrpn/uav/pose", "/imu"), {"/vrpn/wall/pose", "/imu"}),  # the first of equals
+        (("/mavros/setpoint_position/pose", "/mavros/local_position/pose"), {"/mavros/local_position/pose"}),
         (("/mavros/imu/data", "/mavros/imu/data_raw", "/vicon/uav/odom"), None),
     ],
 )
