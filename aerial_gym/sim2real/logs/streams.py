@@ -70,7 +70,7 @@ def usable_streams(channels: Sequence[LogChannel], notes: list[Finding]) -> dict
         except DataError as error:
             notes.append(Finding("topic_left_out", "", {"topic": channel.source, "error": str(error)}))
     if streams:
-        notes.extend(note for stream in streams.values() for note in stream.channel.notes)
+        notes.extend(dict.fromkeys(note for stream in streams.values() for note in stream.channel.notes))
         reference = next(iter(streams.values()))
         notes.extend(s.finding("sample", s.row, topic=reference.channel.source) for s in reference.steps)
     return _with_increasing_time(_equalise_clock_steps(streams), notes)
