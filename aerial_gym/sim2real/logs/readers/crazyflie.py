@@ -27,6 +27,7 @@ CHECKSUM_BYTES = 4
 NUMBERS = dict(
     zip("bBhHiIqQefd", ["i1", "u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8"], strict=True)
 )
+ARMED, FLYING = 2, 16  # Bits of ``supervisor.info``
 FULL_THROTTLE = 65535.0  # Motor command of full thrust
 
 VECTORS = (
@@ -137,6 +138,11 @@ def _channels(log: RawLog) -> Iterator[LogChannel]:
             if quantity == "attitude":
                 values = {1: _decompress_quaternions, 3: _quaternions_of_angles}.get(len(names), np.array)(values)
             yield topic.channel(quantity, values)
+    for topic in log.topics:
+        if "supervisor.info" in topic.columns:
+            bits = topic.columns["supervisor.info"].astype(int)[:, None]
+            yield topic.channel("armed", (bits & ARMED != 0).astype(float))
+            yield topic.channel("landed", (bits & FLYING == 0).astype(float))
 
 
 def _quaternions_of_angles(angles: Array) -> Array:

@@ -244,8 +244,9 @@ def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
                 for end, end_value in (("MIN", 1000.0), ("MAX", 2000.0))
             )
             drivers.setdefault(prefix, []).append((function, int(number) - 1, low, high))
-    results = [[row[1:] for row in sorted(rows)] for rows in drivers.values()]
-    if not results:  # before PX4 1.13 the first outputs were the motors
+    count = parameters.get("CA_ROTOR_COUNT", 0.0)  # a driver with some of the rotors only does not show the others
+    results = [[row[1:] for row in sorted(rows)] for rows in drivers.values() if count in (0.0, len(rows))]
+    if not drivers:  # before PX4 1.13 the first outputs were the motors
         low, high = (
             parameters.get(f"PWM_MAIN_{end}", parameters.get(f"PWM_{end}", value))
             for end, value in (("MIN", 1000.0), ("MAX", 2000.0))

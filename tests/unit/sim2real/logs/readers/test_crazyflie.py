@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
+from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.crazyflie import CrazyflieReader
 from tests.unit.sim2real.logs.readers.crazyflie_files import card
 from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, read_bytes
@@ -37,6 +37,13 @@ def test_channels_are_in_si_units(tmp_path, version) -> None:
     assert errors.max() < 5e-3  # 9 bits of 1 / sqrt(2)
     nose_up = Rotation.from_euler("ZYX", (90.0, -20.0, 10.0), degrees=True)
     assert (Rotation.from_quat(angles.values[0]).inv() * nose_up).magnitude() < 1e-6
+
+
+def test_the_supervisor_tells_arming_and_flight() -> None:
+    topic = Topic(name="a", time=np.arange(3.0), columns={"supervisor.info": np.array([1.0, 11.0, 27.0])})
+    log = RawLog(path="a", format="crazyflie", topics=(topic,))
+    assert channels(log, "armed")[0].values[:, 0].tolist() == [0.0, 1.0, 1.0]
+    assert channels(log, "landed")[0].values[:, 0].tolist() == [1.0, 1.0, 0.0]
 
 
 def test_an_unknown_event_ends_the_log_with_a_note(tmp_path) -> None:

@@ -83,6 +83,18 @@ def test_outputs_of_any_instance_are_taken_in_the_order_and_range_of_the_paramet
 WAVE = np.sin(np.arange(STAMP.size))
 
 
+@pytest.mark.parametrize(("count", "known"), [(4.0, True), (8.0, False)])
+def test_a_driver_with_some_of_the_rotors_gives_no_commands(count: float, known: bool) -> None:
+    outputs = {f"output[{i}]": 1500.0 + 100.0 * WAVE for i in range(4)}
+    parameters = {
+        f"PWM_{port}_FUNC{i}": 100.0 + i + 4 * place for place, port in enumerate(("MAIN", "AUX")) for i in range(1, 5)
+    }
+    parameters = {name: value for name, value in parameters.items() if value <= 100.0 + count}
+    esc = {"esc[0].esc_rpm": 100.0}
+    log = read_topics(hover(actuator_outputs=outputs, esc_status=esc), CA_ROTOR_COUNT=count, **parameters)
+    assert (log.rotor_command is not None) is known
+
+
 @pytest.mark.parametrize(
     ("rest", "lowest", "full", "parameters", "rotors"),
     [
