@@ -103,6 +103,10 @@ def _reset_sentence(finding: Finding) -> str:
 
 
 LOGS: dict[str, Template] = {
+    "spins_reversed": (
+        "The yaw reaction to {columns} has the opposite sign: {gain_ratio:number} ± {half_width_ratio:number} of the declared. "
+        "All spins are reversed, or the sign of yaw: correct the mounts or the log."
+    ),
     "flight_left_out": "Left out: {error}.",
     "log_simulated": lambda f: (
         f"The log is of a simulation, not of a vehicle in the air: {join_words(f.values['evidence'])}."

@@ -221,6 +221,7 @@ SAMPLES = [
     Finding("other_vehicle", "f1", {"file": "swap_two.csv"}),
     Finding("wind_declared", "f1", {"wind_m_s": [-4.2, 0.0, 0.0]}),
     Finding("rows_cut", "f1", {"rows": 15, "gap_s": 0.16}),
+    Finding("spins_reversed", "", {"columns": "rotor_1..4", "gain_ratio": -0.9, "half_width_ratio": 0.2}),
     Finding("rows_lost", "", {"share": 0.03, "longest_s": 0.06}),
     Finding("steps_resampled", "f1", {"shortest_s": 0.004, "longest_s": 0.007, "step_s": 0.005}),
     Finding("on_ground", "f1", {"share": 0.12}), Finding("commands_scaled", "f1", {"factor": 0.909, "height_m": 0.5}),

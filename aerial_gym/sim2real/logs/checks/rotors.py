@@ -20,7 +20,7 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, WORST_AGREEMENT
+from aerial_gym.sim2real.logs.checks.kinematics import BLOCK_S, CHECK_BANDWIDTH_HZ, WORST_AGREEMENT
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
@@ -99,13 +99,14 @@ MOST_ROTORS = 6  # More rotors have too many orders to try
 MORE_PROBABLE = 1e4  # Least likelihood ratio of another order of the rotors that refuses the declared one
 
 
-def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None = None) -> None:
-    """Raise ``DataError`` if the courses of the angular acceleration make another order of the rotor columns probable.
+def check_rotor_order(log: FlightLog, robot: RobotCfg) -> list[Finding]:
+    """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better.
 
-    Each axis has a free gain, so wrong moments of inertia or thrusts do not matter; only airborne rows count.
+    Return a finding if the reaction to the declared spins certainly has the wrong sign.
     """
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
-        return
+        return []
+    notes = list[Finding]()
     rate = sample_rate(log)
     edge, stride = num_edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
     flies = np.ones(log.time.size, dtype=bool)
@@ -126,37 +127,60 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None =
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        left = _residuals_of_rotor_orders(robot, turning, lowpass_without_mean, values, orders, inertia)
-        independent = flies.sum() * stride / rate * CHECK_BANDWIDTH_HZ
-        log_likelihood = -0.5 * independent * np.log(np.maximum(left, 1e-12)).sum(axis=1)
-        misses, best = np.sqrt(left.mean(axis=1)), int(np.argmax(log_likelihood))
-        if misses[0] > WORST_AGREEMENT and log_likelihood[best] - log_likelihood[0] > np.log(MORE_PROBABLE):
+        parts = _turning_by_rotors(robot, lowpass_without_mean, values, orders, inertia)
+        misses = _residuals_of_rotor_orders(turning, *parts)
+        flip, best = (int(place) for place in np.unravel_index(int(np.argmin(misses)), misses.shape))
+        declared = float(misses[0, 0])
+        if best and declared > WORST_AGREEMENT and misses[flip, best] < BETTER * declared:
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
                 f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
-                f"error of {misses[0]:.0%}; the probable order is {columns}: reorder the columns or the robot's mounts"
+                f"error of {declared:.0%}; the probable order is {columns}{', with all spins reversed' * flip}: reorder the "
+                "columns or the robot's mounts"
             )
+        gain, half_width = _gain_of_reaction(turning - parts[0][0], parts[1][0], max(1, round(BLOCK_S * rate / stride)))
+        if gain + half_width < 0.0 and not notes:
+            sizes = {"gain_ratio": gain, "half_width_ratio": half_width}
+            notes.append(Finding("spins_reversed", "", {"columns": f"{name}_1..{robot.num_rotors}", **sizes}))
+    return notes
 
 
-def _residuals_of_rotor_orders(
+def _gain_of_reaction(turning: Array, reaction: Array, rows: int) -> tuple[float, float]:
+    """Return the regression of ``turning`` on the rotors' ``reaction``, (T, 3) each, with half width at ``SURE``.
+
+    It is 1 for the declared spins and -1 for reversed ones. Blocks of ``rows`` are independent.
+    """
+    blocks = np.arange(len(turning)) // rows
+    along, square = (np.bincount(blocks, (values * reaction).sum(axis=1)) for values in (turning, reaction))
+    if blocks[-1] < FEWEST_WINDOWS or not square.sum() > 0.0:
+        return 1.0, np.inf
+    gain, number = float(along.sum() / square.sum()), blocks[-1] + 1.0
+    spread = np.sqrt(np.sum((along - gain * square) ** 2) * number / (number - 1.0)) / square.sum()
+    return gain, float(-student_quantile(SURE, number - 1.0) * spread)
+
+
+def _turning_by_rotors(
     robot: RobotCfg,
-    turning: Array,
     lowpass_without_mean: Callable[[Array], Array],
     values: Array,
     orders: Indices,
     inertia: Array,
-) -> Array:
-    """Return the unexplained share of each angular acceleration's mean square under each order, with a gain >= 0, (N, 3)."""
+) -> tuple[Array, Array]:
+    """Return the angular acceleration by thrusts and by reactions of the rotors under each order, (N, T, 3) each."""
     one, count = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), robot.num_rotors
     single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
     lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))
     speed = torch.from_numpy(values)
     thrust, drag = (lowpass_without_mean(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
-    torque = np.einsum("tnr,rk->ntk", thrust[:, orders], lever) + np.einsum("tnr,rk->ntk", drag[:, orders], reaction)
-    expected = torque @ np.linalg.inv(inertia)
-    along = np.maximum(np.einsum("tk,ntk->nk", turning, expected), 0.0)
-    squares = np.sum(turning**2, axis=0) * np.sum(expected**2, axis=1)
-    return 1.0 - along**2 / np.maximum(squares, 1e-300)
+    pairs, inverse = ((thrust, lever), (drag, reaction)), np.linalg.inv(inertia)
+    levers, reactions = (np.einsum("tnr,rk->ntk", of_each[:, orders], arm) @ inverse for of_each, arm in pairs)
+    return levers, reactions
+
+
+def _residuals_of_rotor_orders(turning: Array, levers: Array, reactions: Array) -> Array:
+    """Return the relative residual of the turning, mean over axes, with declared and with reversed spins, (2, N)."""
+    left = np.stack([np.mean((turning - levers - sign * reactions) ** 2, axis=1) for sign in (1.0, -1.0)])
+    return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=2))
 
 
 WINDOW_S = 0.25  # Length of the averaging windows [s]
