@@ -167,7 +167,7 @@ PLATE_DRAG: Ranges = ((0.015, 0.02), (0.04, 0.06), (0.10, 0.13))
 
 OTHER_LAWS: dict[str, PlantEffect] = {
     "ceiling_effect/inverse_square": _surface_effect(
-        "ceiling_law", "inverse_square", "k", ((0.06, 0.08), (0.12, 0.16), (0.25, 0.35))
+        "ceiling_law", "inverse_square", "k", ((0.06, 0.08), (0.12, 0.16), (0.19, 0.22))
     ),
     "ceiling_effect/momentum": _surface_effect(
         "ceiling_law", "momentum", "blocked", ((2.5, 3.5), (5.0, 8.0), (12.0, 16.0)), inflow=(0.8, 1.2)

@@ -50,7 +50,9 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
     else:
         vehicle = declared
     rows = strong_effects(effects, robot, copies * num_envs, dtype=dtype)
-    ceiling = {"ceiling_height": CEILING} if "ceiling_effect" in effects else {}  # a number in the kernel's source
+    ceiling = (
+        {"ceiling_height": CEILING} if any("ceiling_effect" in name for name in effects) else {}
+    )  # a number in the kernel's source
     return build_model(vehicle, rows, **ceiling), make_controller(controller, declared, 9.81, dt=DT)
 
 

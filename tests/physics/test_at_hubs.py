@@ -9,7 +9,7 @@ from torch import Tensor
 from aerial_gym.physics import EFFECTS, build_model, condition_in, effects_from_config, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Effect, RotorEffect, WrenchEffect
 from aerial_gym.physics.rigid_body import condition_at_origin
-from tests.physics.vehicles import CEILING, F64, asymmetric_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 ROWS = 6
 KINDS = {name: EFFECTS.get(name) for name in EFFECTS if isinstance(EFFECTS.get(name), RotorEffect | WrenchEffect)}
@@ -32,9 +32,10 @@ def both_conditions() -> tuple[Condition, Condition]:
     effects = effects_from_config(wind, num_envs=ROWS, device=torch.device("cpu"), dtype=F64)
     vehicle = vehicle_from_config(asymmetric_robot(com=(0.03, -0.04, 0.05)), num_envs=ROWS, dtype=F64)
     other = torch.tensor([[0.1, 0.2, 8.0]], dtype=F64).expand(ROWS, -1)
-    model = build_model(vehicle, effects, ceiling_height=CEILING, other_position=other)
     state = random_state(ROWS)
     state = replace(state, position=state.position + torch.tensor([0.0, 0.0, 4.0], dtype=F64))
+    ceiling = float(state.position[:, 2].max()) + 0.3
+    model = build_model(vehicle, effects, ceiling_height=ceiling, other_position=other)
     spin_up = torch.linspace(-300.0, 400.0, ROWS * 4, dtype=F64).view(ROWS, 4)
     return condition_in(model, state, spin_up), condition_at_origin(model, state, spin_up)
 

@@ -153,6 +153,19 @@ WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, Any], list[float]]] 
         )
         for room, felt in ((3.0 * RADIUS, 3.0 * RADIUS), (RADIUS, RADIUS), (0.4 * RADIUS, 0.5 * RADIUS), (-1.0, 0.5 * RADIUS))
     ),
+    *(  # Parts of a curve: 1 at their peaks, 1/4 an octave away, (2 - x)³ / 4 in between; a loss; constant below half a radius
+        (
+            {f"{name}_curve": {f"g{one}": float(size == one) * change for one in (1, 2, 4, 8)}},
+            {"position": [0, 0, height], "ceiling_height": height + room},
+            [0, 0, 4 * THRUST * change * share, 0, 0, 0],
+        )
+        for size, change, distance, share in (
+            (4, 0.2, 4.0, 1.0), (4, -0.3, 8.0, 0.25), (4, 0.2, 4.0 * 2**1.5, 0.125 / 4), (2, 0.2, 8.0, 0.0), (1, 0.4, 0.1, 0.25)
+        )
+        for name, height, room in (
+            ("ground_effect", distance * RADIUS, 50.0), ("ceiling_effect", 50.0, distance * RADIUS)
+        )
+    ),
     *(  # 2 N right below the other vehicle, a Gaussian of 0.3 m beside, none above; along world z, at the centre of mass
         (
             {"downwash": {"force": 2.0, "sigma": 0.3}},

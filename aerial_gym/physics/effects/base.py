@@ -81,6 +81,9 @@ class Effect(ABC):
     """In the order of the columns P. An instance has its own if they are named after parts of a robot (``of``)."""
     excitation: ClassVar[str]  # Quantities that must vary in a flight to make the effect visible
     confused_with: ClassVar[tuple[str, ...]]  # Effects with a similar signature, to be weighed against this one
+    law_of: ClassVar[str] = ""
+    """Name of the effect of which it is another law, and whose name states the cause; empty for the first law."""
+    law: ClassVar[str] = "formula"  # Its law, in words
     contains: ClassVar[tuple[str, ...]] = ()
     """Special cases of this effect with as many parameters. Selection prefers them if the flights do not distinguish."""
     memory: ClassVar[tuple[float, ...]] = ()  # Values of its memory per environment right after a reset
@@ -106,6 +109,11 @@ class Effect(ABC):
     medium: ClassVar[Literal["air", "water"]] = "air"  # Fluid in which it matters; flights are in air
     random: ClassVar[bool] = False  # Whether it is random, so that it predicts no row of a flight
     by_default: ClassVar[bool] = True  # Whether selection considers it; False if others together look the same
+
+    @property
+    def cause(self) -> str:
+        """Name of the cause, which all its laws share."""
+        return self.law_of or self.name
 
     @property
     def is_candidate_of_selection(self) -> bool:

@@ -41,6 +41,8 @@ for _name, _place in (
     ("random_force", "air_motion:RandomForce"),
     ("ground_effect", "rotor_flow:GroundEffect"),
     ("ceiling_effect", "rotor_flow:CeilingEffect"),
+    ("ground_effect_curve", "rotor_flow:GroundEffectCurve"),
+    ("ceiling_effect_curve", "rotor_flow:CeilingEffectCurve"),
     ("downwash", "air_motion:Downwash"),
     ("buoyancy", "water:Buoyancy"),
     ("hull_drag", "water:HullDrag"),

@@ -3,7 +3,7 @@
 Letters: E environments, R rotors.
 """
 
-from math import pi
+from math import log, log2, pi
 
 import torch
 from torch import Tensor
@@ -194,6 +194,67 @@ class CeilingEffect(RotorEffect):
         room = condition.inlet_room.maximum(CLOSEST * radius)
         strength = params[:, :1] * (0.25 * radius).square()
         return condition.rotor_thrust * strength / (room.square() - strength)
+
+
+CENTRES = (1, 2, 4, 8)  # Distances of a hub from a surface, in radii, at which the parts of a curve have their peaks
+
+
+def gain_of_curve(room: Tensor, params: Tensor) -> Tensor:
+    """Return the relative gain of thrust, (E, R), at distances from a surface in radii, (E, R), for parts of a curve (E, 4).
+
+    Each part is a cubic spline of the logarithm of the distance: 1 at its peak, 1/4 at the peaks beside it, and 0 at a
+    quarter and at four times its distance. The gain is constant below half a radius; thrust is at most doubled.
+    """
+    octave = room.clamp_min(LOWEST).log() / log(2.0)
+    gain = torch.zeros_like(room)
+    for k, centre in enumerate(CENTRES):
+        away = (octave - log2(centre)).abs()
+        part = 0.25 * (2.0 - away).clamp_min(0.0) ** 3 - (1.0 - away).clamp_min(0.0) ** 3
+        gain = gain + params[:, k : k + 1] * part
+    return gain.clamp(-1.0, 1.0)
+
+
+def _curve_parameters(surface: str) -> tuple[Parameter, ...]:
+    meaning = "relative gain of thrust, part at {} radii from the " + surface
+    return tuple(Parameter(f"g{centre}", "-", -1.0, 1.0, 0.1, meaning.format(centre)) for centre in CENTRES)
+
+
+class GroundEffectCurve(GroundEffect):
+    """Ground effect by a curve: the gain of thrust at any distance, without a formula, also a loss where flights show one.
+
+    ``T' = T (1 + sum_k g_k B_k(h / R))`` with the parts of ``gain_of_curve``, h as for ``ground_effect``.
+    Source: Derived: cubic B-splines (de Boor 1978, A practical guide to splines, ch. IX) of log2(h / R), as thrust may also
+    fall above the zone of gain.
+    """
+
+    name = "ground_effect_curve"
+    summary = "gain or loss of thrust near the ground by a measured curve"
+    parameters = _curve_parameters("ground")
+    confused_with = ("ground_effect", *GroundEffect.confused_with)
+    contains = ("ground_effect",)
+    law_of, law = "ground_effect", "curve"
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``T sum_k g_k B_k(h / R)``."""
+        return condition.rotor_thrust * gain_of_curve(condition.wake_room / condition.vehicle.rotor_radius, params)
+
+
+class CeilingEffectCurve(CeilingEffect):
+    """Ceiling effect by a curve, as ``ground_effect_curve``, of the distance to the surface at the inlet.
+
+    Source: Derived: as ``ground_effect_curve``.
+    """
+
+    name = "ceiling_effect_curve"
+    summary = "gain of thrust near the ceiling by a measured curve"
+    parameters = _curve_parameters("ceiling")
+    confused_with = ("ceiling_effect", *CeilingEffect.confused_with)
+    contains = ("ceiling_effect",)
+    law_of, law = "ceiling_effect", "curve"
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``T sum_k g_k B_k(h / R)``."""
+        return condition.rotor_thrust * gain_of_curve(condition.inlet_room / condition.vehicle.rotor_radius, params)
 
 
 LEAST_SQUARE = 1e-6  # Added to the square of the induced velocity [m²/s²], for a finite slope without thrust

@@ -41,6 +41,7 @@ from aerial_gym.sim2real.judge.verdict import (
     Verdict,
     effects_of_selection,
     names_of_ties,
+    notes_on_laws,
     notes_on_materiality,
 )
 from aerial_gym.sim2real.judge.whiteness import whiteness_of_channels
@@ -237,6 +238,7 @@ def verdict_notes(
         *notes_on_doubt(selection),
         *([Finding("left_open_note", "", {"channels": open_channels})] if open_channels else []),
         *unexplained.wind.notes,
+        *notes_on_laws(selection),
         *notes_on_bounds(declared, selection),
         *notes_on_materiality(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),

@@ -3,7 +3,7 @@
 The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -97,7 +97,9 @@ class NamedEffect:
         """Return it for JSON."""
         worth = self.ablation
         return {
-            **select_fields(self, "name", "params", "std", "interval", "noise_std", "frozen", "confidence", "ties"),
+            "name": EFFECTS.get(self.name).cause,
+            "law": EFFECTS.get(self.name).law,
+            **select_fields(self, "params", "std", "interval", "noise_std", "frozen", "confidence", "ties"),
             "ties_in_part": plain(self.in_part),
             "material": worth is None or worth.material,
             "without_it": plain(worth),
@@ -182,10 +184,11 @@ class Verdict:
         return {
             "test_flights": {results.name: plain(results) for results in self.outcomes},
             "effects": plain([*self.effects, *learned]),
-            **select_fields(self, "failures", "joints", "candidates"),
-            "not_testable": list(self.not_testable),
+            **select_fields(self, "failures", "joints"),
+            "candidates": list(dict.fromkeys(map(cause_name, self.candidates))),
+            "not_testable": list(dict.fromkeys(map(cause_name, self.not_testable))),
             **select_fields(self, "manoeuvre", "fly_next"),
-            "inclusion": {name: share for name, share in self.inclusion.items() if share >= LEAST_SHOWN},
+            "inclusion": {name: share for name, share in cause_shares(self.inclusion).items() if share >= LEAST_SHOWN},
             **select_fields(self, "structure", "whiteness", "unexplained", "not_shown"),
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
@@ -193,6 +196,33 @@ class Verdict:
                 name: {part.became.name: plain(part) for part in parts} for name, parts in self.flights.items()
             },
         }
+
+
+def cause_name(name: str) -> str:
+    """Return the name of the cause of an effect, which all its laws share; another name as it is."""
+    return EFFECTS.get(name).cause if name in EFFECTS else name
+
+
+def cause_shares(inclusion: Mapping[str, float]) -> dict[str, float]:
+    """Return the inclusion probability of each cause: the sum over its laws, of which a set has at most one."""
+    results = dict[str, float]()
+    for name, share in inclusion.items():
+        results[cause_name(name)] = min(results.get(cause_name(name), 0.0) + share, 1.0)
+    return results
+
+
+def notes_on_laws(selection: SelectionResult) -> list[Finding]:
+    """Return a note for each named effect on its law and each other one that was fitted, with the log odds between them."""
+    return [
+        Finding(
+            "law_preferred",
+            name,
+            {"law": EFFECTS.get(name).law, "other": EFFECTS.get(rival.effect).law, "log_odds": -rival.log_odds},
+        )
+        for name in selection.effects
+        for rival in selection.effect_rivals(name)
+        if cause_name(rival.effect) == cause_name(name)
+    ]
 
 
 def parameters_in_file(name: str, robot: RobotCfg) -> dict[str, float]:
@@ -267,4 +297,4 @@ def notes_on_materiality(effects: Sequence[NamedEffect]) -> list[Finding]:
 
 def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     """Return the effects that explain the flights as well as an accepted one in its place."""
-    return [rival.effect for rival in selection.effect_ties(name)]
+    return [rival.effect for rival in selection.effect_ties(name) if cause_name(rival.effect) != cause_name(name)]

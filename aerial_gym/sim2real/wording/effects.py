@@ -326,6 +326,14 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "ceiling_effect": _value_template(
         "Ceiling effect acts with a strength of {k}(1: one rotor by itself)", {"k": (1.0, "")}
     ),
+    **{
+        f"{surface}_effect_curve": _value_template(
+            f"Near the {surface} thrust follows a curve",
+            {f"g{radii}": (1e2, "%") for radii in (1, 2, 4, 8)},
+            **{f"g{radii}": f", part at {radii} rotor radii {{g{radii}}}" for radii in (1, 2, 4, 8)},
+        )
+        for surface in ("ground", "ceiling")
+    },
     "downwash": _value_template(
         "The wake of the other vehicle pushes down with up to {force}",
         {"force": (1.0, "N"), "sigma": (1.0, "m")},

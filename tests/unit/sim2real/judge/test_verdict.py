@@ -27,7 +27,7 @@ from aerial_gym.sim2real.judge.answer import answer_parts, trust_findings
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Decision, Outcome, verdict_decision
-from aerial_gym.sim2real.judge.verdict import Verdict
+from aerial_gym.sim2real.judge.verdict import Verdict, notes_on_laws
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -59,6 +59,25 @@ def test_parameters_at_a_bound_are_a_note_on_a_named_effect() -> None:
     fitted = make_fit("rotor_drag", params={"rotor_drag": [10.0, 0.0, 0.3]})
     notes = notes_on_bounds(make_setup(), make_selection(make_choice(fitted)))
     assert notes == [Finding("at_bound", "rotor_drag", {"parameters": ["dx"]})]
+
+
+def test_the_law_of_an_effect_is_a_note_and_its_cause_the_name() -> None:
+    """A curve 7 more probable than the formula: no tie, but a preference; the verdict has the name of the cause."""
+    curve, formula = make_fit("ground_effect_curve", log=0.0), make_fit("ground_effect", log=-7.0)
+    selection = make_selection(make_choice(curve, formula))
+    values = {"law": "curve", "other": "formula", "log_odds": 7.0}
+    assert notes_on_laws(selection) == [Finding("law_preferred", "ground_effect_curve", values)]
+    assert (
+        verdict.names_of_ties(
+            "ground_effect_curve", make_selection(make_choice(curve, make_fit("ground_effect", log=-1.0)))
+        )
+        == []
+    )
+    told = make_named_effect("ground_effect_curve", params={"g1": 0.1}).as_mapping()
+    assert (told["name"], told["law"]) == ("ground_effect", "curve")
+    assert verdict.cause_shares({"ground_effect": 0.2, "ground_effect_curve": 0.7}) == {
+        "ground_effect": pytest.approx(0.9)
+    }
 
 
 def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
