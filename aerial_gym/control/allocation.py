@@ -42,11 +42,6 @@ class Allotment:
     rest: Tensor  # Share of the yaw torque and the lateral force, 0 to 1, (E, 1)
 
 
-def allot_rotor_thrusts(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return the thrusts of ``allot``, (E, R) [N]."""
-    return allot(inverse, wrench, low, high).thrust
-
-
 def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor, *, idle: bool = True) -> Allotment:
     """Return thrusts [N], (E, R), within their limits: by the pseudo-inverse if possible, else by ``ThrustsByPriority``.
 

@@ -204,10 +204,6 @@ class ClosedLoop:
             best = largest_stable_dt(partial(self._corner_radius, *cases[radii.index(max(radii))]), best, lowest=lowest)
         return best
 
-    def discrete_poles(self, dt: float) -> Tensor:
-        """Return the discrete poles ``exp(s dt)`` of the loop with the declared gains at a time step [s], complex."""
-        return self._corner_modes(None, 1.0, dt)[0]
-
     def _corner_radius(self, corner: Corner, loop_gain: float, dt: float) -> float:
         return float(self._corner_modes(corner, loop_gain, dt).abs().max())
 

@@ -153,30 +153,3 @@ def accelerations(
     """Return the accelerations of a tree; arguments as for ``equations``."""
     system = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
     return solve(tree, state, system.mass, system.force)
-
-
-def kinetic_energy(tree: Tree, links: Links, state: TreeState) -> Tensor:
-    """Return the kinetic energy [J], (E,)."""
-    system = equations(tree, links, state, gravity=0.0)
-    lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
-    rates = torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=-1)
-    return 0.5 * torch.einsum("en,enm,em->e", rates, system.mass, rates)
-
-
-def com_position(tree: Tree, links: Links, state: TreeState) -> Tensor:
-    """Return the centre of mass of all links [m], world, (E, 3)."""
-    places = place_links(tree, links, state.joint_pos)
-    mean = (links.mass.unsqueeze(-1) * places.com).sum(1) / links.total_mass
-    return state.position + quat_rotate(state.attitude, mean)
-
-
-def momenta(tree: Tree, links: Links, state: TreeState) -> tuple[Tensor, Tensor]:
-    """Return momentum [kg m/s] and angular momentum about the world's origin [kg m²/s], world, (E, 3) each."""
-    system = equations(tree, links, state, gravity=0.0)
-    places, motion, mass = system.places, system.motion, links.mass.unsqueeze(-1)
-    velocity = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
-    push = mass * velocity
-    spin = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
-    about_base = (spin + cross(places.com, push)).sum(1)
-    momentum = quat_rotate(state.attitude, push.sum(1))
-    return momentum, quat_rotate(state.attitude, about_base) + cross(state.position, momentum)

@@ -10,7 +10,6 @@ from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
 from aerial_gym.physics.articulated.flight import articulated_step, link_damping
 from aerial_gym.physics.articulated.link_loads import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.motion import place_links
@@ -21,7 +20,15 @@ from aerial_gym.physics.model import Model, build_model, check_effects, robot_ef
 from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from tests.physics.articulated.trees import F64, pendulum, random_links, random_motion, random_tree
+from tests.physics.articulated.trees import (
+    F64,
+    kinetic_energy,
+    momenta,
+    pendulum,
+    random_links,
+    random_motion,
+    random_tree,
+)
 
 G = 9.81
 

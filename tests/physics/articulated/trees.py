@@ -1,8 +1,11 @@
-"""Trees, links and motions drawn at random."""
+"""Trees, links and motions drawn at random, and the quantities that they conserve."""
 
 import numpy as np
 import torch
 
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.motion import cross, place_links
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 
 F64 = torch.float64
@@ -57,3 +60,30 @@ def pendulum(length: float, mass: float) -> tuple[Tree, Links]:
     com = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.0, -length]]], dtype=F64)
     weights = torch.tensor([[1.0, mass]], dtype=F64)
     return tree, Links(mass=weights, com=com, inertia=torch.zeros(1, 2, 3, 3, dtype=F64))
+
+
+def kinetic_energy(tree: Tree, links: Links, state: TreeState) -> torch.Tensor:
+    """Return the kinetic energy [J], (E,)."""
+    system = equations(tree, links, state, gravity=0.0)
+    lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
+    rates = torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=-1)
+    return 0.5 * torch.einsum("en,enm,em->e", rates, system.mass, rates)
+
+
+def com_position(tree: Tree, links: Links, state: TreeState) -> torch.Tensor:
+    """Return the centre of mass of all links [m], world, (E, 3)."""
+    places = place_links(tree, links, state.joint_pos)
+    mean = (links.mass.unsqueeze(-1) * places.com).sum(1) / links.total_mass
+    return state.position + quat_rotate(state.attitude, mean)
+
+
+def momenta(tree: Tree, links: Links, state: TreeState) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return momentum [kg m/s] and angular momentum about the world's origin [kg m²/s], world, (E, 3) each."""
+    system = equations(tree, links, state, gravity=0.0)
+    places, motion, mass = system.places, system.motion, links.mass.unsqueeze(-1)
+    velocity = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
+    push = mass * velocity
+    spin = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
+    about_base = (spin + cross(places.com, push)).sum(1)
+    momentum = quat_rotate(state.attitude, push.sum(1))
+    return momentum, quat_rotate(state.attitude, about_base) + cross(state.position, momentum)

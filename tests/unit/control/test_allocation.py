@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import MountCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot_rotor_thrusts
+from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.warp_functions import vector_type
@@ -23,6 +23,10 @@ from aerial_gym.robots import ROBOTS
 from tests.repetitions import rare_values
 
 F64 = torch.float64
+
+
+def allot_rotor_thrusts(inverse, wrench, low, high):
+    return allot(inverse, wrench, low, high).thrust
 
 
 def hexarotor() -> RobotCfg:

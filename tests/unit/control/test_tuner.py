@@ -90,7 +90,7 @@ def test_the_sampled_loop_has_the_placed_poles() -> None:
             replace(quick, control=ControlCfg(**numbers)),
             CONTROLLERS.get("lee_position_control"), gravity=9.81, integrator="rk4", names=("x500", "lee_position_control"),
         )  # fmt: skip
-        poles = torch.log(loop.discrete_poles(dt)) / dt
+        poles = torch.log(loop._corner_modes(None, 1.0, dt)[0]) / dt
         yaw, sideways, up = (attitude, 2, 0.7), (position, 0, 0.8), (position, 2, 0.8)
         for result, axis, damping in (yaw, sideways, up):
             placed = complex(result.frequency[0, axis]) * complex(-damping, sqrt(1.0 - damping**2))
