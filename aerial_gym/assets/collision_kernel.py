@@ -127,9 +127,7 @@ REGISTERS = 96
 On an H200, 64 to 128 registers take the same time within 5 %. Without a limit the kernel takes 168.
 """
 
-MARGIN = wp.constant(1.0e-3)
-"""Margin for float32 rounding [m] when a part beyond the robot's displacement is skipped: at 1 km from the origin, positions
-are rounded by 6e-5 m."""
+MARGIN = wp.constant(1.0e-3)  # Margin for float32 rounding [m] of parts beyond the displacement: 6e-5 m at 1 km
 
 
 @wp.struct

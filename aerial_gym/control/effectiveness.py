@@ -20,9 +20,7 @@ OF_ITS_OWN = 0.1
 """Least orthogonal share of a row that counts as a further independent axis. Any value below ``1 / sqrt(6)`` finds as many as
 the rank: one of the six unit vectors has that share in an uncovered direction."""
 
-DEPENDENT = 1e-5
-"""Orthogonal share of a row's length below which the row is treated as dependent: round-off of float32 leaves some 1e-6,
-which an inverse would amplify."""
+DEPENDENT = 1e-5  # Orthogonal share below which a row is dependent; float32 rounding leaves some 1e-6 to be amplified
 
 
 def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:

@@ -10,8 +10,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate
 from aerial_gym.math.rows import atan2
 
-OPPOSITE = 1e-5
-"""Length of ``a x b`` of opposite a and b below which the shortest rotation is undefined. Source: PX4, ``matrix``."""
+OPPOSITE = 1e-5  # Length of `a x b` below which opposite a and b have no shortest rotation. Source: PX4, `matrix`
 
 
 def shortest_turn(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:

@@ -45,10 +45,7 @@ LOOP_GAINS = (0.5, 2.0)
 """Loop gains [-] at which a firm loop is stable too: a gain margin of 6 dB in both directions. Source: MIL-F-9490D (1975),
 3.1.3.6.1, table III, and its successor SAE AS94900, for rigid-body modes."""
 
-TIGHT_GAINS = (0.8, 1.25)
-"""Loop gains of a margin of 2 dB in both directions. With less, rotor limits may destabilise a disturbed loop, which needs a
-simulated flight."""
-
+TIGHT_GAINS = (0.8, 1.25)  # Loop gains of a margin of 2 dB each way; with less, rotor limits may destabilise a loop
 ROUND_OFF = 1e-7  # Tolerance of the spectral radius of a neutral mode around 1
 DT_RANGE = (1e-5, 1.0)  # Search range of the largest stable time step [s]
 HALVINGS = 24  # Bisections of the logarithm of that range: to 1e-6 of the time step

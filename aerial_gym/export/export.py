@@ -39,10 +39,7 @@ class Exported:
     to: str  # Format
 
     file: Path
-    largest_difference: float | None
-    """Largest difference of an output from that of torch in float32, in the unit of the output, over ``CHECKED`` observations
-    (``CHECKED_WITH_IMAGES``); None: ``not_checked``."""
-
+    largest_difference: float | None  # Largest difference from torch, in the output's unit; None: `not_checked`
     agreement: Agreement | None = None  # The output nearest to its limit, or furthest beyond it; None: `not_checked`
     not_checked: str | None = None  # Why it could not be run here
 

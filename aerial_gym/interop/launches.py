@@ -16,17 +16,13 @@ import warp as wp
 from torch import Tensor
 
 MAX_WORKERS = 4  # Most modules compiled at the same time; each worker reads Warp's headers once, in 2 s
-
-NO_BFLOAT16 = "-DWP_NO_BFLOAT16="
-"""Flag that removes the bfloat16 part of Warp's headers, a fifth of them; our kernels have none. Warp sets it for such modules
-itself, but not for its precompiled headers."""
+NO_BFLOAT16 = "-DWP_NO_BFLOAT16="  # Leaves out bfloat16, a fifth of Warp's headers; no kernel here has any
 
 LONGEST_SEARCHED = 2000
 """Largest number of lines of a kernel with superword vectorisation on CPUs. Most kernels have tens to hundreds of lines, and
 gain; the 3700 lines of 337 observations would compile in 45 s instead of 6."""
 
-_begun: dict[tuple[wp.Module, str, int | None], Future[None]] = {}
-"""Compilations by module, device and block size; on a GPU each size has its own binary, on a CPU the size is None."""
+_begun: dict[tuple[wp.Module, str, int | None], Future[None]] = {}  # By module, device and block size, None on a CPU
 
 
 @cache

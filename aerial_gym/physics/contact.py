@@ -42,9 +42,7 @@ from aerial_gym.physics.model import Model
 ITERATIONS = 6  # Solutions of the linear system; in the first all points stick
 CAUTIOUS_ITERATIONS = 2  # Further solutions if friction would add energy
 PENALTY = 100.0  # R per mass. A solution reduces the slip of a sticking point below 1 / PENALTY; more loses digits
-
-POSITION_SHARE = {"euler": 1.0, "rk4": 0.5}
-"""s by integrator: displacement at the end of the step per ``dt`` times the change of velocity."""
+POSITION_SHARE = {"euler": 1.0, "rk4": 0.5}  # s: displacement at the end of a step per `dt` and change of velocity
 
 
 def displacement_per_velocity_change(integrator: str, *, in_fluid: bool) -> float:

@@ -25,10 +25,7 @@ class Solid:
     """A part of an obstacle."""
 
     kind: str  # Kind of ``config.shape.ShapeCfg``, except ``compound`` and ``urdf``, which have parts
-
-    size: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Half edges of a box [m]; else the radius, and half the length of a cylinder or of a capsule's line along z."""
-
+    size: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Half edges of a box [m]; else radius and half length along z
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Position in the obstacle [m]
     attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # Attitude, part to obstacle, xyzw
     path: str = ""  # File of a mesh

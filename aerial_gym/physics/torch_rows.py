@@ -12,8 +12,7 @@ from aerial_gym.interop.rows import DifferentiableRows
 from aerial_gym.physics.ground import Ground, touches_ground
 from aerial_gym.physics.state import BodyState
 
-Substep = Callable[[BodyState, Tensor, float], BodyState]
-"""``(state, action, dt [s]) -> state after dt``; differentiable, and pure."""
+Substep = Callable[[BodyState, Tensor, float], BodyState]  # State, action (E, U) and dt [s] to the state after dt
 
 
 class SubstepRows:

@@ -65,17 +65,10 @@ class Vehicle:
     slew_rate_down: Tensor  # Largest rate of fall of the magnitude, likewise
     dead_band: Tensor  # Dead band [rad/s], in force mode [N], (E, R): commands of smaller magnitude stop the rotor
     rotor_radius: Tensor  # Radii of the propellers [m], (E, R); NaN if unknown
-
-    battery: Tensor
-    """Nominal, full and empty voltage [V], internal resistance [Ohm], capacity [A s] and efficiency, (E, 6); NaN if
-    unknown."""
-
+    battery: Tensor  # Nominal, full, empty voltage [V], resistance [Ohm], capacity [A s], efficiency, (E, 6), or NaN
     speed_low: Tensor  # Lowest command of speed [rad/s], in force mode of thrust [N], (E, R)
     speed_high: Tensor  # Highest command, likewise, (E, R)
-
-    traits: frozenset[str] = frozenset()
-    """Traits of rotors beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``, which select the formulas."""
-
+    traits: frozenset[str] = frozenset()  # Traits beyond a plain speed, of `ROTOR_TRAITS`, which select formulas
     rotor_map: RotorMap = POLYNOMIAL  # Functions of thrust and drag torque of all rotors
 
     @property

@@ -16,9 +16,7 @@ from aerial_gym.rl_training.policies.policy import Pilot
 from aerial_gym.task import Task
 from aerial_gym.task.step.judge import GATE_PASSED
 
-SUCCESS_RADIUS_M = 0.1
-"""A flight succeeds, and has settled, within this distance of the target [m], unless the task has a radius of its own: the
-bar of the position task."""
+SUCCESS_RADIUS_M = 0.1  # A flight succeeds, and has settled, within this distance of its target [m], if no task says
 
 
 FINAL_SPAN_S = 1.0  # The final error is the mean distance over this last part of an episode [s]
@@ -30,26 +28,16 @@ class Evaluation:
 
     num_starts: int  # Random starts E
     episode_s: float  # Length of an episode [s]
-
-    success_rate: float
-    """Share of flights without a crash whose final error is below the success radius; of a task with a success radius of its
-    own, the share that ends within it."""
-
+    success_rate: float  # Share of flights without a crash that end within the success radius, or the task's own
     crash_rate: float  # Share of flights that crashed
     timeout_rate: float  # Share of flights that did neither: they lasted to the end and were not there
-
-    final_error_mean_m: float | None
-    """Mean over flights of the mean distance over the last second [m]; None if all crashed or nothing is aimed at."""
-
+    final_error_mean_m: float | None  # Mean distance over the last second [m]; None if all crashed or have no aim
     final_error_p95_m: float | None  # 95th percentile of it [m]
     final_error_max_m: float | None  # Largest of it [m]
     settled_rate: float  # Share of flights that came within the success radius and stayed
     settling_time_mean_s: float | None  # Mean time from which a flight stays within the success radius [s]
     settling_time_p95_s: float | None  # 95th percentile of it [s]
-
-    success_time_mean_s: float | None
-    """Mean time after which the flights that succeeded ended [s]: of a race the time it took; None if none did."""
-
+    success_time_mean_s: float | None  # Mean time at which flights succeeded [s], as of a race; None if none did
     gates_passed_mean: float | None  # Mean number of gates passed per flight; None without gates
     return_mean: float  # Mean sum of rewards
     success_radius_m: float  # The radius [m]

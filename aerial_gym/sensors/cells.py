@@ -13,11 +13,7 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import ReusableLaunch, launch_side_by_side, on_torch_stream, split, start_warp
 
 BLOCK_DIM = 256  # Threads of a block on a GPU: eight cells, of which neighbours read the same sectors of memory
-
-LANES = 32
-"""Threads that share a cell on a GPU, a warp: neighbouring ones read neighbouring pixels. A cell of which fewer than half of
-them would read anything has one thread."""
-
+LANES = 32  # Threads that share a cell on a GPU, a warp; a cell that occupies fewer than half has one
 ROWS = 6  # Rows of pixels that a thread on a GPU asks for before it waits for the first of them
 MIN_PIXELS_PER_THREAD = 100_000  # Fewest pixels of a further CPU thread, whose hand-over takes some 50 µs
 

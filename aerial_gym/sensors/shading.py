@@ -97,10 +97,7 @@ class Light:
     looks: AppearanceArrays
 
 
-SHADOW_LIFT = wp.constant(1.0e-3)
-"""Height above a surface from which the ray to a light starts, per distance and at least in metres: it must not meet the
-surface itself."""
-
+SHADOW_LIFT = wp.constant(1.0e-3)  # Height of the start of a ray to a light, per distance and at least in metres
 FAR_AWAY = wp.constant(1.0e4)  # Distance [m] before which something on the way to the sun casts a shadow
 NEAREST = wp.constant(1.0e-6)  # Least squared distance of a lamp to a surface [m²], 1 mm: the light stays finite
 DEPTH_OF_FIELDS = wp.constant(0.01)  # Depth of a checkerboard look-up per field: a face lies within one layer

@@ -172,8 +172,7 @@ def _load_module(path: Path) -> ModuleType:
     return module
 
 
-CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")
-"""Terms that latents can replace: 64 numbers of an image with default parameters."""
+CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")  # Terms with 64 numbers by default, which latents can replace
 
 
 def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:

@@ -21,9 +21,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.errors import ConfigError
 
-BORDER = 0.5
-"""Least distance of gates and poles of a track that is drawn to its safety limits [m]. Source: envs/randomize.py there."""
-
+BORDER = 0.5  # Least distance of a drawn track to its safety limits [m]. Source: envs/randomize.py there
 VEHICLE = "cf21B_500"  # The vehicle there that is `racing_task`'s
 
 NO_SPREAD = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

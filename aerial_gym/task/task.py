@@ -43,8 +43,7 @@ from aerial_gym.task.values import Values
 if TYPE_CHECKING:
     from gymnasium import spaces
 
-Observation = dict[str, Tensor]
-"""``observations``, (E, O) float32, is the group ``policy``; other groups and images have their own names as keys."""
+Observation = dict[str, Tensor]  # `observations`, (E, O), is the group `policy`; others and images have own names
 
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observation, reward, terminated, truncated, info."""

@@ -37,11 +37,7 @@ for _needs, _install, _devices in (
     RENDER_PEERS.register(_needs[0], PeerProgram(needs=_needs, install=_install, devices=_devices))
 
 WORKER = Path(__file__).parent / "renderers" / "worker.py"
-
-DEPTH_TOLERANCE = 1e-3
-"""Largest difference of depths that show the same [m]; at 40 m a float32 has steps of 4e-6 m, and kernels with fast
-mathematics on GPUs lose two digits."""
-
+DEPTH_TOLERANCE = 1e-3  # Largest difference of equal depths [m]; float32 steps are 4e-6 m at 40 m, GPUs lose 2 digits
 MOST_THAT_DIFFER = 2e-3  # Largest share of pixels that may differ: round-off decides rays that graze an edge
 
 

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 class TaskBench:
     """Measure how many environment steps of a task are taken per second."""
 
-    task: str = "position_setpoint_task"
-    """Registered task, a task file (.yaml), module:Name or file.py:Name of a TaskCfg or a Task of your own."""
-
+    task: str = "position_setpoint_task"  # Registered task, a task file (.yaml), or module:Name or file.py:Name
     num_envs: int = 4096  # Environments stepped side by side
     device: str = "auto"  # Torch device; auto takes the GPU if there is one
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given

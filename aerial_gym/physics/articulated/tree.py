@@ -27,9 +27,7 @@ class Joint:
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)  # Unit vector of rotation or translation, in the joint's frame
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Origin of the joint's frame on its parent [m]
-
-    attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Rotation from the joint's frame to the parent's at coordinate zero, xyzw, unit."""
+    attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # At coordinate zero, joint to parent, xyzw
 
     def __post_init__(self) -> None:
         """Refuse invalid values."""

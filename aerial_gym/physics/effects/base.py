@@ -30,9 +30,7 @@ class Parameter:
     scale: float  # A change that one would call moderate: the step of numerical derivatives and fits
     meaning: str  # One line
     neutral: float = 0.0  # Value with which the robot behaves as declared
-    kind: Literal["number", "rotor", "convention"] = "number"
-    """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""
-    optional: bool = False  # Whether a robot file may leave it out, which then means ``neutral``
+    kind: Literal["number", "rotor", "convention"] = "number"  # A number to fit, a rotor's number, or a kept number
 
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]  # One of `config.rotor.ROTOR_TRAITS`
@@ -77,15 +75,10 @@ class Effect(ABC):
     # Set by the effect itself.
     name: ClassVar[str]
     summary: ClassVar[str]
-    parameters: tuple[Parameter, ...]
-    """In the order of the columns P. An instance has its own if they are named after parts of a robot (``of``)."""
+    parameters: tuple[Parameter, ...]  # By column P. An instance has its own if parts of a robot name them
     excitation: ClassVar[str]  # Quantities that must vary in a flight to make the effect visible
     confused_with: ClassVar[tuple[str, ...]]  # Effects with a similar signature, to be weighed against this one
-    law_of: ClassVar[str] = ""
-    """Name of the effect of which it is another law, and whose name states the cause; empty for the first law."""
-    law: ClassVar[str] = "formula"  # Its law, in words
-    contains: ClassVar[tuple[str, ...]] = ()
-    """Special cases of this effect with as many parameters. Selection prefers them if the flights do not distinguish."""
+    contains: ClassVar[tuple[str, ...]] = ()  # Special cases with as many parameters, preferred where flights fit both
     memory: ClassVar[tuple[float, ...]] = ()  # Values of its memory per environment right after a reset
     drifting: ClassVar[tuple[int, ...]] = ()  # Indices of remembered numbers that grow in a flight, such as charge
     rotor_memory: ClassVar[tuple[float, ...]] = ()  # Memory per rotor after a reset; all first numbers come first
@@ -94,16 +87,13 @@ class Effect(ABC):
     needs_radius: ClassVar[bool] = False  # Whether it depends on the radius of the rotors
     follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
     """Quantities that its force depends on: an imperfect law leaves a residual that follows them."""
-    told_by_torques: ClassVar[bool] = False
-    """Whether only torques distinguish it from similar effects: without torques, selection does not consider it."""
+    told_by_torques: ClassVar[bool] = False  # Whether only torques distinguish it; without, it is no candidate
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()  # Quantities that a log must hold in place of its memory
-    rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
-    """Rotor features that its law allows beyond a plain speed; others are refused by name."""
+    rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")  # Allowed rotor features beyond a plain speed
     at_hubs: ClassVar[bool] = False
     """Whether rotors and their hubs alone cause it. A shift of the centre of mass then changes its torque only by the lever
     of its force. On a vehicle with joints it acts on the links that carry rotors, by their motion."""
-    on_joints: ClassVar[bool] = True
-    """Whether a vehicle with joints can have it. Unless ``at_hubs``, it acts on the base in the reference pose."""
+    on_joints: ClassVar[bool] = True  # Whether a vehicle with joints can have it, on its base unless `at_hubs`
     on_rigid: ClassVar[bool] = True  # Whether a vehicle without joints, or one taken as rigid, can have it
     instead: ClassVar[tuple[str, ...]] = ()  # Effects to use in its place on a vehicle that cannot have it
     medium: ClassVar[Literal["air", "water"]] = "air"  # Fluid in which it matters; flights are in air

@@ -58,8 +58,7 @@ class ImuMisalignment(ImuEffect):
         return quat_rotate_inverse(turn, specific_force), quat_rotate_inverse(turn, ang_vel)
 
 
-WIDTH = 24
-"""Numbers of an environment: offset and columns of the matrix, 4 x 3, of the specific force, then of the angular velocity."""
+WIDTH = 24  # Numbers per environment: offset and matrix columns, 4 x 3, of specific force, then of angular velocity
 
 
 def imu_errors(effects: Sequence[tuple[ImuEffect, Tensor]]) -> Tensor:

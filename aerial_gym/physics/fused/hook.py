@@ -17,12 +17,8 @@ class FusedHook:
 
     struct: Any  # ``wp.struct`` of the data that the hook reads and writes
     data: Any  # An instance of ``struct``, whose arrays keep their memory
-
-    function: wp.Function
-    """``(data, env, k, done: Substep) -> (position, attitude, lin_vel, ang_vel)`` after substep k, as in ``Substep``."""
-
-    joints: bool = False
-    """Whether the data has an array ``joint_pos``, (K + 1, E, D), which the kernel of an articulated vehicle writes."""
+    function: wp.Function  # `(data, env, k, done: Substep)` to position, attitude and both velocities after substep k
+    joints: bool = False  # Whether the data has `joint_pos`, (K + 1, E, D), which the kernel with joints writes
 
 
 @wp.struct

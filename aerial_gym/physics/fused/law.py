@@ -50,10 +50,7 @@ class FusedLaw:
     With memory its further arguments are ``memory.LawArrays`` and the environment."""
 
     needs: LawNeeds | None  # Memory that the law needs
-
-    follow: Callable[[Vehicle], Mapping[str, Tensor]] | None
-    """Row function from the vehicle of each environment to tensors that depend on it, (E, ...), by name; None without any."""
-
+    follow: Callable[[Vehicle], Mapping[str, Tensor]] | None  # From the vehicle of each row to dependent tensors
     followed: Mapping[str, str]  # Their names by the fields' names
 
     structure: "_Structure"  # Numbers of tensors that the trace took as constants

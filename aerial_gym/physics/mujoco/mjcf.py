@@ -20,10 +20,7 @@ from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.ground import LinkContacts, Solid, Solids
 
 HEAVY = 1e9  # Mass [kg] and inertia [kg m²] of a moving obstacle; a vehicle of 1 kg moves it by a share of 1e-9
-
-TOLERANCE = 1e-11 / HEAVY
-"""Solver tolerance with moving obstacles: MuJoCo scales it by the mean inertia, here that of the heavy bodies."""
-
+TOLERANCE = 1e-11 / HEAVY  # Solver tolerance with moving obstacles: MuJoCo scales it by their mean inertia
 ON_LINKS = "2"  # Contact bit of obstacles and links; shapes of links without it touch each other only
 _TYPES = {"box": "box", "sphere": "sphere", "capsule": "capsule", "cylinder": "cylinder", "mesh": "mesh"}
 

@@ -16,11 +16,7 @@ from aerial_gym.sensors.encoder.file import Autoencoder, Encoder
 
 NEAR_M = 3.0  # Distance below which a pixel is near [m]: the path of 1.5 s at 2 m/s
 MOST_EXACT = 4096  # Pixels up to which principal components come from the covariance; beyond, randomised
-
-ACTIVE = 0.01
-"""Variance of a latent's mean above which it tells images apart. Source: Burda, Grosse, Salakhutdinov (2016), Importance
-Weighted Autoencoders, section 5.2."""
-
+ACTIVE = 0.01  # Variance of a mean above which a latent is active. Source: Burda et al. (2016), section 5.2
 AT_ONCE = 1024  # Images that are encoded at once
 Reconstruction = Callable[[Tensor], Tensor]  # Function from images (N, H, W) to their reconstruction, (N, H, W)
 

@@ -112,9 +112,7 @@ class EncoderResult:
     interrupted: bool  # Whether the user ended it
     time_s: float  # Length of this session, rendering and figures included [s]
     active_latents: int | None = None  # Number of latents with variance over images
-    errors: Mapping[str, ImageErrors] = field(default_factory=dict)
-    """Errors on test images by reconstruction: ``encoder``, ``pca_64``, ``mean_image``."""
-
+    errors: Mapping[str, ImageErrors] = field(default_factory=dict)  # On test images: `encoder`, `pca_64`, `mean_image`
     errors_by_env: Mapping[str, ImageErrors] = field(default_factory=dict)  # Errors of the encoder by environment
 
 

@@ -45,10 +45,7 @@ class Window:
 
     observation: Mapping[str, Tensor]  # By key, before each step, without gradients
     final: Mapping[str, Tensor]  # After each step and before a reset, by key
-
-    last: Mapping[str, Tensor]
-    """After the last step and its resets, by key, (E, ...), without gradients: where the next window begins."""
-
+    last: Mapping[str, Tensor]  # After the last step and its resets, (E, ...), without gradients, by key
     mean: Tensor  # Of the actions, (T, E, U)
     reward: Tensor
     terminated: Tensor  # Bool

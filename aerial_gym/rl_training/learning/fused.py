@@ -23,9 +23,7 @@ from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
-WIDTHS = (16, 32, 64)
-"""Widths of the hidden layers for which a tile of samples fits: 128 asks for 308 kB of shared memory, an H200 has 232."""
-
+WIDTHS = (16, 32, 64)  # Widths of hidden layers whose tiles fit: 128 needs 308 kB of shared memory, an H200 has 232
 MOST_INPUTS = 64  # Entries of a network's input, likewise
 
 MOST_ACTIONS = 16
@@ -36,9 +34,7 @@ for the gradient of 32,768 samples, two hidden layers of 64; 96 to 240 us with o
 
 BLOCKS_EACH = 2  # Blocks of the gradient for each multiprocessor: 92 us, with one 100 us
 POLICY, CRITIC = "policy", "critic"  # Input of each network as one vector
-
-PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
-"""Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""
+PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"  # Of products: forward passes must compare exactly, as in float32
 
 
 def start_triton_early(device: torch.device) -> None:

@@ -147,9 +147,7 @@ def clamp_action(action: Tensor) -> Tensor:
 
 
 BETAS, EPSILON = (0.9, 0.999), 1e-8  # Kingma, Ba (2015), Adam: a method for stochastic optimization, algorithm 1
-
-PIECE = 4096
-"""Weights that one block of a GPU moves: one tensor of 100,000 would be work for two of its multiprocessors."""
+PIECE = 4096  # Weights of one block of a GPU: a tensor of 100,000 would occupy two multiprocessors
 
 
 class FlatAdam:

@@ -33,10 +33,7 @@ from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
-RATE_STEP = 1.5
-"""Factor by which the learning rate adapts to the divergence: up below half of the threshold, down above twice of it, as in
-rl-games."""
-
+RATE_STEP = 1.5  # Factor of the learning rate: up below half the divergence threshold, down above twice, as in rl-games
 LOWEST_RATE = 1e-6  # Least learning rate, as in rl-games
 TINY = 1e-8  # Keeps advantages that are all alike from being divided by 0
 
@@ -68,10 +65,7 @@ class RolloutSegment:
     """One segment of every environment, (T, E, ...); the memory is that of its start."""
 
     observation: Mapping[str, Tensor]  # By key, (T + 1, E, ...): the last one is where the next segment begins
-
-    final: Mapping[str, Tensor]
-    """After each step and before a reset, (T, E, ...), by key; the image of a row that ended is the one before."""
-
+    final: Mapping[str, Tensor]  # After each step, before a reset, (T, E, ...), by key; last image for an end
     begins: Tensor  # Whether an episode begins with the observation, bool, (T + 1, E)
     memory: Tensor  # Memory before the first step, (E, M)
     acting: Tensor  # Memory of the policy after the last step, (E, M')

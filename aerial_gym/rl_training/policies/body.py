@@ -18,10 +18,7 @@ from aerial_gym.sensors.encoder.file import ACTIVATIONS, convolutions
 
 EPSILON = 1e-5  # Added to the variance, as rl-games and Sample Factory do (`RunningMeanStd`, `RunningMeanStdInPlace`)
 LIMIT = 5.0  # Normalised numbers are clamped to this, as both libraries do
-
-OUTLIER = 100.0
-"""Standard deviations beyond which a return is taken for a fault. Where returns really grow so far at once, the spread follows
-them within a few updates."""
+OUTLIER = 100.0  # Standard deviations beyond which a return is a fault; a true change moves the spread in few updates
 
 
 class RunningNormalizer(nn.Module):

@@ -70,10 +70,7 @@ def interruptible(ranks: Ranks = ALONE) -> Iterator[Interruption]:
             signal.signal(number, handler)
 
 
-FIRST_INTERVAL_S = 5.0
-"""At most so long after its start a training has a checkpoint of what it learned [s], or after its first update if that is
-longer; later ones follow every ``checkpoint_every_s``."""
-
+FIRST_INTERVAL_S = 5.0  # Longest time to the first checkpoint [s], or to the first update if that takes longer
 _log = logging.getLogger(__name__)
 
 

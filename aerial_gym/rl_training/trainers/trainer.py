@@ -48,9 +48,7 @@ class Trainer(ABC):
     any_inputs: ClassVar[bool] = False  # Whether it trains with memory, images and separate critic keys
     differentiable: ClassVar[bool] = False  # Whether it needs gradients through the task
     captures_task: ClassVar[bool | None] = None  # Whether the task records a CUDA graph of its step; None: on GPUs
-
-    earlier_checkpoints: ClassVar[tuple[str, ...]] = ()
-    """Glob patterns in a run folder of checkpoints that earlier versions wrote."""
+    earlier_checkpoints: ClassVar[tuple[str, ...]] = ()  # Glob patterns of checkpoints of earlier versions
 
     def require(self) -> None:
         """Raise ``MissingDependencyError`` if its library is not installed."""

@@ -166,11 +166,7 @@ class StableStep:
     """Largest stable time step of a controller."""
 
     controller: str  # Its name
-
-    largest_s: float | None = None
-    """Largest time step at which all flights come to rest, with a gain margin of 6 dB if any has one [s]; None if there is
-    none, or the controller does not fit."""
-
+    largest_s: float | None = None  # Largest step at which all flights come to rest, with 6 dB of gain margin [s]
     at_least: bool = False  # Whether that is the end of ``STEP_RANGE``, and the true one is larger
     little_margin: bool = False  # Whether no time step has a gain margin of 6 dB
     refused: str | None = None  # Why the controller does not fit the robot

@@ -40,18 +40,11 @@ class RobotReport:
     hover_thrust_n: tuple[float, ...]  # Of each rotor at hover in still air, as the allocation gives it, (R,)
     hover_share: float  # Largest hover thrust of all rotors as a share of the thrust range, 0 to 1
     thrust_to_weight: float  # Largest thrust along body z without torque, per weight
-
-    rank: int
-    """Of the control effectiveness matrix: how many forces and torques are independent; 4 for flat multirotors, 6 for those
-    that push in every direction."""
-
+    rank: int  # Number of independent forces and torques: 4 for flat multirotors, 6 with thrust in every direction
     force_n: tuple[float, ...]  # Largest symmetric force along x, y, z at hover without torque
     torque_n_m: tuple[float, ...]  # Largest symmetric torque about x, y, z at hover
     angular_acceleration_rad_s2: tuple[float, ...]  # Of that torque
-
-    first_at_limit: tuple[int | None, ...]
-    """Number from 1 of the rotor that limits force and torque along x, y, z, six entries; None without authority."""
-
+    first_at_limit: tuple[int | None, ...]  # Rotor, from 1 on, that limits force and torque along x, y, z, or None
     stable_steps: tuple[StableStep, ...]  # Largest time steps, by controller
     problems: tuple[str, ...]  # Why it cannot fly as described; none of a robot that can
     warnings: tuple[str, ...]  # Warnings about implausible numbers

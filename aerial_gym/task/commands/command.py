@@ -20,10 +20,7 @@ class Command:
     """Base of the generators. A subclass takes its numbers as keyword-only arguments and declares its buffers in ``values``."""
 
     name = ""  # Under which it is registered
-
-    reads: tuple[str, ...] = ()
-    """Inputs of ``current_values`` and ``next_values`` besides ``sim_steps`` and ``begun``; its own buffers included."""
-
+    reads: tuple[str, ...] = ()  # Inputs besides `sim_steps` and `begun`; its own buffers included
     follows_reset = False  # Whether `next_values` are `current_values` again, as a reset changes their inputs
     goal = False  # Whether obstacles that are drawn keep their distance from the target of a new episode
 

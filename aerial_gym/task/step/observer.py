@@ -70,8 +70,7 @@ class SensorFaults:
         return torch.where(acts, value + offsets, value)
 
 
-NOISE, DELAYS = "observation_noise", "observation_delay"
-"""Inputs of the kernel besides those of terms: draws of this step, and delays drawn at reset."""
+NOISE, DELAYS = "observation_noise", "observation_delay"  # Draws of this step, and delays drawn at a reset
 
 
 @dataclass(frozen=True, kw_only=True)

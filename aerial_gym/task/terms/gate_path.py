@@ -8,13 +8,9 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate_inverse
 
-WAY_AROUND = 0.6
-"""Radius of the way round a gate [m]: half the diagonal of a frame of 0.72 m is 0.51 m, and a vehicle needs room."""
-
+WAY_AROUND = 0.6  # Radius of the way round a gate [m]: half a frame's diagonal, 0.51 m, and room for a vehicle
 WAY_STRAIGHT = 0.4  # Length of the way along the axis of a gate [m]: the edge of its opening
-
-AT_AXIS = 0.1
-"""Distance below which there is no direction to an axis [m]: in an opening of 0.4 m a vehicle of 0.14 m has 0.13 m about it."""
+AT_AXIS = 0.1  # Distance below which an axis has no direction [m]: a vehicle has 0.13 m in an opening of 0.4 m
 
 
 def gate_path_length(position: Tensor, orientation: Tensor, robot: Tensor) -> Tensor:
