@@ -17,11 +17,6 @@ def simulation(
 ) -> EnvManager:  # fmt: skip
     """Return a simulation, built and not yet reset; names may stand for configurations, options are those of ``build_env``."""
     return SimBuilder().build_env(
-        sim_name=sim,
-        env_name=env,
-        robot_name=robot,
-        controller_name=controller,
-        num_envs=num_envs,
-        device=device,
-        **options,
-    )
+        sim_name=sim, env_name=env, robot_name=robot, controller_name=controller, num_envs=num_envs,
+        device=device, **options,
+    )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym import EFFECTS, ROBOTS, EnvManager, task_registry
+from aerial_gym import ROBOTS, EnvManager, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import on_torch_stream
@@ -16,7 +16,7 @@ from aerial_gym.math.warp_functions import inverse_root, root, unit_quat
 from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
 from tests.builders import simulation
-from tests.physics.vehicles import BATTERY
+from tests.physics.vehicles import robot_with_memory
 from tests.refusals import assert_refused
 from tests.unit.interop.rows.test_function import check_transport
 from tests.unit.robots.test_initial_state import check_derived, compute_states, motions
@@ -121,15 +121,11 @@ def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker:
 
 
 def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
-    robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
-    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
-        effect = EFFECTS.get(name)
-        params = zip(effect.neutral(robot), effect.parameters, strict=True)
-        effects[name] = {p.name: a + 0.5 * p.scale * (p.kind != "rotor") for a, p in params}
-    robot = replace(robot, effects=effects, effects_source="test", battery=BATTERY)
     result = []
     for capture in (False, True):
-        env = simulation(robot, "lee_velocity_control", num_envs=64, device=torch.device("cuda:0"), seed=5)
+        env = simulation(
+            robot_with_memory(), "lee_velocity_control", num_envs=64, device=torch.device("cuda:0"), seed=5
+        )
         env.reset()
         actions, mask = torch.zeros(64, 4, device="cuda:0"), torch.arange(64, device="cuda:0") % 3 == 0
 

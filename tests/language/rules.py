@@ -123,15 +123,9 @@ def misspellings() -> Offences:
 
 
 RULES: dict[str, Callable[[], Offences]] = {
-    "words of a sentence on average": mean_lengths,
-    "words of a sentence": long_sentences,
-    "words in tables": table_shares,
-    "openings of docstrings": clause_docstrings,
-    "names that begin with a participle": participles,
-    "names that end in a preposition": prepositions,
-    "names that are pronouns": pronouns,
-    "class names used twice": duplicate_classes,
-    "pages without a link": unreachable_pages,
-    "links without a target": dead_links,
-    "spelling": misspellings,
-}
+    "words of a sentence on average": mean_lengths, "words of a sentence": long_sentences,
+    "words in tables": table_shares, "openings of docstrings": clause_docstrings,
+    "names that begin with a participle": participles, "names that end in a preposition": prepositions,
+    "names that are pronouns": pronouns, "class names used twice": duplicate_classes,
+    "pages without a link": unreachable_pages, "links without a target": dead_links, "spelling": misspellings,
+}  # fmt: skip

@@ -41,21 +41,14 @@ def assert_unbiased(result: Tensor, expected: Tensor) -> None:
     assert (error < 0.1 * expected).all()
 
 
-def allan_variances(tau: Tensor, dt: float) -> Tensor:
-    """Return the Allan variance of white noise of N = 1 and of a random walk of K = 1 that is sampled every dt, (K, 2).
-    ``1 / tau`` and ``tau / 3 (1 + 1 / (2 m²))`` with m = tau / dt. Derived: the variance of the difference of
-    neighbouring averages of m samples of a walk with unit steps is ``(2 m² + 1) / (3 m)``."""
-    return torch.stack((1.0 / tau, tau / 3.0 * (1.0 + 0.5 * (dt / tau) ** 2)), dim=-1)
-
-
 def test_white_noise_and_random_walk_give_their_closed_forms() -> None:
     """N²/tau, and K² tau/3 in the limit of many samples."""
     n, k, count = 0.7, 0.2, 512
     draws = torch.randn(2, 1024, count, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     tau, white = allan_deviation(n * draws[0] / DT**0.5, DT)
     _, walk = allan_deviation((k * draws[1] * DT**0.5).cumsum(0), DT)
-    assert_unbiased(white.square().T, n**2 * allan_variances(tau, DT)[:, 0])
-    assert_unbiased(walk.square().T, k**2 * allan_variances(tau, DT)[:, 1])
+    assert_unbiased(white.square().T, n**2 * variance_shares(tau, DT)[:, 0])
+    assert_unbiased(walk.square().T, k**2 * variance_shares(tau, DT)[:, 1])
 
 
 @pytest.mark.parametrize(("name", "dt"), [pytest.param("vn100", 10.0, marks=pytest.mark.slow), ("bmi088", 2.0)])
@@ -66,10 +59,7 @@ def test_simulated_imus_have_the_configured_densities(name: str, dt: float) -> N
     tau, deviation = allan_deviation(record_at_rest(cfg, num_sensors=128, num_samples=4096, dt=dt, seed=7), dt)
     densities = [(*cfg.accel_noise_density, *cfg.gyro_noise_density), (*cfg.accel_bias_walk, *cfg.gyro_bias_walk)]
     for channel, truth in enumerate(torch.tensor(densities, dtype=torch.float64).square().T):
-        parts = allan_variances(tau, dt) * truth
-        weight = 1.0 / (parts.sum(-1, keepdim=True) * tau.sqrt().unsqueeze(-1))  # relative errors grow with sqrt(tau)
-        fit = torch.linalg.lstsq(parts * weight, deviation[:, :, channel].square() * weight).solution.T
-        assert_unbiased(fit, torch.ones(2, dtype=torch.float64))
+        assert_unbiased(fit_densities(tau, deviation[:, :, channel], dt, truth), truth)
 
 
 def test_one_sample_is_refused() -> None:

@@ -148,15 +148,5 @@ def test_parameters_that_were_written_are_measured(ideal: str) -> None:
     close(fly(env)[-1], fly(plain)[-1].double() + bias.double())
 
 
-def test_it_is_drawn_in_the_launch_of_the_reset(ideal: str) -> None:
-    env = build(ideal, 4, BIAS_THEN_TURN)
-    update, errors = env.robot_manager._update, env.gtd["robot_imu_errors"]
-    assert update.why_slow == ""
-    place = errors.data_ptr()
-    fly(env)
-    env.robot_manager.refresh_model()
-    assert env.gtd["robot_imu_errors"].data_ptr() == place
-
-
 def test_a_robot_without_such_effects_has_no_rows(ideal: str) -> None:
     assert "robot_imu_errors" not in build(ideal, 2, {"body.mass": RandomizeCfg(low=0.9, high=1.1)}).gtd

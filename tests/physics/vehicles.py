@@ -1,6 +1,7 @@
 """Vehicles and states for tests: all parameters generic, nothing symmetric, float64."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg,
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import EFFECTS, BodyState, effects_from_config, state_at_rest
 from aerial_gym.physics.effects import Effect, EffectParams
+from aerial_gym.robots import ROBOTS
 
 F64 = torch.float64
 
@@ -48,6 +50,16 @@ def asymmetric_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -
         ),
         collision=CollisionCfg(source="test"), battery=BATTERY,
     )  # fmt: skip
+
+
+def robot_with_memory() -> RobotCfg:
+    """Return a quadrotor with drag, a battery and every effect that has memory."""
+    robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
+    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
+        effect = EFFECTS.get(name)
+        params = zip(effect.neutral(robot), effect.parameters, strict=True)
+        effects[name] = {p.name: a + 0.5 * p.scale * (p.kind != "rotor") for a, p in params}
+    return replace(robot, effects=effects, effects_source="test", battery=BATTERY)
 
 
 def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) -> BodyState:

@@ -1,5 +1,6 @@
 """Our answers to the random states of ``crazyflie_vectors``, beside the firmware's, in our frames."""
 
+from collections.abc import Iterator
 from math import inf
 
 import numpy as np
@@ -104,13 +105,8 @@ def lee_integral_pair(vectors: dict[str, Tensor], *, integrals: bool = True) -> 
         lee=lee, position_integral=far, position_limit=free, attitude_integral=turned, attitude_limit=free
     )
     kept, result = mass.new_zeros(made.RUNS, INTEGRALS), []
-    for step in zip(*(part.unbind(1) for part in _split(rows, 4, 3, 3, 3, 3, 3, 1)), strict=True):
-        q, at, moving, gyro, goal, goal_velocity, yaw = step
-        still = torch.zeros_like(at)
-        target = FlatTarget(
-            position=goal, velocity=goal_velocity, acceleration=still, yaw=torch.deg2rad(yaw[:, 0]), rates=still
-        )
-        thrust, torque, kept = geometric_control(_state(quat_normalize(q), at, moving, gyro), target, kept, own, dt=DT)
+    for state, target in _steps(rows):
+        thrust, torque, kept = geometric_control(state, target, kept, own, dt=DT)
         result.append(torch.cat((thrust.unsqueeze(-1), torque), dim=-1))
     return torch.stack(result), vectors["lee_integrals"].transpose(0, 1)
 
@@ -130,13 +126,7 @@ def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
         attitude_limit=axis_gains("i_range_m"), rate_difference=named["kd_omega_rp"],
     )  # fmt: skip
     kept, result = own.mass.new_zeros(made.RUNS, WIDTH), []
-    for step in zip(*(part.unbind(1) for part in _split(rows, 4, 3, 3, 3, 3, 3, 1)), strict=True):
-        q, at, moving, gyro, goal, goal_velocity, yaw = step
-        still = torch.zeros_like(at)
-        target = FlatTarget(
-            position=goal, velocity=goal_velocity, acceleration=still, yaw=torch.deg2rad(yaw[:, 0]), rates=still
-        )
-        state = _state(quat_normalize(q), at, moving, gyro)
+    for state, target in _steps(rows):
         thrust, moment, kept = mellinger_control(state, target, kept, own, gravity=GRAVITY, dt=DT)
         result.append(torch.cat((thrust, moment.trunc()), dim=-1))
     return torch.stack(result), _nose_down(vectors["mellinger"]).transpose(0, 1)
@@ -196,6 +186,12 @@ def firmware_brescianini_gains(gains: np.ndarray, *, mixing: float) -> Bresciani
         velocity=2.0 * zeta / tau, attitude=1.0 / tau_rp, mixing=row(mixing), rate=1.0 / row(*BRESCIANINI_RATE_TAU),
         least_thrust=row(least), most_thrust=row(most), tilt_rate_limit=row(tilting), yaw_rate_limit=row(heading),
     )  # fmt: skip
+
+
+def _steps(rows: np.ndarray) -> Iterator[tuple[BodyState, FlatTarget]]:
+    """Yield the states and the targets of the steps of runs, (RUNS, STEPS, 20): of position, velocity and yaw."""
+    for rows_of_step in torch.from_numpy(rows).double().unbind(1):
+        yield _follow(torch.nn.functional.pad(rows_of_step, (0, 4)))
 
 
 def _follow(rows: Tensor) -> tuple[BodyState, FlatTarget]:

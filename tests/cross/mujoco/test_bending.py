@@ -1,8 +1,10 @@
 """Vehicles that bend on MuJoCo as a backend: its step of a tree against ``implicit_euler``, and against closed forms.
 All in float64 but for whole simulations."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -93,28 +95,36 @@ def test_a_link_without_mass_between_two_joints_moves_as_in_torch() -> None:
     assert_same(actual, reference, bound=1e-6)
 
 
-def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """MuJoCo is not told of what is not finite: it would write a file."""
-    monkeypatch.chdir(tmp_path)
-    tree = random_tree(4, 8)
-    links, first = random_links(tree, 3, 8), random_motion(tree, 3, 8)
-    first.joint_vel[1, 2] = torch.nan
-    law = spring(4, stiffness=0.4, quadratic=0.7, damping=0.05)
-    batch, bodies = first, RolloutTrees(tree, 3, DT)
-    own = {name: rows[2:] for name, rows in vars(first).items()}
-    alone, one = TreeState(**own), RolloutTrees(tree, 1, DT)
+def assert_bends_alone_as_in_a_batch(make_trees: Callable[[Tree, int, float], Any]) -> None:
+    """Environment 2 of three, of which environment 1 is not finite and stays so."""
+    tree, law = random_tree(4, 8), spring(4, stiffness=0.4, quadratic=0.7, damping=0.05)
+    links, batch = random_links(tree, 3, 8), random_motion(tree, 3, 8)
+    batch.joint_vel[1, 2] = torch.nan
+    bodies, one = make_trees(tree, 3, DT), make_trees(tree, 1, DT)
+    alone = TreeState(**{name: rows[2:] for name, rows in vars(batch).items()})
     weights = Links(**{name: rows[2:] for name, rows in vars(links).items()})
     for _ in range(20):
         batch = bodies.move(tree, links, (law,), batch, DT, gravity=G, wrench=no_wrench(tree, 3))
         alone = one.move(tree, weights, (law,), alone, DT, gravity=G, wrench=no_wrench(tree, 1))
     assert batch.position[1].isnan().all()
-    assert not list(tmp_path.iterdir())
     for name, rows in vars(alone).items():
         assert torch.equal(rows[0], getattr(batch, name)[2]), name
+
+
+def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo is not told of what is not finite: it would write a file."""
+    monkeypatch.chdir(tmp_path)
+    assert_bends_alone_as_in_a_batch(RolloutTrees)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_step_of_another_length_is_refused() -> None:
+    tree = random_tree(4, 8)
+    links, state = random_links(tree, 3, 8), random_motion(tree, 3, 8)
     with pytest.raises(ShapeError, match="of another tree, or of steps of 0.002 s"):
-        bodies.move(tree, links, (), first, 0.01, gravity=G, wrench=no_wrench(tree, 3))
+        RolloutTrees(tree, 3, DT).move(tree, links, (), state, 0.01, gravity=G, wrench=no_wrench(tree, 3))
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,23 @@ import torch
 
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BACKENDS, TorchBackend
 from aerial_gym.physics.articulated.steppers import implicit_euler
-from aerial_gym.physics.articulated.tree import Links, TreeState
-from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.articulated.tree import Links
 from aerial_gym.physics.mujoco.warp_engine import WarpTrees
-from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
+from tests.cross.mujoco.test_bending import (
+    DT,
+    G,
+    assert_bends_alone_as_in_a_batch,
+    assert_same,
+    flies_as_on_torch,
+    on_a_stand,
+    spring,
+)
 from tests.cross.mujoco.test_flight import by_env
 from tests.cross.test_backends import NUDGES, as_type, assert_agreement, build, perturb, random_actions, start_state
-from tests.cross.test_joints_in_single_precision import WITH_JOINTS, coordinates, make_start, step_bound
+from tests.cross.test_joints_in_single_precision import WITH_JOINTS, assert_one_step_within_bound
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, GroundRig, start
 from tests.physics.vehicles import F64, asymmetric_robot
@@ -72,19 +78,7 @@ def test_a_row_that_is_not_finite_stays_so_and_alone() -> None:
 @pytest.mark.parametrize("name", frequent_values(WITH_JOINTS, ("morphy", "snakey")))
 def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows(name: str) -> None:
     """Beside torch in float64, by the bound of ``test_joints_in_single_precision``: drives, springs, rotors on links."""
-    exact = make_start(name, F64, spread=0.3, moves=1.0)
-    single = make_start(name, torch.float32, spread=0.3, moves=1.0, backend=BACKENDS.get("mujoco_warp")())
-    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
-    for flight in (exact, single):
-        flight.backend.step(flight.state, flight.action, DT, 1)
-    width = bound.scale.shape[1]
-    apart = (coordinates(exact.state) - coordinates(single.state).double())[:, -width:]
-    away = (bound.scale * apart).norm(dim=1)
-    units = (bound.scale * coordinates(exact.state)[:, -width:]).norm(dim=1) * 2.0**-24
-    print(
-        f"\n| `{name}` | {(away / units).median():.1f} | {(away / units).max():.1f} | {(bound.largest / units).median():.1e} |"
-    )
-    assert bool((away <= bound.largest).all())
+    assert_one_step_within_bound(name, BACKENDS.get("mujoco_warp")())
 
 
 @pytest.mark.parametrize("floating", [True, False])
@@ -106,25 +100,9 @@ def test_trees_with_branches_and_weights_of_their_own_move_as_by_implicit_euler(
 
 
 def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so() -> None:
-    tree, law = random_tree(4, 8), spring(4, stiffness=0.4, quadratic=0.7, damping=0.05)
-    links, batch = random_links(tree, 3, 8), random_motion(tree, 3, 8)
-    batch.joint_vel[1, 2] = torch.nan
-    bodies, one = WarpTrees(tree, 3, DT), WarpTrees(tree, 1, DT)
-    alone = TreeState(**{name: rows[2:] for name, rows in vars(batch).items()})
-    weights = Links(**{name: rows[2:] for name, rows in vars(links).items()})
-    for _ in range(20):
-        batch = bodies.move(tree, links, (law,), batch, DT, gravity=G, wrench=no_wrench(tree, 3))
-        alone = one.move(tree, weights, (law,), alone, DT, gravity=G, wrench=no_wrench(tree, 1))
-    assert batch.position[1].isnan().all()
-    for name, rows in vars(alone).items():
-        assert torch.equal(rows[0], getattr(batch, name)[2]), name
+    assert_bends_alone_as_in_a_batch(WarpTrees)
 
 
 @pytest.mark.parametrize("robot", frequent_values(WITH_JOINTS, ("morphy_fixed_base", "tilt_tricopter")))
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
     flies_as_on_torch(robot, "mujoco_warp")
-
-
-def test_a_floor_is_refused_by_name() -> None:
-    with pytest.raises(CapabilityError, match="mujoco_warp: no contact of a vehicle with joints. Use backend 'mujoco'"):
-        WarpTrees(random_tree(1, 0), 1, DT, floor=Floor(height=0.0, spheres=(), friction=0.5))

@@ -12,7 +12,6 @@ from torch import Tensor
 from aerial_gym import EFFECTS, ROBOTS, ROTOR_MAPS, EnvManager, Task
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.control import CONTROL_LAWS
 from aerial_gym.errors import ConfigError
@@ -20,12 +19,10 @@ from aerial_gym.physics import BodyState, Vehicle
 from aerial_gym.physics.effects.air_motion import RandomForce
 from aerial_gym.registry.state import config_digest, describe_own_code
 from tests.builders import simulation
+from tests.physics.vehicles import robot_with_memory
 from tests.unit.task.hover import begin
 
 E = 3
-BATTERY = BatteryCfg(
-    nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=36.0, source="test"
-)
 RANDOMIZE = {
     "body.mass": RandomizeCfg(low=0.8, high=1.2),
     "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=2.0),
@@ -36,16 +33,11 @@ RANDOMIZE = {
 
 def rich(backend: str = "warp", *, env: str = "dynamic_env", seed: int = 1, num_envs: int = E, **changes) -> EnvManager:
     """Return a simulation with moving obstacles, sensors with clocks and latencies, every effect with memory, and draws."""
-    robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
-    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
-        effect = EFFECTS.get(name)
-        params = zip(effect.neutral(robot), effect.parameters, strict=True)
-        effects[name] = {p.name: a + 0.5 * p.scale * (p.kind != "rotor") for a, p in params}
     sensors = (
         SensorMountCfg(sensor="st_vl53l5cx", name="eye", rate_hz=6.0, latency_s=0.1),
         SensorMountCfg(sensor="bmi088", name="inner", rate_hz=5.0, latency_s=0.1),
     )
-    cfg = replace(robot, effects=effects, effects_source="test", battery=BATTERY, sensors=sensors)
+    cfg = replace(robot_with_memory(), sensors=sensors)
     options = {"env": env, "num_envs": num_envs, "seed": seed, "backend": backend}
     built = simulation(cfg, "lee_velocity_control", randomize=RANDOMIZE | changes, **options)
     built.reset()

@@ -29,12 +29,8 @@ ROBOT = RobotCfg(
     summary="a made-up quadrotor",
     body=BodyCfg(mass=0.6, inertia=((2e-3, 0.0, 0.0), (0.0, 2.4e-3, 0.0), (0.0, 0.0, 4e-3)), source="invented"),
     rotor=RotorCfg(
-        thrust_map=(0.0, 0.0, 1.2e-6),
-        torque_ratio=0.015,
-        time_constant_up=0.04,
-        time_constant_down=0.04,
-        thrust_range=(0.05, 5.0),
-        source="invented",
+        thrust_map=(0.0, 0.0, 1.2e-6), torque_ratio=0.015, time_constant_up=0.04, time_constant_down=0.04,
+        thrust_range=(0.05, 5.0), source="invented",
     ),
     mounts=MountsCfg(
         layout=tuple(
@@ -44,7 +40,7 @@ ROBOT = RobotCfg(
         source="invented",
     ),
     collision=CollisionCfg(source="none"),
-)
+)  # fmt: skip
 COLUMNS = (
     *("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
     *("acc_x", "acc_y", "acc_z", "rotor_1", "rotor_2", "rotor_3", "rotor_4"),

@@ -38,17 +38,14 @@ def make_fit(
         params=ModelParams(effects=values),
         log_posterior=log,
         parameters=Posterior(
-            columns=np.arange(size),
-            step=np.zeros(size),
-            covariance=np.eye(size),
-            log_evidence=log,
+            columns=np.arange(size), step=np.zeros(size), covariance=np.eye(size), log_evidence=log,
             log_likelihood=log if fits is None else fits,
         ),
         support={
             name: Support(log_odds=(odds or {}).get(name, 10.0), wald=0.0, overdispersion=overdispersion, size=1)
             for name in effects
         },
-    )
+    )  # fmt: skip
 
 
 class FitStub(Fitter):

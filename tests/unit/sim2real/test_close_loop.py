@@ -1,5 +1,5 @@
 """The whole loop on exact flights with noise: a smoke test, no proof; ``tests/integration/test_loop_on_plant.py`` has an
-independent plant, ``tests/measured/test_idsia.py`` real flights."""
+independent plant, ``tests/measured/test_public_flights.py`` real flights."""
 
 import errno
 import json

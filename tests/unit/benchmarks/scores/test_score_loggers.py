@@ -43,11 +43,7 @@ def test_scores_count_names_that_are_there() -> None:
         {"effects": ["gusts"], "error": "ValueError"},
     ]
     assert score_rows(rows) == {
-        "false name": [1, 3],
-        "false name beside an effect": [2, 4],
-        "effects shown": [3, 4],
-        "shown effects named": [2, 3],
-        "named, or ambiguous with it": [3, 4],
-        "open controls": [1, 3],
+        "false name": [1, 3], "false name beside an effect": [2, 4], "effects shown": [3, 4],
+        "shown effects named": [2, 3], "named, or ambiguous with it": [3, 4], "open controls": [1, 3],
         "errors": [1, 8],
-    }
+    }  # fmt: skip

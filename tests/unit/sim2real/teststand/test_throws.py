@@ -69,10 +69,11 @@ def throws(inertia: Array, imu: Array, **options: float) -> list[FreeFlight]:
     return [throw(inertia, imu, np.array(start), seed=n, **options) for n, start in enumerate(STARTS)]  # type: ignore[arg-type]
 
 
-def joint_inertia() -> Array:
-    """Return the inertia of body and device together, about their common centre of mass."""
+def joint_throws(body: Array) -> list[FreeFlight]:
+    """Return throws of a body and the device together, which turn about their common centre of mass."""
     share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
-    return BODY + DEVICE + steiner_term(DEVICE_MASS, LEVER * (1.0 - share)) + steiner_term(BODY_MASS, LEVER * share)
+    apart = steiner_term(DEVICE_MASS, LEVER * (1.0 - share)) + steiner_term(BODY_MASS, LEVER * share)
+    return throws(body + DEVICE + apart, IMU + LEVER * (1.0 - share))
 
 
 def test_momentum_gives_inertia_axis_and_position() -> None:
@@ -102,12 +103,7 @@ def paths_of_throws(groups: dict[str, list[FreeFlight]], monkeypatch: pytest.Mon
 
 def test_device_and_proof_body_give_the_body_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The proof body is the body itself turned by 0: its known inertia calibrates the wheel."""
-    share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
-    records = {
-        "body": throws(joint_inertia(), IMU + LEVER * (1.0 - share)),
-        "device": throws(DEVICE, IMU),
-    }
-    paths = paths_of_throws(records, monkeypatch)
+    paths = paths_of_throws({"body": joint_throws(BODY), "device": throws(DEVICE, IMU)}, monkeypatch)
     study = study_inertia(
         ThrowSeries(paths=paths["body"], mass=BODY_MASS),  # type: ignore[arg-type]
         ThrowSeries(paths=paths["device"], mass=DEVICE_MASS),  # type: ignore[arg-type]
@@ -120,13 +116,7 @@ def test_device_and_proof_body_give_the_body_alone(monkeypatch: pytest.MonkeyPat
 
 def test_proof_body_gives_the_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
     moments = (5.0e-4, 1.1e-3, 1.4e-3)
-    share = DEVICE_MASS / (DEVICE_MASS + BODY_MASS)
-    coupled = steiner_term(DEVICE_MASS, LEVER * (1.0 - share)) + steiner_term(BODY_MASS, LEVER * share)
-    groups = {
-        "device": throws(DEVICE, IMU),
-        "proof": throws(np.diag(moments) + DEVICE + coupled, IMU + LEVER * (1.0 - share)),
-    }
-    paths = paths_of_throws(groups, monkeypatch)
+    paths = paths_of_throws({"device": throws(DEVICE, IMU), "proof": joint_throws(np.diag(moments))}, monkeypatch)
     study = study_inertia(
         ThrowSeries(paths=paths["proof"], mass=BODY_MASS),  # type: ignore[arg-type]
         ThrowSeries(paths=paths["device"], mass=DEVICE_MASS),  # type: ignore[arg-type]
@@ -169,13 +159,10 @@ def make_study(monkeypatch: pytest.MonkeyPatch, flights: list[FreeFlight], mass:
     return study_inertia(ThrowSeries(paths=list(map(Path, parts)), mass=mass), None, None, wheel)
 
 
-def test_throws_of_two_bodies_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_throws_of_two_bodies_or_without_spin_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     both = [throw(inertia, IMU, np.array(start)) for inertia, start in zip((BODY, DEVICE), STARTS, strict=False)]
     with pytest.raises(DataError, match="same body"):
         make_study(monkeypatch, both, BODY_MASS, WHEEL)
-
-
-def test_a_throw_without_spin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DataError):
         make_study(monkeypatch, [throw(BODY, IMU, np.array((0.0, 0.0, 1e-3)))], BODY_MASS, WHEEL)
 

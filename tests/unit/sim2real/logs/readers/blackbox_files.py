@@ -20,17 +20,10 @@ FIELDS = [
 ]
 NAMES = [field[0] for field in FIELDS]
 HEADER = {
-    "Firmware revision": "Betaflight 4.5.1 (0000000) TEST",
-    "I interval": "32",
-    "P interval": "2",
-    "minthrottle": "1070",
-    "gyro_scale": "0x3f800000",
-    "motorOutput": "48,2047",
-    "acc_1G": "2048",
-    "vbatref": "1600",
-    "motor_poles": "12",
-    "blackbox_high_resolution": "1",
-}
+    "Firmware revision": "Betaflight 4.5.1 (0000000) TEST", "I interval": "32", "P interval": "2",
+    "minthrottle": "1070", "gyro_scale": "0x3f800000", "motorOutput": "48,2047", "acc_1G": "2048",
+    "vbatref": "1600", "motor_poles": "12", "blackbox_high_resolution": "1",
+}  # fmt: skip
 CONSTANTS = {0: 0, 4: 1070, 8: 1500, 9: 1600, 11: 48}  # Predictions that do not depend on other frames, by predictor
 
 

@@ -7,18 +7,9 @@ from typing import Any
 import numpy as np
 
 CODES = {
-    "n": "4s",
-    "N": "16s",
-    "Z": "64s",
-    "c": "h",
-    "C": "H",
-    "e": "i",
-    "E": "I",
-    "L": "i",
-    "M": "B",
-    "a": "32h",
+    "n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "B", "a": "32h",
     "g": "e",
-}
+}  # fmt: skip
 TYPES: dict[str, tuple[int, str, str, str]] = {
     "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns", "-----"),
     "UNIT": (130, "QbZ", "TimeUS,Id,Label", "s--"),

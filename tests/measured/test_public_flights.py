@@ -1,0 +1,134 @@
+"""The loop on public flights: what it names, and how much of the error it takes off flights that it has not fitted."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.sim2real import close_loop
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
+
+
+def verdict_of_loop(
+    robot: str, mapping: str, train: Sequence[str | Path], test: Sequence[str | Path], out: Path, **options: float
+) -> dict:
+    """Return the verdict on flights of one set, given as names, or as the files of their parts."""
+    logs = [
+        [DATA / mapping / f"{name}.csv" if isinstance(name, str) else name for name in part] for part in (train, test)
+    ]
+    close_loop(robot, *logs, out, mapping=mapping, **options)
+    return json.loads((out / "verdict.json").read_text())
+
+
+def position_errors(verdict: dict, horizon: str) -> list[float]:
+    """Return the errors [m] before and after."""
+    return [verdict[when]["rollout_given_attitude"][horizon]["position"]["rms"] for when in ("before", "after")]
+
+
+@pytest.mark.slow
+def test_drag_learned_at_other_wind_speeds_holds_at_an_unseen_one(tmp_path: Path) -> None:
+    """A 2.6 kg quadrotor before a fan array (O'Connell et al., Science Robotics 2022). Trained at 0, 4.2 and 12.1 m/s,
+    judged at 8.5 m/s; measured -85 %, -58 % and -80 % or more, held to 80 % of that. How the force is shared between
+    drags that grow with the speed and with its square these flights hardly tell."""
+    train = ("NF_nowind", "baseline_35wind", "indi_35wind", "baseline_100wind", "NF_100wind")
+    test = ("NF_70wind", "baseline_70wind", "indi_70wind")
+    verdict = verdict_of_loop("neural_fly_quad", "neural_fly", train, test, tmp_path / "out", bandwidth=5.0)
+    assert {"rotor_drag", "quadratic_drag"} & {effect["name"] for effect in verdict["effects"]}
+    before, after = (verdict[when]["specific_force"] for when in ("before", "after"))
+    assert before["x"]["rms"] == pytest.approx(2.82, abs=0.05)
+    assert after["x"]["rms"] < (1.0 - 0.8 * 0.83) * before["x"]["rms"]
+    assert after["z"]["rms"] < (1.0 - 0.8 * 0.57) * before["z"]["rms"]
+    assert after["y"]["rms"] < 1.02 * before["y"]["rms"]
+    for horizon in ("0.5", "1", "2"):
+        error = position_errors(verdict, horizon)
+        assert error[1] < (1.0 - 0.8 * 0.77) * error[0]
+
+
+@pytest.mark.slow
+def test_drag_and_thrust_are_named_and_hold_on_other_shapes(tmp_path: Path) -> None:
+    """A Crazyflie 2.1 of which duty cycles and battery voltage are known (NanoBench, arXiv 2603.09908). Trained on circle,
+    eight, oval and star; measured -86, -61 and -97 % on trefoil and helix, held to 80 %."""
+    train = ("B2_circle_fast_rep1", "B3_figure8_fast_rep1", "B7_oval_fast_rep1", "B8_star_medium_rep1")
+    test = ("B9_trefoil_fast_rep1", "B5_helix_fast_rep1")
+    verdict = verdict_of_loop("crazyflie_21", "nanobench_cf21", train, test, tmp_path / "out", bandwidth=4.0)
+    assert {"rotor_drag", "h_force_flapping"} & {effect["name"] for effect in verdict["effects"]}
+    assert {"thrust_coefficient", "payload_mass"} & set(verdict["candidates"])
+    before, after = (verdict[when]["specific_force"] for when in ("before", "after"))
+    for axis, fall in (("x", 0.86), ("y", 0.61), ("z", 0.97)):
+        assert after[axis]["rms"] < (1.0 - 0.8 * fall) * before[axis]["rms"]
+    for horizon in ("0.1", "0.5", "1", "2"):
+        error = position_errors(verdict, horizon)
+        assert error[1] < 0.25 * error[0]
+
+
+def rms_near_the_ground(table: pd.DataFrame, flight: str, when: str) -> float:
+    """Return the residual along z [m/s²] below 0.13 m."""
+    rows = table[table["flight"] == flight]
+    log = pd.read_csv(DATA / "neural_swarm" / f"{flight}.csv")
+    height = np.interp(rows["t"] + log["t"].iloc[0], log["t"], log["pz"])
+    return float(np.sqrt(np.mean(rows[f"specific_force_z_{when}"][height < 0.13] ** 2)))
+
+
+@pytest.mark.slow
+def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: Path) -> None:
+    """Crazyflies that take off and land again and again (Shi et al., Neural-Swarm, ICRA 2020). Trained on three flights
+    of three vehicles; measured -68 % below 0.13 m on the fourth, held to 80 % of that."""
+    train = ("groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot")
+    verdict = verdict_of_loop("crazyflie_21", "neural_swarm", train, ("takeoff_cf50",), tmp_path, bandwidth=8.0)
+    assert verdict["effects"][0]["name"] == "ground_effect"
+    assert verdict["effects"][0]["params"]["k"] > 5.0  # measured_data.md 3.6: 9 to 15 % more thrust at 65 to 90 mm
+    table = pd.read_csv(tmp_path / "residuals.csv")
+    before, after = (rms_near_the_ground(table, "takeoff_cf50", when) for when in ("before", "after"))
+    assert before == pytest.approx(0.56, abs=0.05)
+    assert after < (1.0 - 0.8 * 0.68) * before
+    high = [verdict[when]["specific_force"]["x"]["rms"] for when in ("before", "after")]
+    assert high[1] == pytest.approx(high[0], rel=0.02)
+
+
+def without_rotor_speeds(folder: Path, *names: str) -> dict:
+    """Return the verdict on a Crazyflie of which duty cycles, accelerometer and gyro are logged (Eschmann et al.,
+    sysid.tools): the first halves of the logs train, the second halves test, as means of four rows, 126 Hz."""
+    train, test = ([half(folder, name, number) for name in names] for number in (0, 1))
+    return verdict_of_loop("crazyflie_2x_arpl", "arpl_crazyflie_imu", train, test, folder / "out")
+
+
+def half(folder: Path, name: str, number: int) -> Path:
+    log = pd.read_csv(DATA / "arpl_crazyflie_imu" / f"{name}.csv")
+    rows = log[number * len(log) // 2 : (number + 1) * len(log) // 2].reset_index(drop=True)
+    path = folder / f"{name}_{number}.csv"
+    rows.groupby(rows.index // 4).mean().to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.slow
+def test_the_motor_lag_is_named_from_commands_alone(tmp_path: Path) -> None:
+    """At 500 Hz -74 % of the force along z, -68 and -67 % of the torques; held to 80 % of that."""
+    verdict = without_rotor_speeds(tmp_path, "log10", "log15")
+    named = {effect["name"]: effect["params"] for effect in verdict["effects"]}
+    lag = named.get("motor_time_constant") or named["motor_asymmetry"]
+    assert 0.7 < named["thrust_coefficient"]["scale"] < 0.9  # a table of another motor, of 2015
+    # measured_data.md 3.7: 0.07 to 0.08 s from three channels, with another law of thrust
+    assert 0.03 < sum(lag.values()) / len(lag) < 0.1
+    force = [verdict[when]["specific_force"]["z"]["rms"] for when in ("before", "after")]
+    assert force[1] < (1.0 - 0.8 * 0.74) * force[0]
+    before, after = (verdict[when]["angular_acceleration"] for when in ("before", "after"))
+    assert after["x"]["rms"] < (1.0 - 0.8 * 0.68) * before["x"]["rms"]
+    assert after["y"]["rms"] < (1.0 - 0.8 * 0.67) * before["y"]["rms"]
+
+
+def test_lag_and_inertia_of_the_rotors_are_named_together_with_a_flight_that_yaws(tmp_path: Path) -> None:
+    """Either alone makes another axis worse; no mass takes the place of both, and no air where no speed is logged. The
+    half of the yaw flight that no fit has seen gets better about every axis: 17.5 to 7.3, 22.1 to 12.8, 10.2 to 8.1
+    rad/s²."""
+    verdict = without_rotor_speeds(tmp_path, "log10", "log15", "log16_a")
+    named = {effect["name"] for effect in verdict["effects"]}
+    assert {"motor_time_constant", "rotor_inertia", "thrust_coefficient"} <= named
+    assert not {"payload_mass", "h_force_flapping", "rotor_drag"} & named
+    yawing = verdict["flights"]["log16_a_1"]
+    assert all(yawing[f"angular_acceleration.{axis}"]["state"] == "better" for axis in "xyz")
