@@ -1,19 +1,17 @@
 """Flights of every registered robot under every geometric controller that fits it.
 
-    python -m benchmarks.control.control_table [--json] [--write docs/results/control.md] [--out docs/images]
+    python -m benchmarks.control.control_table [--write docs/results/control.md] [--out docs/images]
 
 Robots that differ only in their sensors fly once, with every controller that takes the robot's own gains, and with those whose
 name stands for the gains of a robot, at every sim (``control_flights``). Controllers of the second kind also fly other robots,
-at `base_sim`. Robots with joints fly there with their own gains. ``--json`` prints each flight and each refusal as one object a
-line; the tables summarise them. ``--out`` draws the step responses at `base_sim`.
+at `base_sim`. Robots with joints fly there with their own gains. ``--out`` draws the step responses at `base_sim`.
 """
 
-import json
 import platform
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from math import isfinite, pi
+from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 from statistics import median
 
@@ -288,33 +286,20 @@ def draw_steps(flights: list[ControlFlight], path: Path) -> None:
 class ControlTableCmd:
     """Fly robots under controllers, and print the tables."""
 
-    json: bool = False  # One object a line instead of the tables
     write: Path | None = None  # Page with the marks
     out: Path | None = None  # Folder for control_steps.png
-    robots: tuple[str, ...] = ()  # Only these
-    controllers: tuple[str, ...] = ()  # Only these
 
     def run(self) -> None:
         """Print the tables; write them between the marks of a page, and draw the steps, as asked."""
         if self.write is not None and not self.write.is_file():
             sys.exit(f"--write {self.write}: no such page")
         torch.set_num_threads(1)
-        controllers = self.controllers or (*geometric_controllers(), *robot_controllers())
-        rigid, bending = (
-            [name for name in robots_by_dynamics(bend=bend) if not self.robots or name in self.robots]
-            for bend in (False, True)
-        )
-        flights, refusals = fly_all(rigid, controllers)
-        own_gains = [name for name in controllers if name in geometric_controllers()]
-        bent = fly_all([name for name in bending if holds_shape(ROBOTS.get(name))], own_gains, [COARSEST])
-        text = control_page(flights, refusals, bent)
-        if self.json:
-            for row in (*flights, *refusals, *bent[0], *bent[1]):
-                values = ((key, value) for key, value in asdict(row).items() if key != "response")
-                print(json.dumps({k: v if isinstance(v, str) or isfinite(v) else None for k, v in values}))
-        elif self.write is None:
+        flights, refusals = fly_all(robots_by_dynamics(), (*geometric_controllers(), *robot_controllers()))
+        bending = [name for name in robots_by_dynamics(bend=True) if holds_shape(ROBOTS.get(name))]
+        text = control_page(flights, refusals, fly_all(bending, geometric_controllers(), [COARSEST]))
+        if self.write is None:
             print(text)
-        if self.write is not None:
+        else:
             insert_between_marks(self.write, BEGIN, END, text)
         if self.out is not None:
             draw_steps(flights, self.out / "control_steps.png")
