@@ -11,42 +11,6 @@ from threadpoolctl import threadpool_limits
 
 from aerial_gym.interop.launches import ReusableLaunch, wait_for_all
 
-_log = logging.getLogger(__name__)
-_COMPILED = re.compile(
-    r"Module (?P<module>\S+) \S+ load on device '(?P<device>[^']*)' took (?P<ms>[\d.]+) ms\s+\(compiled\)"
-)
-
-
-class KernelLog:
-    """A logger for Warp (``wp.set_logger``) that reports compilations only."""
-
-    def __init__(self) -> None:
-        self._told = False
-
-    def info(self, message: str) -> None:
-        """Log a compiled module; drop Warp's banner and modules from the cache."""
-        match = _COMPILED.search(message)
-        if match is None:
-            return
-        summary = f"{match['module']} for {match['device']} in {float(match['ms']) / 1000.0:.1f} s"
-        kept = "" if self._told else f"; once for this machine, kept in {wp.config.kernel_cache_dir}"
-        self._told = True
-        _log.warning("compiled %s%s", summary, kept)
-
-    def debug(self, message: str) -> None:
-        """Log debug messages of Warp, which ``wp.config.log_level`` enables."""
-        _log.debug(message)
-
-    def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
-        """Issue a warning of Warp."""
-        warnings.warn(message, category, stacklevel=stacklevel + 1)
-
-    def error(self, message: str) -> None:
-        """Log an error."""
-        _log.error(message)
-
-
-CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"  # Remedy for a cache that cannot be written
 BLOCK_DIM = 64  # Threads of a block with one per environment: Warp's 256 would leave most multiprocessors idle
 
 

@@ -33,7 +33,8 @@ _BY_SEVERITY = {
         "joints_held values_redeclared vehicle_misfit tolerance_strained tolerances_cut_off strained_changes "
         "strained_changes_little "
         # logs
-        "flight_left_out spins_reversed topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
+        "log_simulated sensor_at_rest vertical_force_off spins_reversed "
+        "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
         "battery_left_out file_damaged frames_damaged bytes_left_out checksum_wrong position_jumps_left "
         "sensor_bias sensor_turned sensor_late velocity_factor sensor_dropout row_without_state row_with_bad_stamp "
         # test stand

@@ -31,6 +31,7 @@ class Parameter:
     meaning: str  # One line
     neutral: float = 0.0  # Value with which the robot behaves as declared
     kind: Literal["number", "rotor", "convention"] = "number"  # A number to fit, a rotor's number, or a kept number
+    optional: bool = False  # Whether a robot file may leave it out, which then means ``neutral``
 
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]  # One of `config.rotor.ROTOR_TRAITS`
@@ -78,6 +79,8 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]  # By column P. An instance has its own if parts of a robot name them
     excitation: ClassVar[str]  # Quantities that must vary in a flight to make the effect visible
     confused_with: ClassVar[tuple[str, ...]]  # Effects with a similar signature, to be weighed against this one
+    law_of: ClassVar[str] = ""  # Effect, named by its cause, of which it is another law; empty for the first law
+    law: ClassVar[str] = "formula"  # Its law, in words
     contains: ClassVar[tuple[str, ...]] = ()  # Special cases with as many parameters, preferred where flights fit both
     memory: ClassVar[tuple[float, ...]] = ()  # Values of its memory per environment right after a reset
     drifting: ClassVar[tuple[int, ...]] = ()  # Indices of remembered numbers that grow in a flight, such as charge

@@ -155,9 +155,8 @@ def load_flights(
         with _collect_refusals(refused):
             check_rotor_clock(log, robot, bandwidth)
             log = scale_commands_to_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
-            notes = [*notes, *check_rotor_order(log, robot)]
             stands = rows_on_ground(log, robot)
-            check_rotor_order(log, robot, stands)
+            notes = [*notes, *check_rotor_order(log, robot, stands)]
             check_airborne(log, stands, bandwidth)
             check_rotor_law(log, robot, stands)
             flight = complete_flight(log, notes, on_ground=stands)

@@ -9,14 +9,12 @@ from scipy.special import ellipk
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.articulated.dynamics import accelerations
 from aerial_gym.physics.articulated.joint_laws import Drive, JointLimits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 from benchmarks.joints.random_commands import fly
 from tests.physics.articulated.trees import (
     F64,
-    com_position,
     kinetic_energy,
     momenta,
     pendulum,

@@ -99,10 +99,11 @@ MOST_ROTORS = 6  # More rotors have too many orders to try
 MORE_PROBABLE = 1e4  # Least likelihood ratio of another order of the rotors that refuses the declared one
 
 
-def check_rotor_order(log: FlightLog, robot: RobotCfg) -> list[Finding]:
-    """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better.
+def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None = None) -> list[Finding]:
+    """Raise ``DataError`` if the courses of the angular acceleration make another order of the rotor columns probable.
 
-    Return a finding if the reaction to the declared spins certainly has the wrong sign.
+    Each axis has a free gain, so wrong moments of inertia or thrusts do not matter; only airborne rows count. Return a finding
+    if the reaction to the declared spins certainly has the wrong sign.
     """
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
         return []
@@ -114,7 +115,7 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg) -> list[Finding]:
         flies = ~np.asarray(ndimage.maximum_filter1d(on_ground, 2 * edge + 1), dtype=bool)
     flies = flies[edge:-edge:stride]
     if not flies.any():
-        return
+        return []
 
     def lowpass_without_mean(values: Array, *, derivative: bool = False) -> Array:
         filtered = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride][flies]
@@ -127,18 +128,21 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg) -> list[Finding]:
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        parts = _turning_by_rotors(robot, lowpass_without_mean, values, orders, inertia)
-        misses = _residuals_of_rotor_orders(turning, *parts)
-        flip, best = (int(place) for place in np.unravel_index(int(np.argmin(misses)), misses.shape))
-        declared = float(misses[0, 0])
-        if best and declared > WORST_AGREEMENT and misses[flip, best] < BETTER * declared:
+        levers, reactions = _turning_by_rotors(robot, lowpass_without_mean, values, orders, inertia)
+        left = np.stack([_unexplained_shares(turning, levers + sign * reactions) for sign in (1.0, -1.0)])
+        independent = flies.sum() * stride / rate * CHECK_BANDWIDTH_HZ
+        log_likelihood = -0.5 * independent * np.log(np.maximum(left, 1e-12)).sum(axis=-1)
+        flip, best = (int(k) for k in np.unravel_index(int(np.argmax(log_likelihood)), log_likelihood.shape))
+        declared = float(np.sqrt(left[0, 0].mean()))
+        gained = log_likelihood[flip, best] - log_likelihood[0, 0]
+        if best and declared > WORST_AGREEMENT and gained > np.log(MORE_PROBABLE):
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
                 f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
                 f"error of {declared:.0%}; the probable order is {columns}{', with all spins reversed' * flip}: reorder the "
                 "columns or the robot's mounts"
             )
-        gain, half_width = _gain_of_reaction(turning - parts[0][0], parts[1][0], max(1, round(BLOCK_S * rate / stride)))
+        gain, half_width = _gain_of_reaction(turning - levers[0], reactions[0], max(1, round(BLOCK_S * rate / stride)))
         if gain + half_width < 0.0 and not notes:
             sizes = {"gain_ratio": gain, "half_width_ratio": half_width}
             notes.append(Finding("spins_reversed", "", {"columns": f"{name}_1..{robot.num_rotors}", **sizes}))
@@ -177,10 +181,11 @@ def _turning_by_rotors(
     return levers, reactions
 
 
-def _residuals_of_rotor_orders(turning: Array, levers: Array, reactions: Array) -> Array:
-    """Return the relative residual of the turning, mean over axes, with declared and with reversed spins, (2, N)."""
-    left = np.stack([np.mean((turning - levers - sign * reactions) ** 2, axis=1) for sign in (1.0, -1.0)])
-    return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=2))
+def _unexplained_shares(turning: Array, expected: Array) -> Array:
+    """Return the share of each axis' mean square that N courses (N, T, 3) leave, each with its best gain >= 0, (N, 3)."""
+    along = np.maximum(np.einsum("tk,ntk->nk", turning, expected), 0.0)
+    squares = np.sum(turning**2, axis=0) * np.sum(expected**2, axis=1)
+    return 1.0 - along**2 / np.maximum(squares, 1e-300)
 
 
 WINDOW_S = 0.25  # Length of the averaging windows [s]

@@ -56,6 +56,20 @@ def test_columns_in_another_order_are_told_by_what_they_turn(table, tmp_path, na
         load_log(mixed, tmp_path)
 
 
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (0, 2, 1, 3)])
+def test_the_order_is_told_beside_wrong_moments_of_inertia(table: pd.DataFrame, tmp_path: Path, order) -> None:
+    """Declared moments are 0.4, 1.5 and 1.05 times the true ones: sizes of torques are wrong, their courses are right."""
+    rows = tuple(
+        tuple(value * share for value in row) for row, share in zip(ROBOT.body.inertia, (0.4, 1.5, 1.05), strict=True)
+    )
+    robot = replace(ROBOT, body=replace(ROBOT.body, inertia=rows))
+    settings = {"mapping": None, "bandwidth": 10.0}
+    assert load_flight(write(table, tmp_path / "a.csv"), robot, **settings).num_rotors == 4
+    mixed = table.assign(**{ROTORS[k]: table[ROTORS[rotor]] for k, rotor in enumerate(order)})
+    with pytest.raises(DataError, match="in the declared order predict"):
+        load_flight(write(mixed, tmp_path / "a.csv"), robot, **settings)
+
+
 def test_spins_that_are_all_reversed_are_told(table: pd.DataFrame, tmp_path: Path) -> None:
     layout = tuple(replace(mount, spin=-mount.spin) for mount in ROBOT.mounts.layout)
     wrong = replace(ROBOT, mounts=replace(ROBOT.mounts, layout=layout))
