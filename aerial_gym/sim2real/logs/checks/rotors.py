@@ -96,6 +96,9 @@ def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
 
 
 MOST_ROTORS = 6  # More rotors have too many orders to try
+BETTER = (
+    0.5  # Another order must leave less than this share of the declared order's residual: a failed rotor leaves more
+)
 MORE_PROBABLE = 1e4  # Least likelihood ratio of another order of the rotors that refuses the declared one
 
 
@@ -135,7 +138,8 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None =
         flip, best = (int(k) for k in np.unravel_index(int(np.argmax(log_likelihood)), log_likelihood.shape))
         declared = float(np.sqrt(left[0, 0].mean()))
         gained = log_likelihood[flip, best] - log_likelihood[0, 0]
-        if best and declared > WORST_AGREEMENT and gained > np.log(MORE_PROBABLE):
+        is_better = np.sqrt(left[flip, best].mean()) < BETTER * declared
+        if best and declared > WORST_AGREEMENT and is_better and gained > np.log(MORE_PROBABLE):
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
                 f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
