@@ -259,6 +259,12 @@ EFFECTS: dict[str, PlantEffect] = {
     "joint_creep": field_effect(  # rad/(N m), s
         "joint_creep", {"compliance": None, "tau": 3.0, "hinge": 0.4}, SOFT_ARMS, drawn={"tau": (1.5, 4.0)}
     ),
+    "thrust_curve": field_effect(  # 0 is neutral
+        "thrust_curve",
+        {"k": None},
+        ((0.05, 0.08), (0.15, 0.25), (0.4, 0.5)),
+        lambda rng, size, _: {"k": rng.choice((-1.0, 1.0)) * size},
+    ),
 }
 
 UNKNOWN: dict[str, PlantEffect] = {

@@ -39,7 +39,9 @@ class FullPlant(Plant):
         outside = (extra.downwash[0], extra.downwash_law, extra.attraction[3], extra.periodic[0], extra.shadow[0])
         self._has_outside = any(outside)
         self._near = bool(extra.ground or extra.ceiling or extra.ground_law or extra.ceiling_law)
-        self._aero = any((extra.h_force, extra.flapping, extra.axial_inflow, extra.translational_lift))
+        self._aero = any(
+            (extra.h_force, extra.flapping, extra.axial_inflow, extra.translational_lift, extra.thrust_curve)
+        )
         self._slung, self._elastic = extra.slung[0] > 0.0, bool(extra.cable)
         joints = [joint for joint in (extra.joint_spring, extra.joint_creep) if joint[0] > 0.0]
         first = CABLE_RATE.stop if self._slung or self._elastic else ROTOR.stop
@@ -223,7 +225,8 @@ class FullPlant(Plant):
         if self._aero:
             flow = np.hstack((self._speed_through_air(state), state[:, RATE])) @ self._inflow
             along, across = flow[:, :count], flow[:, count:].reshape(-1, count, 3)
-            thrust = plain - extra.axial_inflow * rotor * along
+            hover = self.vehicle.mass * GRAVITY / count
+            thrust = plain * (plain / hover) ** (0.5 * extra.thrust_curve) - extra.axial_inflow * rotor * along
             thrust = thrust + extra.translational_lift * (across * across).sum(axis=2)
             wrench = (rotor[:, :, None] * across).reshape(len(state), -1) @ self._side_map
         if self._near:

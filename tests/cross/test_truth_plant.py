@@ -28,9 +28,12 @@ EFFECTS = (
     "rotor_drag", "quadratic_drag", "thrust_coefficient", "com_offset", "constant_wind", "h_force_flapping",
     "axial_inflow", "translational_lift", "weak_motor", "torque_ratio", "rotor_inertia", "motor_tilt", "payload_mass",
     "inertia_error", "wind_shear", "ground_effect", "ceiling_effect", "downwash", "slung_payload", "joint_spring",
+    "thrust_curve",
 )  # fmt: skip
 TOGETHER = tuple(
-    name for name in EFFECTS if name not in ("slung_payload", "joint_spring", "ground_effect", "ceiling_effect")
+    name
+    for name in EFFECTS
+    if name not in ("slung_payload", "joint_spring", "ground_effect", "ceiling_effect", "thrust_curve")
 )
 """Effects at once. Surfaces are not among them: with an inflow the two codes multiply and add in another order."""
 

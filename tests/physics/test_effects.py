@@ -12,7 +12,16 @@ import torch
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
-from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    accelerations,
+    advance,
+    build_model,
+    condition_in,
+    vehicle_from_config,
+)
 from aerial_gym.physics.model import Model, check_effects
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import (
@@ -180,6 +189,21 @@ WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, Any], list[float]]] 
     ({"downwash": {"force": 2.0, "sigma": 0.3}}, {"position": [0, 0, 1e3]}, [0, 0, -2.0, 0, 0, 0]),
 ]  # fmt: skip
 """Effects, what differs from hover at the origin without surroundings, and force [N] and torque [N m] of the effects, body."""
+
+
+def test_a_thrust_curve_turns_about_hover() -> None:
+    """In hover nothing, at four times that thrust, twice the speed, 2^k times the thrust, at a quarter 2^-k times."""
+    effect = EFFECTS.get("thrust_curve")
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=3, dtype=F64)
+    state = random_state(3)
+    condition = condition_in(build_model(vehicle, []), state, torch.zeros(3, 4, dtype=F64))
+    hover = float(vehicle.mass[0]) * 9.81 / 4
+    thrust = hover * torch.tensor([1.0, 4.0, 0.25], dtype=F64)[:, None].expand(3, 4)
+    result = effect.thrust(condition.with_thrust(thrust), torch.full((3, 1), 0.2, dtype=F64))
+    expected = hover * torch.tensor([0.0, 4.0 * (2**0.2 - 1.0), 0.25 * (2**-0.2 - 1.0)], dtype=F64)[:, None].expand(
+        3, 4
+    )
+    torch.testing.assert_close(result, expected, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize(

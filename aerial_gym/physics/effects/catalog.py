@@ -16,6 +16,7 @@ for _name, _place in (
     ("h_force_flapping", "rotor_flow:HForceFlapping"),
     ("axial_inflow", "rotor_flow:AxialInflow"),
     ("translational_lift", "rotor_flow:TranslationalLift"),
+    ("thrust_curve", "rotor_flow:ThrustCurve"),
     ("thrust_coefficient", "vehicle_errors:ThrustCoefficient"),
     ("weak_motor", "rotor_failures:WeakMotor"),
     ("torque_ratio", "vehicle_errors:TorqueRatio"),

@@ -8,6 +8,7 @@ from math import log, log2, pi
 import torch
 from torch import Tensor
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.rows import dot, sum_slices
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter
 from aerial_gym.physics.effects.condition import Condition, sum_of_crosses
@@ -123,6 +124,30 @@ class TranslationalLift(RotorEffect):
         return params[:, :1] * dot(condition.edgewise_velocity, condition.edgewise_velocity)
 
 
+class ThrustCurve(RotorEffect):
+    """Thrust curve: thrust grows by another power of the speed than declared, about that in hover.
+
+    ``T' = T |T / T_h|^(k / 2)`` with the thrust of a rotor in hover ``T_h = m g / R``: on a quadratic thrust map
+    ``T' ~ n^(2 + k)`` of the speed n, without a change in hover.
+    Source: Derived: a power law through the thrust in hover.
+    """
+
+    name = "thrust_curve"
+    summary = "thrust that grows by another power of the rotor speed"
+    parameters = (Parameter("k", "-", -1.0, 1.0, 0.1, "added to the exponent 2 of the speed"),)
+    excitation = "thrusts well above and below that of hover"
+    confused_with = ("thrust_coefficient", "axial_inflow", "battery_sag", "payload_mass")
+    rotors = ANY_ROTOR
+    on_joints = False  # The thrust in hover is that of the whole mass
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``T (|T / T_h|^(k / 2) - 1)``."""
+        thrust = condition.rotor_thrust
+        hover = condition.vehicle.mass.unsqueeze(-1) * (STANDARD_GRAVITY / thrust.shape[-1])
+        return thrust * ((thrust.abs() / hover + LEAST_SHARE) ** (0.5 * params[:, :1]) - 1.0)
+
+
+LEAST_SHARE = 1e-14  # Added to a share of the thrust in hover, for a finite slope without thrust
 LOWEST = 0.5  # Least effective height of a hub, in radii
 LARGEST_SHARE = 0.5  # Largest share of the thrust due to the ground, which doubles the thrust
 

@@ -269,6 +269,7 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "h_force_flapping": _h_force_flapping_sentence,
     "axial_inflow": _coefficient_template("Rotor thrust falls in climb by", {"ka": ""}, "µN s²/(m rad)", 1e6),
     "translational_lift": _coefficient_template("Rotor thrust grows with squared airspeed by", {"kt": ""}, "N s²/m²"),
+    "thrust_curve": _value_template("Thrust grows with the rotor speed to the power of 2 plus {k}", {"k": (1.0, "")}),
     "thrust_coefficient": _ratio_template("All rotors give", "more thrust", "less thrust"),
     "weak_motor": _ratio_template("ROTOR gives", "more thrust", "less thrust"),
     "torque_ratio": _ratio_template("The drag torque of the rotors is", "higher", "lower"),
