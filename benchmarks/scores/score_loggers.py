@@ -136,4 +136,5 @@ def scores_text(scores: dict[str, dict[str, list[int]]], rows: list[dict]) -> st
         counts = ", ".join(f"{verdicts.count(kind)} {kind}" for kind in sorted(set(verdicts)))
         cases.append((logger, name or "nothing", len(group), shown, named, ", ".join(strangers) or "-", counts))
     heads = ("logger", "hidden", "cases", "shown", "named", "other names", "verdicts")
-    return f"{table(('logger', 'score', 'cases', 'limit'), lines)}\n\n{table(heads, cases)}"
+    errors = sorted({f"{row['logger']}: {row['error'].partition(': ')[2]}" for row in rows if "error" in row})
+    return "\n\n".join((table(("logger", "score", "cases", "limit"), lines), table(heads, cases), *errors))

@@ -35,7 +35,7 @@ class PlantLogger:
     rotor_speeds: bool = True  # Whether rotor speeds are logged
     late: tuple[float, float] = (0.0, 0.0)  # Range of the delay of position and velocity [s], one for a case
     vibration: float = 0.0  # Of the accelerometer, standard deviation of a sample [m/s²]
-    wander: tuple[float, float] = (0.0, 1.0)  # Of the position: standard deviation [m], correlation time [s]
+    wander: tuple[float, float] = (0.0, 1.0)  # Of the position: standard deviation [m], time constant [s]
     velocity_noise: float = 0.0  # Beside that of the sensors, standard deviation of a sample [m/s]
     lost: float = 0.0  # Share of rows that get lost, in bursts
     jitter: float = 0.0  # Of the stamps of rows, standard deviation [s]
@@ -59,7 +59,7 @@ LOGGERS: dict[str, PlantLogger] = {
         file="ulg",
         rates=HIGH_RATE | {"position": 5.0, "battery": 5.0},
         late=(0.15, 0.15),
-        wander=(1.0, 60.0),
+        wander=(1.0, 20.0),
         velocity_noise=0.05,
     ),
 }
@@ -75,12 +75,18 @@ def disturb_record(record: PlantRecord, logger: PlantLogger, seed: int) -> Plant
     for name in ("position", "velocity") if late else ():
         measured[name] = delay_samples(measured[name], late)
     if std:
-        keep = np.exp(-1.0 / (CONTROL_RATE * time))
-        draws = rng.standard_normal(shape) * std
-        draws[1:] *= np.sqrt(1.0 - keep**2)
-        measured["position"] = measured["position"] + lfilter([1.0], [1.0, -keep], draws, axis=0)
+        measured["position"] = measured["position"] + std * smooth_noise(rng, shape, time)
     measured["velocity"] = measured["velocity"] + logger.velocity_noise * rng.standard_normal(shape)
     return replace(record, measured=measured)
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], time: float) -> Array:
+    """Return noise of variance 1 behind ``1 / (1 + T s)²``: its derivative has the standard deviation ``1 / T``."""
+    keep, start = np.exp(-1.0 / (CONTROL_RATE * time)), round(8.0 * time * CONTROL_RATE)
+    below = [1.0, -2.0 * keep, keep**2]
+    answer = np.asarray(lfilter([1.0], below, np.eye(1, start)[0]))
+    draws = rng.standard_normal((start + shape[0], *shape[1:]))
+    return np.asarray(lfilter([1.0], below, draws, axis=0))[start:] / np.sqrt(answer @ answer)
 
 
 def write_rows(path: Path, record: PlantRecord, flight: int, rows: slice, logger: PlantLogger, seed: int) -> None:

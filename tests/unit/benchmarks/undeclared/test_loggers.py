@@ -15,6 +15,7 @@ from benchmarks.undeclared.loggers import (
     PlantLogger,
     burst_rows,
     disturb_record,
+    smooth_noise,
     write_rows,
     write_ulog,
 )
@@ -90,6 +91,13 @@ def test_late_streams_and_vibration(case: CaseRecord) -> None:
     np.testing.assert_allclose(after["velocity"][500:], before["velocity"][460:-40], atol=1e-12)
     np.testing.assert_array_equal(after["rotation"], before["rotation"])
     assert (after["acc"] - before["acc"]).std() == pytest.approx(1.0, rel=0.05)
+
+
+def test_positions_wander_without_jumps() -> None:
+    """Behind ``1 / (1 + T s)²``: variance 1, and a derivative of the standard deviation 1 / T."""
+    noise = smooth_noise(np.random.default_rng(4), (200_000, 3), 0.5)
+    assert noise.std() == pytest.approx(1.0, rel=0.1)
+    assert np.diff(noise, axis=0).std() * CONTROL_RATE == pytest.approx(2.0, rel=0.1)
 
 
 def test_ulog_has_no_place_for_a_ceiling(tmp_path: Path) -> None:
