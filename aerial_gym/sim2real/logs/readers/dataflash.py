@@ -83,7 +83,7 @@ class DataflashReader(LogReader):
     """Reader of ArduPilot logs."""
 
     name = "dataflash"
-    summary = "DataFlash of ArduPilot"
+    summary = "DataFlash of ArduPilot, binary or as text"
 
     def recognises(self, head: bytes) -> bool:
         """Return whether the file begins with the head of a message, or with the definition of one as text."""

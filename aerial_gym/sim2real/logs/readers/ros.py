@@ -21,7 +21,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first, note_on_rotor_order
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.readers.ros_files import BAG, DATABASE, MCAP, MessageSource, read_sources
+from aerial_gym.sim2real.logs.readers.ros_files import DATABASE, MCAP, MessageSource, read_sources
 from aerial_gym.sim2real.logs.readers.ros_layout import decode_messages
 from aerial_gym.sim2real.logs.readers.ulog import UlogReader
 
@@ -73,7 +73,7 @@ class RosReader(LogReader):
 
     def recognises(self, head: bytes) -> bool:
         """Return whether the file, or the ``metadata.yaml`` of its folder, is one of ROS."""
-        return head.startswith((BAG, DATABASE, MCAP, b"rosbag2_bagfile_information"))
+        return head.startswith((b"#ROSBAG V", DATABASE, MCAP, b"rosbag2_bagfile_information"))
 
     def read(self, path: Path) -> RawLog:
         """Return one topic for each topic of the bag, with the numbers of its messages."""

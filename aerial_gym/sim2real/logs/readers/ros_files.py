@@ -124,7 +124,7 @@ def _file_sources(path: Path) -> list[MessageSource]:
     }
     reader = next((one for mark, one in readers.items() if head.startswith(mark)), None)
     if reader is None:
-        raise DataError(f"{path}: is neither a bag of ROS nor an MCAP file")
+        raise DataError(f"{path}: is no bag of version 2.0, no SQLite database and no MCAP; convert it (rosbag fix)")
     sources, inflater = [source for source in reader(path) if source.messages], Inflater(path)
     for source in sources:
         if source.encoding == "cdr" and source.messages[0].startswith(ZSTD):

@@ -158,7 +158,7 @@ def test_topics_of_other_vehicles_are_left_out(names, used) -> None:
     assert {one.source.removesuffix("[0]") for one in RosReader().channels(log)} == (used or set(names))
 
 
-@pytest.mark.parametrize("head", [b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"\x89MCAP0\r\n"])
+@pytest.mark.parametrize("head", [b"#ROSBAG V1.2\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"\x89MCAP0\r\n"])
 def test_a_file_without_messages_is_refused(tmp_path, head) -> None:
     path = tmp_path / "log"
     path.write_bytes(head + bytes(500))
