@@ -137,7 +137,7 @@ class BlackboxReader(LogReader):
         known = main.columns.keys()
 
         def vector(quantity: str, names: Sequence[str], unit: float | None = None) -> list[LogChannel]:
-            name = next((n for n in names if f"{n}[2]" in known), None)
+            name = next((n for n in names if {f"{n}[{i}]" for i in range(3)} <= known), None)
             if name is None:
                 return []
             values = main.numbers(*(f"{name}[{i}]" for i in range(3)), unit=unit or _gyro_unit(log, name))

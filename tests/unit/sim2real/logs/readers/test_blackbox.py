@@ -134,6 +134,11 @@ def test_a_header_without_a_usable_definition_is_refused(tmp_path, old, new) -> 
         read(tmp_path, data.replace(old, new))
 
 
+def test_a_vector_with_a_damaged_name_is_left_out(tmp_path) -> None:
+    log = read(tmp_path, files.flight(files.random_rows(0, 20)).replace(b"accSmooth[0]", b"accSmooth[9]"))
+    assert "specific_force" not in {one.quantity for one in BlackboxReader().channels(log)}
+
+
 def test_rows_that_would_fill_the_memory_are_refused(tmp_path) -> None:
     """A frame of no bytes but its letter and 990 empty fields."""
     fields = [*files.FIELDS[:2], *((f"x{i}", 0, 0, 9, 0, 9) for i in range(988))]
