@@ -6,8 +6,9 @@ Letters: T rows, R rotors, O outputs, G groups of rows, P parameters.
 """
 
 import numpy as np
+from scipy import fft
 
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, interpolate_columns, lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
@@ -17,7 +18,7 @@ SLOWEST_SHARE = 0.05  # Lower end of the comparison as a share of the upper one:
 LEAST_EXPLAINED = 0.5  # Least share of the variance of an output that the rotors explain at the best delay
 TRIAL_S = 0.01  # Distance of the delays of the search [s]: a tenth of the shortest period
 GROUPS = 8  # Parts of a flight that are left out in turn; each is much longer than residuals are correlated
-STEPS = 4  # Linear fits about the best delay of the search
+STEPS = 3  # Linear fits about the best delay of the search
 
 
 def rotor_delay(log: FlightLog, rotors: Array, largest: float) -> tuple[float, float] | None:
@@ -34,7 +35,7 @@ def rotor_delay(log: FlightLog, rotors: Array, largest: float) -> tuple[float, f
     outputs, squares = (_band_pass(values, rate, band) for values in (turning, rotors**2))
     shifts = np.arange(-round(largest * rate), round(largest * rate) + 1, max(1, round(TRIAL_S * rate)))
     inner = slice(edge, len(outputs) - edge)
-    left = np.stack([_residual(outputs[inner], squares[edge + n : len(squares) - edge + n]) for n in shifts])
+    left = _shares_left(outputs, squares, inner, shifts)
     explained = left.min(axis=0) < 1.0 - LEAST_EXPLAINED
     best = int(np.argmin(left[:, explained].sum(axis=1)))
     if not explained.any() or best in (0, shifts.size - 1):
@@ -46,11 +47,16 @@ def _band_pass(values: Array, rate: float, band: float) -> Array:
     return lowpass(values, rate, band) - lowpass(values, rate, SLOWEST_SHARE * band)
 
 
-def _residual(outputs: Array, squares: Array) -> Array:
-    """Return the share of outputs (T, O) that squared speeds (T, R) do not explain, (O,)."""
-    product = squares.T @ outputs
-    explained = np.sum(product * (np.linalg.pinv(squares.T @ squares) @ product), axis=0)
-    return 1.0 - explained / np.sum(outputs**2, axis=0).clip(1e-300)
+def _shares_left(outputs: Array, squares: Array, inner: slice, shifts: Indices) -> Array:
+    """Return the shares of outputs (T, O) that squared speeds (T, R) at each shift [rows] do not explain, (shifts, O)."""
+    target = np.zeros_like(outputs)
+    target[inner] = outputs[inner]
+    size = int(fft.next_fast_len(len(outputs), real=True) or 0)
+    lines = [np.asarray(fft.rfft(values, n=size, axis=0)) for values in (squares, target)]
+    products = np.asarray(fft.irfft(lines[0][:, :, None] * lines[1].conj()[:, None], n=size, axis=0))[shifts]
+    inverse = np.linalg.pinv(squares[inner].T @ squares[inner])  # the same for all shifts, nearly
+    explained = np.einsum("nro,rq,nqo->no", products, inverse, products)
+    return 1.0 - explained / np.sum(target**2, axis=0).clip(1e-300)
 
 
 def _refine(outputs: Array, squares: Array, inner: slice, delay: float, rate: float) -> tuple[float, float] | None:
@@ -69,9 +75,9 @@ def _refine(outputs: Array, squares: Array, inner: slice, delay: float, rate: fl
         for output in range(number):
             causes[output, :, output * speed.shape[1] : (output + 1) * speed.shape[1]] = speed / errors_rms[output]
             causes[output, :, -1] = slope @ gains[:, output] / errors_rms[output]
-        parts = (np.array_split(values, GROUPS, axis=1) for values in (causes, (errors / errors_rms).T))
-        pairs = [(np.einsum("otp,otq->pq", a, a), np.einsum("otp,ot->p", a, b)) for a, b in zip(*parts, strict=True)]
-        normal, sides = zip(*pairs, strict=True)
+        rows = (np.array_split(values, GROUPS, axis=1) for values in (causes, (errors / errors_rms).T[..., None]))
+        pairs = [(a.reshape(-1, a.shape[-1]), b.reshape(-1)) for a, b in zip(*rows, strict=True)]
+        normal, sides = zip(*((a.T @ a, a.T @ b) for a, b in pairs), strict=True)
         whole, side = np.sum(normal, axis=0), np.sum(sides, axis=0)
         delay += float((np.linalg.pinv(whole) @ side)[-1])
     if abs(delay - start) > 2.0 * TRIAL_S:
