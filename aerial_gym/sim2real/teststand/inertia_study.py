@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import open_raw_log, read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
 from aerial_gym.sim2real.logs.recording import split_flight_number
 from aerial_gym.sim2real.statistics import Estimate
@@ -79,6 +79,12 @@ def _time_series(path: Path) -> Iterator[tuple[str, Array, Array]]:
             if (values := getattr(log, name)) is not None:
                 yield name, log.time, values
         return
+    try:
+        opened = open_raw_log(raw, hover=True)
+    except DataError:  # a throw may be shorter than a flight
+        opened = None
+    if opened is not None and len(opened.spans) > 1:
+        opened.single_flight()  # which lists the flights
     for channel in LOG_READERS.get(raw.format).channels(raw):
         if channel.quantity not in seen:
             seen.add(channel.quantity)

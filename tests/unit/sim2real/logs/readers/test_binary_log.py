@@ -13,6 +13,7 @@ from aerial_gym.sim2real.logs.flights import file_digests, load_flights, read_fl
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.recording import split_flight_number
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
+from aerial_gym.sim2real.teststand.inertia_study import read_throw
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 from tests.unit.sim2real.ulog_files import read_topics, topics, write_ulog
 
@@ -69,6 +70,15 @@ def test_a_file_with_two_flights_gives_each_by_its_number(table: pd.DataFrame, t
     inputs = read_flight_inputs(ROBOT, [f"{path}#1"], [f"{path}#2"], mapping=None, bandwidth=10.0)
     assert ([one.name for one in inputs.train], [one.name for one in inputs.test]) == (["day#1"], ["day#2"])
     assert len(set(file_digests([path, f"{path}#2"]).values())) == 1
+
+
+def test_a_throw_is_one_flight_of_its_file(table: pd.DataFrame, tmp_path: Path) -> None:
+    """A file with two flights lists them; a selected one is read, and is no throw, as it carries its weight."""
+    path = two_flights(table, tmp_path / "day.ulg")
+    with pytest.raises(DataError, match=r"give one of them: .*day\.ulg#1"):
+        read_throw(path)
+    with pytest.raises(DataError, match=r"day\.ulg#2: is no throw"):
+        read_throw(Path(f"{path}#2"))
 
 
 def test_a_file_whose_name_ends_like_a_number_is_a_file(table: pd.DataFrame, tmp_path: Path) -> None:
