@@ -9,6 +9,7 @@ import numpy as np
 from scipy import fft
 
 from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.logs.checks.kinematics import BLOCK_S
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, interpolate_columns, lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
@@ -17,7 +18,7 @@ ROTOR_BANDWIDTH_HZ = 10.0  # Upper end of the comparison, where rotors turn the 
 SLOWEST_SHARE = 0.05  # Lower end of the comparison as a share of the upper one: slow torques are of other causes
 LEAST_EXPLAINED = 0.5  # Least share of the variance of an output that the rotors explain at the best delay
 TRIAL_S = 0.01  # Distance of the delays of the search [s]: a tenth of the shortest period
-GROUPS = 8  # Parts of a flight that are left out in turn; each is much longer than residuals are correlated
+GROUPS = 8  # Parts of a flight that are left out in turn; residuals of each, at least BLOCK_S long, are independent
 STEPS = 3  # Linear fits about the best delay of the search
 
 
@@ -29,7 +30,7 @@ def rotor_delay(log: FlightLog, rotors: Array, largest: float) -> tuple[float, f
     rate = sample_rate(log)
     band = min(ROTOR_BANDWIDTH_HZ, DERIVED_BAND * rate)
     edge = num_edge_rows(rate, band) + round(largest * rate)
-    if log.ang_vel is None or len(rotors) <= 3 * edge:
+    if log.ang_vel is None or len(rotors) - 2 * edge < GROUPS * BLOCK_S * rate:
         return None
     turning = lowpass(log.ang_vel[:, :2], rate, DERIVED_BAND * rate, derivative=True)
     outputs, squares = (_band_pass(values, rate, band) for values in (turning, rotors**2))

@@ -43,8 +43,13 @@ class StreamDelay:
 
     @property
     def is_material(self) -> bool:
-        """Return whether the delay is significant and large enough to matter; a rotor lag is no delay of a clock."""
-        return abs(self.delay) > max(self.half_width, CORRECTED_S if self.with_lag else MATERIAL["clock"])
+        """Return whether the delay is significant and large enough to matter; a rotor lag is no delay of a clock.
+
+        Slow torques of other causes than the rotors are part of a rotor's delay: that must certainly be large enough.
+        """
+        if self.quantity.startswith("rotor"):
+            return abs(self.delay) - self.half_width > (CORRECTED_S if self.with_lag else MATERIAL["clock"])
+        return abs(self.delay) > max(self.half_width, MATERIAL["clock"])
 
 
 def correct_row_delays(log: FlightLog) -> FlightLog:
