@@ -157,7 +157,10 @@ class ResidualFit:
     cfg: LearnedResidualCfg | None  # Network for the robot file; None if rejected
     objections: tuple[Finding, ...]  # Reasons for the rejection; empty if accepted
     gain: Gain | None = None  # Improvement over the named effects on left-out training flights
-    gaps: dict[str, float | None] = field(default_factory=dict)  # Explained share above the noise floor on test flights
+    gaps: dict[str, float | None] = field(
+        default_factory=dict
+    )  # Share of the gap above the noise floor on test flights
+    named_gaps: dict[str, float | None] = field(default_factory=dict)  # Share of the same gap that named effects close
     rows: int = 0  # Number of compared rows of the test flights
     rows_outside: int = 0  # Number of these rows outside the training data
 
@@ -172,7 +175,10 @@ class ResidualFit:
         if self.cfg is None:
             return (finding_on_refusal("learned_refused", LearnedResidual.name, self.objections),)
         rows = {"rows": self.rows, "rows_outside": self.rows_outside}
-        shares = {"shares": {name: share for name, share in self.gaps.items() if share is not None}}
+        own, named = (
+            {name: share for name, share in gaps.items() if share is not None} for gaps in (self.gaps, self.named_gaps)
+        )
+        shares = {"shares": own, "named_shares": named}
         return Finding("learned_added", LearnedResidual.name, rows), Finding("learned_share", "", shares)
 
     def as_mapping(self) -> dict[str, object]:
@@ -187,6 +193,7 @@ class ResidualFit:
             "confidence": 0.0 if self.gain is None else 1.0 - self.gain.p_value,
             "material": True,
             "share_of_gap": self.gaps,
+            "share_of_gap_by_named_effects": self.named_gaps,
             "rows": self.rows,
             "rows_outside": self.rows_outside,
         }
@@ -219,21 +226,27 @@ def train_residual(
 
 
 def add_test_shares(
-    learned: ResidualFit, predictor: Predictor, params: ModelParams, floor: Array | None
+    learned: ResidualFit, predictor: Predictor, models: tuple[ModelParams, ModelParams], floor: Array | None
 ) -> ResidualFit:
-    """Return the result with the share of the test flights' excess error that the learned residual removes."""
+    """Return the result with the shares of the test flights' excess error that the learned residual and named effects remove.
+
+    ``models``: declared and named model; the excess is that of the declared one over the noise ``floor`` (C,).
+    """
     if learned.effect is None:
         return learned
-    models = params, replace(params, learned=learned.effect)
-    less, more = (np.mean(np.square(np.concatenate(predictor.residuals(model))), axis=0) for model in models)
-    gap = less - (0.0 if floor is None else np.square(floor))
+    params = models[1]
+    steps = (*models, replace(params, learned=learned.effect))
+    first, less, more = (np.mean(np.square(np.concatenate(predictor.residuals(one))), axis=0) for one in steps)
+    gap = first - (0.0 if floor is None else np.square(floor))
     places = [c for c, channel in enumerate(predictor.channels) if channel.name in OUTPUTS]
     names = [predictor.channels[c].name for c in places]
-    shares = [float((less[c] - more[c]) / gap[c]) if gap[c] > 0.0 else None for c in places]
-    gaps = dict(zip(names, shares, strict=True))
+    gaps, named_gaps = (
+        {name: float(fall[c] / gap[c]) if gap[c] > 0.0 else None for name, c in zip(names, places, strict=True)}
+        for fall in (less - more, first - less)
+    )
     felt = torch.from_numpy(np.concatenate(predictor.residual_inputs(params)))
     outside = int((learned.effect.distance(felt) > 1.0).sum())
-    return replace(learned, gaps=gaps, rows=felt.shape[0], rows_outside=outside)
+    return replace(learned, gaps=gaps, named_gaps=named_gaps, rows=felt.shape[0], rows_outside=outside)
 
 
 @dataclass(frozen=True)

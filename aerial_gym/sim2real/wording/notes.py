@@ -70,13 +70,16 @@ def _sentence_on_offsets_of_flights(finding: Finding) -> str:
 
 def _sentence_on_gap_closed(finding: Finding) -> str:
     shares: Mapping[str, float] = finding.values["shares"]
+    named: Mapping[str, float] = finding.values.get("named_shares", {})
     if not shares:
         return "The named effects leave no gap above the noise floor."
-    parts = [
-        f"{percent_text(share) if share >= 0.0 else '-' + percent_text(share)} of {name}"
-        for name, share in shares.items()
-    ]
-    return f"Of the gap above the noise floor on unseen flights it closes {join_words(parts)}."
+
+    def share_list(shares: Mapping[str, float]) -> str:
+        parts = [f"{'-' * (share < 0.0)}{percent_text(share)} of {name}" for name, share in shares.items()]
+        return join_words(parts)
+
+    beside = f"; named effects close {share_list(named)}" if any(named.values()) else ""
+    return f"Of the gap above the noise floor on unseen flights it closes {share_list(shares)}{beside}."
 
 
 PROCESSES = {
@@ -174,11 +177,11 @@ NOTES: dict[str, Template] = {
     "rival_wider": "as probable, but a wider case of {effect}",
     "rival_not_rejected": "not rejected: these flights cannot tell them apart",
     "learned_added": (
-        "learned_residual was added on request; it explains nothing. {rows_outside} of {rows} test rows lie outside its "
+        "learned_residual was added; it explains nothing. {rows_outside} of {rows} test rows lie outside its "
         "training data, where it fades."
     ),
     "learned_share": _sentence_on_gap_closed,
-    "learned_refused": lambda f: f"learned_residual was requested, but not added. {_objection_sentences(f)}",
+    "learned_refused": lambda f: f"learned_residual was fitted, but not added. {_objection_sentences(f)}",
     "gain_by_chance": "Its gain on flights left out may be chance (p = {p_value:number2}).",
     "few_flights_better": "It predicts only {share:percent} of the flights left out better.",
     "gain_small": "It lowers no error by more than {share:percent}, or by less than the tolerances may cause.",

@@ -152,6 +152,7 @@ SAMPLES = [
     Finding("rival_not_rejected", "wind_shear", {"effect": "constant_wind"}),
     Finding("learned_added", "learned_residual", {"rows": 800, "rows_outside": 12}),
     Finding("learned_share", "", {"shares": {"specific_force.x": 0.4, "specific_force.y": -0.02}}),
+    Finding("learned_share", "", {"shares": {"specific_force.x": 0.4}, "named_shares": {"specific_force.x": 0.5}}),
     Finding("learned_share", "", {"shares": {}}), Finding("learned_refused", "learned_residual", {"objections": LOST}),
     Finding("gain_by_chance", "", {"p_value": 0.03}), Finding("few_flights_better", "", {"share": 0.5}),
     Finding("gain_small", "", {"share": 0.01}), Finding("channel_worse", "specific_force.x", {"share": 0.14}),

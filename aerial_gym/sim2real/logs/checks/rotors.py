@@ -131,8 +131,8 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None =
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        levers, reactions = _angular_acceleration_by_rotors(robot, lowpass_without_mean, values, orders, inertia)
-        left = np.stack([_share_left_by_rotors(turning, levers + sign * reactions) for sign in (1.0, -1.0)])
+        levers, reactions = _rotor_accelerations(robot, lowpass_without_mean, values, orders, inertia)
+        left = np.stack([_unexplained_shares(turning, levers + sign * reactions) for sign in (1.0, -1.0)])
         independent = flies.sum() * stride / rate * CHECK_BANDWIDTH_HZ
         log_likelihood = -0.5 * independent * np.log(np.maximum(left, 1e-12)).sum(axis=-1)
         flip, best = (int(k) for k in np.unravel_index(int(np.argmax(log_likelihood)), log_likelihood.shape))
@@ -167,7 +167,7 @@ def _gain_of_reaction(turning: Array, reaction: Array, rows: int) -> tuple[float
     return gain, float(-student_quantile(SURE, number - 1.0) * spread)
 
 
-def _angular_acceleration_by_rotors(
+def _rotor_accelerations(
     robot: RobotCfg,
     lowpass_without_mean: Callable[[Array], Array],
     values: Array,

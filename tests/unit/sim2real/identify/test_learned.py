@@ -51,7 +51,7 @@ def learn(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[Residual
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor, params = make_predictor(fit), params_from_robot(ROBOT)
     learned = train_residual(predictor, params, make_judge(predictor))
-    return add_test_shares(learned, make_predictor(held), params, None), held
+    return add_test_shares(learned, make_predictor(held), (params, params), None), held
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[ResidualFit
     learned, held = cubic
     far = tuple(tuple(100.0 * number for number in row) for row in learned.cfg.whitening)
     narrow = replace(learned, cfg=replace(learned.cfg, whitening=far))
-    judged = add_test_shares(narrow, make_predictor(held), params_from_robot(ROBOT), None)
+    judged = add_test_shares(narrow, make_predictor(held), (params_from_robot(ROBOT),) * 2, None)
     assert judged.rows_outside == judged.rows > 0
     assert set(judged.gaps.values()) == {0.0}
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real import judge_flights
 from aerial_gym.sim2real.failures.flight_event import Failure
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
@@ -353,3 +354,25 @@ def test_a_parameter_that_may_be_another_effect_is_not_stated_as_found() -> None
     assert "x_m" not in effect.finding.values
     assert "y_m" in effect.finding.values
     assert "parameter_tied" in [one.code for one in answer_parts(unit_verdict("explained", effects=(effect,)))["open"]]
+
+
+@pytest.mark.slow
+def test_an_unexplained_force_gets_a_learned_residual_unasked(tmp_path) -> None:
+    """A pull to the origin, which no effect has; the residual learns what it can of it, or states why not."""
+    tables = [flight(seed, seconds=6.0, rate=100.0, noise=1.0, spring=0.8, cubic=0.05) for seed in (1, 2, 3)]
+    flights = load_tables(tmp_path, tables)
+    judged = judge_flights(ROBOT, flights[:2], flights[2:], effects=("com_offset",)).verdict
+    assert judged.verdict == "unexplained"
+    assert judged.learned is not None
+    if judged.learned.cfg is not None:
+        assert set(judged.learned.named_gaps) == set(judged.learned.gaps)
+
+
+def test_a_payload_is_tied_with_a_slung_load_that_the_logs_cannot_show() -> None:
+    lacking = {name: Finding("logs_lack", name, {"need": "lin_vel"}) for name in ("slung_payload", "rotor_drag")}
+    for code, ties in (("logs_lack", ["slung_payload"]), ("not_excited", [])):
+        reasons = {name: replace(one, code=code) for name, one in lacking.items()}
+        selection = make_selection(make_choice(make_fit("payload_mass"), make_fit(log=-40.0)), not_testable=reasons)
+        assert verdict.names_of_ties("payload_mass", selection) == ties
+    offset = make_selection(make_choice(make_fit("com_offset"), make_fit(log=-40.0)), not_testable=lacking)
+    assert verdict.names_of_ties("com_offset", offset) == []
