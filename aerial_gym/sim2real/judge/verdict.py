@@ -296,5 +296,14 @@ def notes_on_materiality(effects: Sequence[NamedEffect]) -> list[Finding]:
 
 
 def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
-    """Return the effects that explain the flights as well as an accepted one in its place."""
-    return [rival.effect for rival in selection.effect_ties(name) if cause_name(rival.effect) != cause_name(name)]
+    """Return the effects that explain the flights as well as an accepted one in its place.
+
+    An effect whose first parameter is the same physical quantity, and that the logs cannot show for want of a column, is one
+    of them: a slung load is a mass as a payload is.
+    """
+    lacking = [other for other, reason in selection.not_testable.items() if reason.code == "logs_lack"]
+    alike = [other for other in lacking if name in EFFECTS.get(other).confused_with]
+    unit = EFFECTS.get(name).parameters[0].unit
+    hidden = [other for other in alike if unit == EFFECTS.get(other).parameters[0].unit != "-"]
+    rivals = [rival.effect for rival in selection.effect_ties(name)]
+    return list(dict.fromkeys(other for other in (*rivals, *hidden) if cause_name(other) != cause_name(name)))
