@@ -6,15 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.physics.model import check_effect_on_rotors
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
 from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
-from aerial_gym.sim2real.identify.learned import ResidualFit, add_test_shares, leave_out_flights, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup, final_model_of_robot_file
@@ -23,7 +19,6 @@ from aerial_gym.sim2real.judge.breakdown import errors_by_flight, errors_where_e
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models
 from aerial_gym.sim2real.judge.experiments.design import can_have_effect, recommend_manoeuvres
 from aerial_gym.sim2real.judge.outcome import (
-    BETTER,
     Decision,
     Outcome,
     channel_outcomes,
@@ -40,6 +35,7 @@ from aerial_gym.sim2real.judge.residual_excess import (
     find_residual_excess,
     model_with_training_deviations,
 )
+from aerial_gym.sim2real.judge.residual_model import can_learn_residual, fit_residual
 from aerial_gym.sim2real.judge.verdict import (
     NamedEffect,
     Verdict,
@@ -142,44 +138,6 @@ def model_with_new_values(declared: LoopSetup, selection: SelectionResult) -> Mo
     if not deviations_beyond_tolerance(declared.tolerances, deviation, declared.robot):
         return model
     return replace(model, deviation=deviation_of_vehicle(deviation, declared.robot))
-
-
-def can_learn_residual(declared: LoopSetup) -> bool:
-    """Return whether a residual can be learned without being asked: for rotors that its law allows, and not twice."""
-    try:
-        check_effect_on_rotors(LearnedResidual, declared.robot.rotor_traits)
-    except ConfigError:
-        return False
-    return declared.params.learned is None
-
-
-def fit_residual(
-    declared: LoopSetup,
-    selection: SelectionResult,
-    model: ModelParams,
-    floor: Array | None,
-    *,
-    seed: int,
-) -> ResidualFit:
-    """Return a residual learned on the training flights; it is kept only if it improves flights that it has not seen.
-
-    Both left-out training flights and test flights count. On these some channel must get better and none materially worse.
-    """
-    tested = declared.test
-    left_out = leave_out_flights(declared.train, selection.weights, selection.criteria, selection.tolerated)
-    trained = train_residual(declared.train, model, left_out, seed=seed)
-    if trained.effect is None:
-        return trained
-    models = model, replace(model, learned=trained.effect)
-    outcomes = channel_outcomes(tested, models, least=selection.criteria.material)
-    harm = [
-        Finding("channel_worse", one.quantity, {"share": one.rise.value}) for one in outcomes if one.is_materially_worse
-    ]
-    if not any(one.state == BETTER for one in outcomes):
-        harm.append(Finding("gain_small", "", {"share": max(0.0, *(-one.rise.value for one in outcomes))}))
-    if harm:
-        return replace(trained, cfg=None, objections=tuple(harm))
-    return add_test_shares(trained, tested, (declared.params, model), floor)
 
 
 def channels_worse_within_tolerances(
