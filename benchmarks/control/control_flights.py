@@ -13,16 +13,18 @@ from math import inf, isfinite, nan
 import torch
 from torch import Tensor
 
-from aerial_gym import ENVIRONMENTS, ROBOTS, SIMS, EnvManager
+from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.tail_servo import derive_tail_servo
 
 GRAVITY = 9.81  # That of every registered sim [m/s²]

@@ -19,7 +19,9 @@ import torch
 import tyro
 import warp
 
-from aerial_gym import CONTROLLERS, ROBOTS, SIMS
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS
+from aerial_gym.robots import ROBOTS
 from benchmarks.control.control_flights import (
     MEANT_FOR,
     SAMPLE,

@@ -27,7 +27,8 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.control.stability import FAR, HEIGHT, ClosedLoop, HoverResult
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
-from aerial_gym.physics import BodyState, PhysicsBackend, build_model, vehicle_from_config
+from aerial_gym.physics import BodyState, build_model, vehicle_from_config
+from aerial_gym.physics.backend import PhysicsBackend
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EFFECTS, EffectParams
 from aerial_gym.physics.model import check_effects, robot_effects

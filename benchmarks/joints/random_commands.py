@@ -14,7 +14,10 @@ import torch
 import tyro
 from torch import Tensor
 
-from aerial_gym import CONTROLLERS, ENVIRONMENTS, ROBOTS, SIMS, EnvManager
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.robots import ROBOTS
 
 SNAKES = tuple(f"snakey{rods}{mode}" for mode in ("", "_position", "_effort") for rods in ("", "5", "6"))
 SPAN, LARGEST_THRUST = 0.25, 15.0  # Between draws [s], and [N]

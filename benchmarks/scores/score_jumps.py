@@ -15,7 +15,6 @@ import numpy as np
 import tyro
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real import FlightLog, find_mapping, read_flight_log
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
 from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS, WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.logs.flights import resample_log
@@ -26,6 +25,9 @@ from aerial_gym.sim2real.logs.position_jumps import (
     jump_sizes_and_scale,
     mend_position_jumps,
 )
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.sample_repeats import SENSORS
 from aerial_gym.sim2real.wording import text
 from benchmarks.markdown import table, table_row

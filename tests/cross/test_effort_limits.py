@@ -15,7 +15,7 @@ from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, Spri
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.physics import TorchBackend, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics import TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated import steppers
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import Equations
@@ -23,6 +23,7 @@ from aerial_gym.physics.articulated.fused import limit_solver
 from aerial_gym.physics.articulated.joint_laws import Drive, dry_friction, joint_effort
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.physics.state import ArticulatedState, JointEfforts
+from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.effort_rig import DT, Residuals, TreeCase, residuals
 from tests.physics.vehicles import random_state

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym import CONTROLLERS, ROBOTS, SIMS
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS
+from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import RotorHints, import_robot
 from benchmarks.control.control_flights import fly_robot
 from tests.repetitions import rare_values

@@ -14,9 +14,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import EFFECTS, TorchBackend, Vehicle, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.state import ArticulatedState
+from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.vehicles import CEILING, random_state, strong_effects

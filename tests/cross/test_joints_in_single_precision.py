@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import Model, TorchBackend, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics import TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import Equations, equations
 from aerial_gym.physics.articulated.flight import articulated_step
@@ -19,8 +19,10 @@ from aerial_gym.physics.articulated.joint_laws import Effort
 from aerial_gym.physics.articulated.motion import angular_jacobian, point_jacobian
 from aerial_gym.physics.articulated.steppers import _implicit_step, step_within_limits
 from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.physics.state import ArticulatedState
+from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import random_state
 from tests.repetitions import frequent_values

@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ROBOTS, EnvManager
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BACKENDS, EFFECTS, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
@@ -20,6 +20,7 @@ from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import EffectParams
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.warp_backend import WarpBackend
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.cross.test_joints import FACTOR, ROUND_OFF, odd_tree
 from tests.physics.articulated.test_link_buoyancy import make_joints, under_water

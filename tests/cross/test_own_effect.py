@@ -9,7 +9,8 @@ import torch
 
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import CapabilityError
-from aerial_gym.physics import EFFECTS, WarpBackend
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.warp_backend import WarpBackend
 from tests.cross.test_backends import assert_same_flight, build
 from tests.physics.vehicles import asymmetric_robot
 from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command

@@ -7,7 +7,8 @@ import torch
 
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.physics import BACKENDS, Ground, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics import BACKENDS, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import as_type, assert_same_flight

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym import SIMS, __version__
+from aerial_gym import __version__
 from aerial_gym.cli.main import COMMANDS, RENAMED
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.control import CONTROL_LAWS
 from aerial_gym.control.laws import LAWS
+from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, ROTOR_MAPS, effects
 from aerial_gym.sim2real.identify.selection.criteria import Criteria

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from aerial_gym.robots.catalog import robot_by_name
-from aerial_gym.sim2real import Verdict, judge_flights
+from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import load_train_and_test
+from aerial_gym.sim2real.loop import judge_flights
 from benchmarks.undeclared import LOGGED, TRACKED, make_case
 from benchmarks.undeclared.sensors import PlantNuisance
 

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate
-from aerial_gym.physics import INTEGRATORS, BodyState, Model
+from aerial_gym.physics import INTEGRATORS, BodyState
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.integrators import MassState, to_body_state, to_mass_state
 from aerial_gym.physics.memory import Memory, begin_substep, end_substep, link_state_of_load, make_memory
+from aerial_gym.physics.model import Model
 
 MASS, LENGTH, DAMPING = 0, 1, 2
 """Places of the parameters of the payload."""

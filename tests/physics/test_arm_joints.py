@@ -12,10 +12,11 @@ from torch import Tensor
 
 from aerial_gym.config.robot import MountCfg, MountsCfg, RobotCfg
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.physics import EFFECTS, Model, accelerations, build_model, condition_in, vehicle_from_config
+from aerial_gym.physics import EFFECTS, Model, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects import Condition, EffectsByKind, SubstepStart, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import LARGEST_ANGLE, ArmJoint
 from aerial_gym.physics.memory import make_memory, replace_memory
+from aerial_gym.physics.rigid_body import condition_in
 from tests.physics.swing import fly_remembering
 from tests.physics.vehicles import F64, asymmetric_robot, random_state, rest_state
 

@@ -9,9 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.physics import Model, accelerations, build_model, condition_in, effects_from_config, vehicle_from_config
+from aerial_gym.physics import accelerations, build_model, condition_in, effects_from_config, vehicle_from_config
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import Condition
+from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import MOVES_OF_VEHICLE, adapt_condition
 from aerial_gym.physics.vehicle import is_shared, share_row
 from tests.physics.test_rigid_body import F64, asymmetric_robot, random_state
@@ -103,6 +104,15 @@ def test_thrusts_of_a_vehicle_that_moves_likewise_stand_where_its_maps_are_the_s
     assert is_shared(seen.vehicle.thrust_map)
     other = replace(seen.vehicle, thrust_map=share_row(seen.vehicle.thrust_map[0].clone(), ROWS))
     assert adapt_condition(other, seen).rotor_thrust is seen.rotor_thrust
+
+
+@pytest.mark.parametrize("field", [*MOVES_OF_VEHICLE, "thrust_map"])
+def test_what_a_condition_sees_of_the_vehicle_moves_it(field: str) -> None:
+    model = make_model({})
+    moved = replace(model.vehicle, **{field: 1.1 * getattr(model.vehicle, field) + 0.01})
+    names = ("air_velocity", "rotor_thrust", "lever", "axis")
+    seen, now = make_condition(model), make_condition(replace(model, vehicle=moved))
+    assert not all(torch.equal(getattr(seen, name), getattr(now, name)) for name in names)
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda answers: pickle.loads(pickle.dumps(answers))])

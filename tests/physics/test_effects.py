@@ -292,6 +292,15 @@ def test_rotors_lag_by_their_direction(values: dict[str, dict[str, float]], taus
         assert_wrench(after.rotor_speed[0], [end + (start - end) * exp(-0.04 / tau)] * 4, size=1e3)
 
 
+def test_a_command_curve_has_an_idle_speed_and_an_exponent() -> None:
+    """``491 + 3564 (c / 4000)^0.71``; a command of 0 stops the rotor, and no curve turns it backwards."""
+    params = torch.tensor([[491.0 / 4000.0, 3564.0 / 4000.0, 0.71, 4000.0], [-0.5, 1.0, 1.0, 4000.0]], dtype=F64)
+    command = torch.tensor([0.0, 400.0, 2000.0, 4000.0], dtype=F64).expand(2, 4)
+    speed = EFFECTS.get("command_curve").command(command, make_model({}, 2).vehicle, params)
+    expected = [0.0, *(491.0 + 3564.0 * share**0.71 for share in (0.1, 0.5, 1.0))]
+    torch.testing.assert_close(speed, torch.tensor([expected, [0.0, 0.0, 0.0, 2000.0]], dtype=F64))
+
+
 def test_ground_effect_asks_for_the_radius() -> None:
     robot = replace(ROBOTS.get("tinyprop"), effects={"ground_effect": {"k": 1.0}})
     robot = replace(robot, rotor=replace(robot.rotor, radius=None))

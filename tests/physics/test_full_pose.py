@@ -5,11 +5,13 @@ from math import pi
 import pytest
 import torch
 
-from aerial_gym import CONTROLLERS, ROBOTS, EnvManager
+from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import make_gains
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
 from aerial_gym.physics import vehicle_from_config
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
 

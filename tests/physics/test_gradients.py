@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance_remembering, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, build_model, vehicle_from_config
 from aerial_gym.physics.memory import make_memory
+from aerial_gym.physics.torch_backend import advance_remembering
 from tests.physics.vehicles import CEILING, F64, ON_RIGID, SpeedControl, asymmetric_robot, random_state
 
 NUDGE, DT = 1e-6, 0.02

@@ -27,7 +27,8 @@ from aerial_gym.physics.effects.sensor_errors import imu_errors
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.secondary_states import SecondaryStates
-from aerial_gym.sensors import Imu, Pose
+from aerial_gym.sensors import Pose
+from aerial_gym.sensors.imu import Imu
 from aerial_gym.sensors.mounts import Carrier
 from benchmarks.devices.imu_allan import record_at_rest
 from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, ImuRig, spin_about_z

@@ -9,9 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ROBOTS, EnvManager
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
 ROUND_OFF = 8.0 * 2.0**-20

@@ -10,11 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ROBOTS, EnvManager
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import Pose
 from tests.builders import simulation
 from tests.physics.imu_rig import IDEAL, NOISY, G, ImuRig, wobble

@@ -7,9 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.physics import EFFECTS, INTEGRATORS, Vehicle, WarpBackend, advance, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, INTEGRATORS, WarpBackend, advance, build_model, vehicle_from_config
 from aerial_gym.physics.memory import make_memory
 from aerial_gym.physics.rotor_lag import CommandSwitch, follow_command, slew_limited_lag, stage_rates, vehicle_lag
+from aerial_gym.physics.vehicle import Vehicle
 from tests.physics.rotor_types import REVERSIBLE, three_type_robot, with_rotor
 from tests.physics.swing import fly_remembering
 from tests.physics.test_effects import momentum

@@ -12,7 +12,6 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from aerial_gym import ROBOTS, EnvManager
 from aerial_gym.assets import ENVIRONMENTS, CollisionTest, Scene
 from aerial_gym.assets.collision import LinkGeometry
 from aerial_gym.config.environment import EnvironmentCfg, PartCfg, ShapeCfg
@@ -22,7 +21,9 @@ from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, InitialSta
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, RangeSensorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.shape import ROBOT_ID
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, RayCaster, make_images
 from aerial_gym.sensors.mounts import Carrier
 from aerial_gym.sensors.scan import column_group_ages

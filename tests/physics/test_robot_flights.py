@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from aerial_gym import ROBOTS, SIMS
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.env_manager import SIMS
 from aerial_gym.physics import vehicle_from_config
+from aerial_gym.robots import ROBOTS
 from benchmarks.control.control_flights import (
     GRAVITY,
     PUSH,

@@ -7,11 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ROBOTS, SIMS, EnvManager
 from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import EFFECTS, BodyState, Model, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.swing import fly_load, momentum_energy
 from tests.physics.vehicles import F64, asymmetric_robot, random_state

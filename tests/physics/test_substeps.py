@@ -11,13 +11,14 @@ import torch
 import trimesh
 from torch import Tensor
 
-from aerial_gym import ROBOTS, SIMS, EnvManager
 from aerial_gym.assets import PARKED_Z, CollisionTest, Scene
 from aerial_gym.config.environment import AssetCfg, ContactCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, SphereCfg
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.integrators import MassState
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.unit.assets.managers import move_obstacles
 

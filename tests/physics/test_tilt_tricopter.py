@@ -7,8 +7,9 @@ from math import atan, cos, pi, sin, tan
 import pytest
 import torch
 
-from aerial_gym import ROBOTS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.tail_servo import derive_tail_servo
 from tests.builders import simulation
 

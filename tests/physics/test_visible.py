@@ -9,14 +9,15 @@ import torch
 import yaml
 from torch import Tensor
 
-from aerial_gym import ROBOTS, EnvManager
 from aerial_gym.assets import ENVIRONMENTS, Scene
 from aerial_gym.config.environment import CheckerCfg, EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import CollisionCfg, RobotCfg, load_robot
 from aerial_gym.config.shape import ROBOT_ID
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.test_ray_caster import CAMERA, exact_distance, pixel_rays, rotation, take_image
 

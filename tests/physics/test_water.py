@@ -12,7 +12,8 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate, quat_rotate_inverse
-from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, advance, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance, build_model, vehicle_from_config
+from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_load
 from tests.physics.test_slung_payload import random_load

@@ -91,6 +91,7 @@ class Effect(ABC):
     follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
     """Quantities that its force depends on: an imperfect law leaves a residual that follows them."""
     told_by_torques: ClassVar[bool] = False  # Whether only torques distinguish it; without, it is no candidate
+    told_by_rotor_speeds: ClassVar[bool] = False  # Whether measured rotor speeds beside commands are needed for that
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()  # Quantities that a log must hold in place of its memory
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")  # Allowed rotor features beyond a plain speed
     at_hubs: ClassVar[bool] = False

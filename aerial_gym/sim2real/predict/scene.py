@@ -22,6 +22,8 @@ NEEDED = {
     "lin_vel": "velocity or position (a load swings as its vehicle moves, and air acts by the speed through it)",
     "ceiling_height": "the height of the ceiling (column ceiling_z; a high one where there is none)",
     "other_position": "the position of the other vehicle (columns other_p_x, other_p_y, other_p_z, or its own log)",
+    "rotor_speed": "measured rotor speeds (columns rotor_1, rotor_2, ...)",
+    "rotor_command": "rotor commands (columns cmd_1, cmd_2, ...)",
     "battery": "battery voltage; log it in volts (column vbat)",
 }
 """Quantities that an effect may need, with the columns that provide them."""

@@ -348,6 +348,11 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
         "°",
         degrees(1.0),
     ),
+    "command_curve": _coefficient_template(
+        "The command curve per hover speed has",
+        {"offset": "as offset", "gain": "as gain", "power": "as exponent"},
+        "",
+    ),
     "rotor_speed_scale": _ratio_template(
         "The logged rotor speeds read", "too high", "too low", "against the true ones"
     ),

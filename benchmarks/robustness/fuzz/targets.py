@@ -7,18 +7,21 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from aerial_gym import SIMS, EnvManager, SimBuilder, Task
-from aerial_gym.assets import load_mesh, load_urdf
+from aerial_gym.assets.mesh_files import load_mesh
+from aerial_gym.assets.urdf import load_urdf
 from aerial_gym.config import dump_yaml, family_files, load
 from aerial_gym.config.environment import load_environment
 from aerial_gym.config.robot import load_robot
 from aerial_gym.config.sensor import load_any_sensor
 from aerial_gym.config.task import TaskCfg
+from aerial_gym.env_manager import EnvManager, SimBuilder
+from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.rl_training import load_policy, load_settings, settings_for
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.inspection import inspect_log
 from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR, find_mapping
+from aerial_gym.task import Task
 from benchmarks.robustness.fuzz.mutations import BINARY, PLAIN, TEXT, TREE, Mutation
 from tests.unit.sim2real import flat_flights, ulog_files
 from tests.unit.sim2real.logs.readers import blackbox_files, crazyflie_files, dataflash_files, ros_bags

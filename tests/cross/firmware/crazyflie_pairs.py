@@ -24,7 +24,8 @@ from aerial_gym.control.crazyflie.pid import (
 )
 from aerial_gym.control.lee import LeeGains, position_control
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
-from aerial_gym.physics import BodyState, vehicle_from_config
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.state import BodyState
 from aerial_gym.robots import ROBOTS
 from tests.cross.firmware import crazyflie_vectors as made
 from tests.cross.firmware.draws import load_vectors

@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 import torch
 
-from aerial_gym import ROBOTS, SimBuilder
+from aerial_gym import SimBuilder
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.articulated.joint_laws import Drive, JointLimits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.rollouts import RolloutTrees
+from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
 from tests.repetitions import frequent_values

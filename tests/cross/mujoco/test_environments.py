@@ -7,10 +7,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager, SimBuilder, task_registry
+from aerial_gym import SimBuilder, task_registry
+from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.cli.main import main
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.robots import ROBOTS
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 

@@ -9,12 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.physics import Model, build_model, vehicle_from_config
+from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.articulated import steppers
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE, Drive, Effort, JointLaw, dry_friction, joint_effort
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.physics.state import JointEfforts
 from aerial_gym.robots import ROBOTS

@@ -8,11 +8,12 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY as G
-from aerial_gym.physics import Model, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.model import Model, build_model
+from aerial_gym.physics.vehicle import vehicle_from_config
 
 F64 = torch.float64
 

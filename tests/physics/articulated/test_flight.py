@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ROBOTS, SIMS, EnvManager
 from aerial_gym.config.joint import CreepCfg, JointsCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
@@ -22,6 +22,7 @@ from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, t
 from aerial_gym.physics.model import Model, build_model, robot_effects
 from aerial_gym.physics.state import ArticulatedState, BodyState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
+from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.teststand.joints.record import Release, law_angle
 from tests.builders import simulation
 

@@ -13,12 +13,14 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.config.robot import MountCfg, RobotCfg
-from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.flight import articulated_step, link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.rigid_body import body_wrench
 from aerial_gym.physics.state import ArticulatedState, BodyState, state_at_rest
+from aerial_gym.physics.vehicle import vehicle_from_config
 from tests.physics.vehicles import CEILING, F64, asymmetric_robot, random_state
 
 AT_HUBS = [name for name in EFFECTS if EFFECTS.get(name).at_hubs and EFFECTS.get(name).on_joints]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.physics import EFFECTS, TorchBackend, WarpBackend, vehicle_from_config
+from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import TreeAccelerations, equations, solve
 from aerial_gym.physics.articulated.flight import articulated_step
@@ -22,6 +22,9 @@ from aerial_gym.physics.effects.links import LinkAddedMass, LinkBuoyancy, LinkDr
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import build_model, check_effects
 from aerial_gym.physics.state import ArticulatedState, BodyState
+from aerial_gym.physics.torch_backend import TorchBackend
+from aerial_gym.physics.vehicle import vehicle_from_config
+from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
 from tests.physics.articulated.test_link_buoyancy import draw_state, make_joints, of_one_link, tree_state, under_water

@@ -7,12 +7,13 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics import Model, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.state import ArticulatedState
+from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
 from tests.physics.articulated.test_flight import at_rest, make_rod, throw

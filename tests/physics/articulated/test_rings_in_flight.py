@@ -15,10 +15,11 @@ import torch
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.physics import Model, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.flight import articulated_step
+from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.state import ArticulatedState, state_at_rest
+from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 
 F64 = torch.float64

@@ -12,11 +12,13 @@ import torch
 
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import MountCfg, MountsCfg, RobotCfg
-from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.memory import make_memory
+from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.state import ArticulatedState, state_at_rest
+from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_remembering
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 import trimesh
 
-from aerial_gym.assets import FAMILIES, CollisionTest, Scene, family_shapes, load_mesh, load_urdf
+from aerial_gym.assets import FAMILIES, CollisionTest, Scene, family_shapes, load_urdf
+from aerial_gym.assets.mesh_files import load_mesh
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, PartCfg, ShapeCfg, load_environment
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.errors import ConfigError, UnknownNameError

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.compat import BaseTask, EnvManager, SimBuilder, env_config_registry
+from aerial_gym.compat import BaseTask, EnvManager, SimBuilder
+from aerial_gym.compat.registries import env_config_registry
 from aerial_gym.errors import ConfigError, ShapeError
 from tests.refusals import assert_refused
 

@@ -16,8 +16,9 @@ from aerial_gym.config.autopilots import (
     Px4Cfg,
 )
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
-from aerial_gym.control import CONTROLLERS, make_controller, make_timing
+from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.cascade import CascadeController
+from aerial_gym.control.timing import make_timing
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import (
     EFFECTS,

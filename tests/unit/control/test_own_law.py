@@ -24,7 +24,8 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.check import StableStep, check_robot, largest_stable_step
+from aerial_gym.robots.check import check_robot
+from aerial_gym.robots.check.flights import StableStep, largest_stable_step
 from tests.physics.vehicles import random_state
 
 GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "own_law.md"

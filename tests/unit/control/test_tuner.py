@@ -13,8 +13,9 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.config.loader import build
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS, LeeController, make_controller
+from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.controllers import LeeController
 from aerial_gym.control.gains import frequency_and_damping
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position

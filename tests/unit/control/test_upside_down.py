@@ -9,7 +9,8 @@ import torch
 
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS, StatefulController, make_controller
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.upside_down import check_starts
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix

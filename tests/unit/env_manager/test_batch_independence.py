@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ROBOTS, EnvManager, Task, task_registry
+from aerial_gym import EnvManager, Task, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.repetitions import frequent_values
 

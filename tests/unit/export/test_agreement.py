@@ -14,11 +14,12 @@ from torch import Tensor, nn
 
 from aerial_gym.cli.export import ExportCmd
 from aerial_gym.config.task_terms import ImageCfg
-from aerial_gym.export import Layout, export, pilot
+from aerial_gym.export import export, pilot
 from aerial_gym.export.agreement import FACTOR, UNIT, Comparison
 from aerial_gym.export.c99 import _ACTIVATIONS
 from aerial_gym.export.encoder import compare_encoder, encoder_runner, write_encoder
 from aerial_gym.export.export import FORMATS, Exported, compare_policy, write_policy
+from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.export.pilot import COMPILER, load_exported
 from aerial_gym.rl_training.policies.policy import Policy

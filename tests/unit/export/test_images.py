@@ -11,9 +11,10 @@ import torch
 from aerial_gym import Task, task_registry
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.export import export, load_exported
+from aerial_gym.export import export
 from aerial_gym.export.export import write_policy
 from aerial_gym.export.layout import Layout, policy_layout
+from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from tests.refusals import assert_refused

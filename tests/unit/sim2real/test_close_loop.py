@@ -24,13 +24,14 @@ from aerial_gym.errors import ConfigError, DataError, StorageError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop, judge_flights, replay
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import all_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.flights import load_train_and_test
 from aerial_gym.sim2real.report.run_folder import atomic_run_folder
-from aerial_gym.sim2real.wording import Finding, text
+from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command, write
 
 DRAG = 0.25

@@ -10,8 +10,9 @@ import pytest
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real import judge_flights, replay
+from aerial_gym.sim2real import replay
 from aerial_gym.sim2real.logs.flights import load_train_and_test
+from aerial_gym.sim2real.loop import judge_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command, write
 
 TAU = 0.04  # Declared lag of the thrusts [s]

@@ -30,6 +30,8 @@ def finding_on_untestable_effect(
     if by_torques and not all(flight.gyro for flight in flights):
         return Finding("torques_not_compared", name)
     needs = (*effect.logged, *effect.needs)
+    if effect.told_by_rotor_speeds:
+        needs += ("rotor_speed", "rotor_command")
     if isinstance(effect, WindEffect) or "velocity" in effect.follows:
         needs += ("lin_vel",)  # hub velocities alone would attribute other errors to the air
     reason = finding_on_absent_data(name, needs, flights) or finding_on_steady_voltage(effect, train)

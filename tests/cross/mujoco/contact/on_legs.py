@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import torch
 
-from aerial_gym import ENVIRONMENTS, EnvManager
+from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.environment import ContactCfg, EnvironmentCfg
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.env_manager import EnvManager
 from tests.builders import simulation
 
 FILE = """

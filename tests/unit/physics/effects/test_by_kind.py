@@ -2,7 +2,8 @@
 
 import torch
 
-from aerial_gym.physics.effects import EFFECTS, EffectsByKind, LoadEffect, WindEffect, WrenchEffect
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import EffectsByKind, LoadEffect, WindEffect, WrenchEffect
 
 
 def some() -> EffectsByKind:

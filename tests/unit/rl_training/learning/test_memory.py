@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from aerial_gym import Task, task_registry
-from aerial_gym.rl_training import TrainingCfg, evaluate
+from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.policies.load import check_fits, make_network, policy_from_payload
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.learners import ApgTrainer, PpoTrainer
 from aerial_gym.rl_training.trainers.native import NativeTraining
 from tests.repetitions import frequent_values

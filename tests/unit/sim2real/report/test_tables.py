@@ -9,6 +9,7 @@ import pytest
 
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.parameter_draws import correlation_factor
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
@@ -19,7 +20,7 @@ from aerial_gym.sim2real.report.evidence import parameter_evidence, write_eviden
 from aerial_gym.sim2real.report.ranges import uncertainty_ranges
 from aerial_gym.sim2real.report.tables import channels_by_outcome, reason_rows, rejection_rows, text_rows_of_effects
 from aerial_gym.sim2real.statistics import Rise
-from aerial_gym.sim2real.wording import Finding, text
+from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
 from tests.unit.sim2real.judge.builders import make_named_effect, make_outcome, make_verdict
 from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection, make_spread

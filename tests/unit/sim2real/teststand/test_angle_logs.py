@@ -12,7 +12,8 @@ from aerial_gym.cli.main import main
 from aerial_gym.config.joint import DriveCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg, load_robot
-from aerial_gym.sim2real.wording import Finding, text
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.wording import text
 
 mujoco = pytest.importorskip("mujoco")
 

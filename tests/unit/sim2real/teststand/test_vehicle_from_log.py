@@ -10,7 +10,8 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import robot_by_name
-from aerial_gym.sim2real import find_mapping, read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand import vehicle_from_log
 from aerial_gym.sim2real.teststand.log_geometry import BETAFLIGHT_X, RotorLayout, _px4_layout
 from aerial_gym.sim2real.teststand.vehicle_from_log import ValueWithOrigin, _yaw_numbers, draft_vehicle, robot_text

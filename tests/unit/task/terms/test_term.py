@@ -8,11 +8,12 @@ import torch
 import yaml
 from torch import Tensor
 
+from aerial_gym import task_registry
 from aerial_gym.config import build
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import ConfigError, DuplicateNameError, UnknownNameError
-from aerial_gym.task import BUFFERS, OBSERVATIONS, REWARDS, TERMINATIONS, task_registry
+from aerial_gym.task import BUFFERS, OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.term import Term, TermRegistry, bind_term
 from tests.refusals import assert_refused
 from tests.unit.task.hover import build_task, make

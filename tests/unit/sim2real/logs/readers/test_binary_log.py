@@ -8,9 +8,10 @@ import pytest
 
 from aerial_gym.config import build
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real import LogMapping, read_flight_log
+from aerial_gym.sim2real import read_flight_log
 from aerial_gym.sim2real.logs.flights import file_digests, load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import split_flight_number
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.teststand.inertia_study import read_throw
