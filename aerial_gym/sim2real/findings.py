@@ -50,7 +50,7 @@ _BY_SEVERITY = {
         "left_open_note offsets_sizes parameter_tied stands_in "
         # not testable, not named
         "not_excited no_soft_arms acts_on_links no_such_effect logs_lack voltage_too_steady commands_too_coarse "
-        "no_inertial_sensor torques_not_compared effect_refused parameters_unknown flights_disagree "
+        "no_inertial_sensor kinematics_disagree torques_not_compared effect_refused parameters_unknown flights_disagree "
         "not_told_from_nothing interval_holds_neutral told_beside_another only_linear less_probable trifle follows_structure "
         # rivals, gusts, learned residual
         "rival_less_probable rival_wider rival_not_rejected gusts_no_floor gusts_no_forces gusts_no_drag gusts_refused "

@@ -209,6 +209,7 @@ REASONS: dict[str, Template] = {
         "Commands are logged every {row_ms:number} ms, but the rotors follow within {lag_ms:number} ms. Log commands faster."
     ),
     "no_inertial_sensor": "The logs hold no inertial sensor: forces are derived from the velocity.",
+    "kinematics_disagree": "The sensors alone contradict it: with it, the error of {channel} rises by {rise:percent}.",
     "torques_not_compared": "Torques are not compared here, and forces alone do not tell it from a drag or a turned sensor.",
     "effect_refused": "{error}.",
     "interval_holds_neutral": "The interval of every parameter contains the value without effect.",

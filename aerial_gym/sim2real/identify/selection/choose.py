@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_params, observable_candidates
@@ -24,6 +25,7 @@ from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView,
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
+from aerial_gym.sim2real.predict.channels import KINEMATIC
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
@@ -94,7 +96,36 @@ def choose_effects(
 ) -> MostProbableSet:
     """Return the most probable set, whose effects are named if a residual (rms) rises by ``material`` without them."""
     climber = SetSearch(predictor, declared, names, progress)
-    return _Chooser(climber, material).make_result(climber.find_best_set())
+    results = _Chooser(climber, material).make_result(climber.find_best_set())
+    against = effects_against_kinematics(predictor, results)
+    if not against:
+        return results
+    rest = choose_effects(
+        predictor, declared, [name for name in names if name not in against], material=material, progress=progress
+    )
+    return replace(rest, refused=rest.refused | against)
+
+
+def effects_against_kinematics(predictor: Predictor, chosen: MostProbableSet) -> dict[str, Finding]:
+    """Return the named effects on inertial sensors that worsen a channel of the sensors alone, on the training flights.
+
+    These channels need no dynamics, so such an effect stands in for an error of the dynamics. A channel is worse if the 95 %
+    interval of its rise by the effect is above zero.
+    """
+    places = [k for k, channel in enumerate(predictor.channels) if channel.kind in KINEMATIC]
+    names = [name for name in chosen.effects if isinstance(EFFECTS.get(name), ImuEffect)]
+    if not places or not names:
+        return {}
+    group, flight = time_block_of_rows(predictor.times), flight_of_rows(predictor.times)
+    residual, results = np.concatenate(predictor.residuals(chosen.named.params)), dict[str, Finding]()
+    for name in names:
+        without = np.concatenate(predictor.residuals(chosen.without[name].params))
+        rises = rise_with_interval(residual[:, places], without[:, places], group, flight)
+        worst = max(range(len(places)), key=lambda k: rises[k].low)
+        if rises[worst].low > 0.0:
+            channel = predictor.channels[places[worst]].name
+            results[name] = Finding("kinematics_disagree", name, {"channel": channel, "rise": rises[worst].value})
+    return results
 
 
 class _Chooser:
