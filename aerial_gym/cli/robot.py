@@ -180,6 +180,9 @@ class FromLogCmd:
     out: Path  # Robot file to write (.yaml); the mapping of commands goes beside it (.mapping.yaml)
     mass_kg: float | None = None  # Mass of the vehicle with battery [kg]
     arm_m: float | None = None  # Distance of the rotors from the centre [m], where the log does not state it
+    frame: str | None = None
+    """Places and spins of the rotors, if the log does not state them: the name of a frame such as quad_x, or a robot file."""
+
     mapping: str | None = None  # Mapping of CSV files, or of further topics: a name or a file (.yaml)
     json: bool = False  # Print one JSON object instead of text
 
@@ -188,7 +191,8 @@ class FromLogCmd:
         from aerial_gym.errors import ConfigError
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-        from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle, robot_text
+        from aerial_gym.sim2real.teststand.vehicle_draft import robot_text
+        from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
         if not self.logs:
             raise ConfigError("robot from-log needs at least one log")
@@ -197,7 +201,7 @@ class FromLogCmd:
         mapping = None if self.mapping is None else find_mapping(self.mapping)
         with progress_bar() as progress:
             progress("reading logs", 0.1)
-            draft = draft_vehicle(self.logs, mass=self.mass_kg, arm=self.arm_m, mapping=mapping)
+            draft = draft_vehicle(self.logs, mass=self.mass_kg, arm=self.arm_m, frame=self.frame, mapping=mapping)
         name = ", ".join(Path(log).name for log in self.logs)
         self.out.write_text(robot_text(draft, name=name), encoding="utf-8")
         robot_by_name(self.out)  # the file loads

@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.on_ground import CARRIED
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.statistics import Estimate, student_quantile
@@ -27,10 +27,13 @@ from aerial_gym.sim2real.statistics import Estimate, student_quantile
 BAND_HZ = 20.0  # Highest frequency of the regression
 ROWS_HZ = 250.0  # Rate of the rows of the regression, some ten times its band
 MEAN_S = 0.1  # Standard deviation of the Gaussian window whose mean is left out [s]; loops of attitude are slower
+THRUST_MEAN_S = 0.3  # The same for the thrust of commands [s]; inflow by a climb is slower
 EDGE_S = 0.6  # Rows this near to the start or end of a flight's powered part are left out: the reach of the longest window [s]
 SLOWEST = 0.1  # A rotor below this share of the largest speed or command does not carry the vehicle
 MOST_TURNING = 0.5  # Largest share of turning in the rows that show the thrust [m/s²]
 PARTS, FEWEST_FLIGHTS = 8, 4  # Parts that are left out in turn for intervals; each flight is one if there are so many
+MODES = 4  # Patterns in which the rotors of a vehicle move: all together, roll, pitch and yaw
+EVEN = 0.3  # Least relative effectiveness of the rotors of an X frame; about an axis of a + frame two have none
 CURVE_PARTS = 4  # The same for the command curve of a single flight
 LEVER = 0.05  # Largest distance of the accelerometer from the centre of mass, where turning adds to its reading [m]
 LEAST_SHARE = 0.33  # Least share of the felt force that rotors give in flight; air gives two thirds in a dive at most
@@ -46,7 +49,8 @@ class FlightRows:
     products: Array  # Products of body rates y z, z x, x y [rad²/s²], (T, 3)
     motion: Array  # Angular acceleration [rad/s²] and specific force along z [m/s²], (T, 4)
     turning: Array  # Largest share of turning in the accelerometer's reading [m/s²], (T,)
-    flies: Flags  # Rows in which the rotors carry the vehicle, away from take-off and landing, (T,)
+    powered: Flags  # Rows in which the rotors carry the vehicle, (T,)
+    flies: Flags  # The same away from take-off and landing, (T,)
     rate: float  # [Hz]
     force: float  # Mean norm of the specific force in these rows [m/s²]
 
@@ -65,8 +69,12 @@ class FlightRows:
 class Effectiveness:
     """Motion per unit of input: roll, pitch and yaw acceleration, and specific force along z."""
 
-    signs: Array  # Of each rotor about roll, pitch and yaw, 0 where not clear, (3, R)
-    sizes: tuple[Estimate, ...]  # Size about each axis, and the specific force of one rotor
+    weights: Array  # Of each rotor about roll, pitch and yaw, relative to the largest of each axis, (3, R)
+    known: Flags  # Axes whose size and sign the flights show, (3,)
+    measured: Flags  # Axes whose weights are those of the flights, not of the log, (3,)
+    sizes: tuple[
+        Estimate, ...
+    ]  # Of the rotor with the largest weight about each axis, and the specific force of one rotor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,14 +112,16 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
         "products": smooth(np.stack([rates[:, j] * rates[:, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)),
         "motion": smooth(np.concatenate((derivative(rates), log.specific_force[:, 2:]), axis=1)),
     }
-    turning = _rows_under_power(parts["inputs"])
-    if turning.any():
+    powered = _rows_under_power(parts["inputs"])
+    if powered.any():
         total = parts["inputs"].sum(axis=1)
-        lift = (felt * total)[turning].sum() / (total * total)[turning].sum()
-        turning &= ~is_held(felt, lift * total, slow_rates)
-    flies = _without_edges(turning, rate / step)
-    force = float(felt[flies].mean()) if flies.any() else 0.0
-    return FlightRows(**parts, turning=largest_turning_force(slow_rates), flies=flies, rate=rate / step, force=force)
+        lift = (felt * total)[powered].sum() / (total * total)[powered].sum()
+        powered &= ~is_held(felt, lift * total, slow_rates)
+    flies = _without_edges(powered, rate / step)
+    return FlightRows(
+        **parts, turning=largest_turning_force(slow_rates), powered=powered, flies=flies, rate=rate / step,
+        force=float(felt[flies].mean()) if flies.any() else 0.0,
+    )  # fmt: skip
 
 
 def _rows_under_power(inputs: Array) -> Flags:
@@ -124,58 +134,103 @@ def _without_edges(rows: Flags, rate: float) -> Flags:
     return np.asarray(binary_erosion(rows, np.ones(2 * round(EDGE_S * rate) + 1)), dtype=np.bool_)
 
 
-def fit_effectiveness(flights: Sequence[FlightRows], logged_signs: Array | None) -> Effectiveness:
-    """Return signs and sizes of the effectiveness, with intervals by leaving out parts of the flights and other windows."""
+def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Effectiveness:
+    """Return weights and sizes of the effectiveness, with intervals by leaving out parts of the flights and other windows.
+
+    ``logged``: weights of the rotors that the log states, (3, R). For four rotors the flights may contradict them.
+    """
     kept = _left_out_parts([int(flight.flies.sum()) for flight in flights])
 
     def columns(window: float) -> list[Array]:
         names = ("inputs", "swings", "products", "motion")
         return [np.concatenate([flight.less_mean(name, window) for flight in flights]) for name in names]
 
-    inputs, swings, products, motion = columns(MEAN_S)
+    parts = columns(MEAN_S)
+    inputs, swings, products, motion = parts
 
     def single_rotors(rows: Flags) -> Array:
-        table = np.concatenate((inputs, swings, products), axis=1)[rows]
-        return _least_squares(table, motion[rows, :3])[: inputs.shape[1]].T
+        modes = np.linalg.svd(inputs[rows], full_matrices=False)[2][:MODES]  # more rotors move in four patterns at most
+        table = np.concatenate((inputs[rows] @ modes.T, swings[rows] @ modes.T, products[rows]), axis=1)
+        return (modes.T @ _least_squares(table, motion[rows, :3])[: len(modes)]).T
 
     whole, half = _jackknife(single_rotors, kept)
-    clear = (np.abs(whole) > half).all(axis=1, keepdims=True)
-    patterns = np.where(clear | (logged_signs is None), np.sign(whole), 0.0 if logged_signs is None else logged_signs)
+    weights, clear, even = _weights_of_flight(whole, half)
+    measured = clear
+    if logged is not None:
+        opposite = np.where(logged == 0.0, False, np.sign(weights) != np.sign(logged)).any(axis=1)
+        measured = clear & even & opposite & (logged != 0.0).all(axis=1)
+        weights = np.where(measured[:, None], weights, logged)
 
     def sizes(parts: Sequence[Array], rows: Flags | slice = slice(None)) -> Array:
         inputs, swings, products, motion = (part[rows] for part in parts)
-        sums = inputs @ np.concatenate((patterns, np.ones((1, inputs.shape[1])))).T
-        table = np.concatenate((sums, (swings @ patterns[2])[:, None], products), axis=1)
+        sums = inputs @ np.concatenate((weights, np.ones((1, inputs.shape[1])))).T
+        table = np.concatenate((sums, (swings @ weights[2])[:, None], products), axis=1)
         return np.diag(_least_squares(table, motion)[:4])
 
-    value, half = _jackknife(lambda rows: sizes((inputs, swings, products, motion), rows), kept)
+    value, half = _jackknife(lambda rows: sizes(parts, rows), kept)
     variants = [sizes(columns(factor * MEAN_S)) for factor in (0.5, 2.0)]
-    turned = np.append(np.sign(value[:3]), 1.0)  # logged signs that the flight contradicts
-    known = np.abs(value[:3]) > half[:3] if logged_signs is not None else clear[:, 0]
-    signs = patterns * (turned[:3] * known)[:, None]
+    turned = np.append(np.sign(value[:3]), 1.0)  # the log states the opposite sign
     ends = turned * np.stack((value - half, value + half, *variants))
     return Effectiveness(
-        signs=np.asarray(signs, dtype=np.float64),
+        weights=np.asarray(weights * turned[:3, None], dtype=np.float64),
+        known=np.abs(value[:3]) > half[:3] if logged is not None else clear,
+        measured=measured | ((turned[:3] < 0.0) & (np.abs(value[:3]) > half[:3])),
         sizes=tuple(Estimate(value=v, low=min(e), high=max(e)) for v, e in zip(turned * value, ends.T, strict=True)),
     )
 
 
-def mean_lift(flights: Sequence[FlightRows]) -> Estimate:
+def _weights_of_flight(whole: Array, half: Array) -> tuple[Array, Flags, Flags]:
+    """Return the weights of the rotors by their effectiveness (3, R) with its half widths, and clear and even axes, (3,).
+
+    An axis is even if no rotor lies near it, as yaw is: then all rotors count as equal. Else each one has to be clear about
+    roll or pitch.
+    """
+    clear, size = np.abs(whole) > half, np.abs(whole).max(axis=1, keepdims=True)
+    four, places = whole.shape[1] == 4, bool(clear[:2].any(axis=0).all())
+    least = np.array((EVEN, EVEN, 0.0))[:, None]
+    even = (clear & (np.abs(whole) > least * size)).all(axis=1) & np.array((four, four, True))
+    known = even | np.array((places, places, False))
+    return np.where(even[:, None], np.sign(whole), whole / size), known, even
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lift:
+    """Specific force along z over the sum of the rotors' inputs."""
+
+    mean: Estimate
+    lowest: float  # Of ``PARTS`` parts of the flights
+    highest: float
+
+
+def mean_lift(flights: Sequence[FlightRows]) -> Lift:
     """Return the specific force along z over the sum of the rotors' inputs in the mean of the flights.
 
-    Rows in which turning moves the accelerometer's reading by more than ``MOST_TURNING`` are left out, unless all do.
+    Rows near take-off and landing, and those in which turning moves the accelerometer's reading by more than ``MOST_TURNING``,
+    only widen the interval, unless all do.
     """
     calm = [flight.flies & (flight.turning < MOST_TURNING) for flight in flights]
-    rows = calm if any(flags.any() for flags in calm) else [flight.flies for flight in flights]
-    pairs = [np.stack((f.motion[:, 3], f.inputs.sum(axis=1)), axis=1)[r] for f, r in zip(flights, rows, strict=True)]
+    whole, pairs = _force_and_input(flights, [flight.powered for flight in flights]), _force_and_input(flights, calm)
+    pairs = pairs if any(map(len, pairs)) else whole
     table = np.concatenate(pairs)
 
-    def ratio(chosen: Flags) -> Array:
-        force, total = table[chosen].mean(axis=0)
-        return np.atleast_1d(force / max(total, 1e-300))
+    def ratio(chosen: Flags | Indices) -> Array:
+        return _ratio_of_means(table[chosen])
 
     value, half = _jackknife(ratio, _left_out_parts([len(pair) for pair in pairs]))
-    return Estimate.from_half_width(float(value[0]), float(half[0]))
+    ends = np.concatenate((value - half, value + half, _ratio_of_means(np.concatenate(whole))))
+    ratios = [float(ratio(np.asarray(chunk))[0]) for chunk in np.array_split(np.arange(len(table)), PARTS)]
+    mean = Estimate(value=float(value[0]), low=float(ends.min()), high=float(ends.max()))
+    return Lift(mean=mean, lowest=min(ratios), highest=max(ratios))
+
+
+def _force_and_input(flights: Sequence[FlightRows], rows: Sequence[Flags]) -> list[Array]:
+    """Return force along z and sum of the inputs in some rows of each flight, each (rows, 2)."""
+    return [np.stack((f.motion[:, 3], f.inputs.sum(axis=1)), axis=1)[r] for f, r in zip(flights, rows, strict=True)]
+
+
+def _ratio_of_means(table: Array) -> Array:
+    force, total = table.mean(axis=0)
+    return np.atleast_1d(force / max(total, 1e-300))
 
 
 def _left_out_parts(sizes: Sequence[int]) -> list[Flags]:
@@ -205,6 +260,48 @@ def _half_width(fits: Sequence[Array]) -> Array:
     return float(student_quantile(0.975, count - 1)) * deviation
 
 
+def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | None:
+    """Return exponent p and lag [s] of a specific force ``c sum u^p`` of commands u; None if these are too slow.
+
+    Both sides are smoothed to ``BAND_HZ``, less their mean over ``THRUST_MEAN_S``. The mean force fixes c.
+    """
+    flights = []
+    for log in logs:
+        if log.rotor_command is None or log.specific_force is None or not log.torques:
+            return None
+        rate, command = sample_rate(log), np.clip(log.rotor_command, 1e-6, None)
+        rows = _without_edges(_rows_under_power(command**2), rate)
+        if rows.any():
+            width = rate * np.sqrt(np.log(2.0)) / (2.0 * np.pi * BAND_HZ)
+            flights.append((rate, width, command, gaussian_filter1d(log.specific_force[:, 2], width), rows))
+    if not flights:
+        return None
+    kept = _left_out_parts([int(rows.sum()) for *_, rows in flights])
+
+    def residual(params: Array, chosen: Flags) -> Array:
+        errors = []
+        for rate, width, command, force, rows in flights:
+            thrust = gaussian_filter1d(
+                _values_with_lag((command ** params[0]).sum(axis=1), 0.02 * params[1], rate), width
+            )
+            error = force - force[rows].mean() / thrust[rows].mean() * thrust
+            errors.append((error - gaussian_filter1d(error, rate * THRUST_MEAN_S, truncate=3.0))[rows])
+        return np.concatenate(errors)[chosen]
+
+    def fit(chosen: Flags) -> Array:
+        return np.asarray(least_squares(residual, (1.5, 1.5), bounds=((0.2, 0.05), (4.0, 15.0)), args=(chosen,)).x)
+
+    value, half = _jackknife(fit, kept)
+    power, lag = map(Estimate.from_half_width, value * (1.0, 0.02), half * (1.0, 0.02))
+    return power, lag
+
+
+def _values_with_lag(values: Array, lag: float, rate: float) -> Array:
+    """Return values (T, ...) behind a first-order lag [s], from rest at the first one."""
+    share = np.exp(-1.0 / (rate * max(lag, 1e-4)))
+    return lfilter([0.0, 1.0 - share], [1.0, -share], values - values[:1], axis=0) + values[:1]
+
+
 def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
     """Return the steady speed of a command and the lag behind it; None without measured speeds and fast commands."""
     if any(log.rotor_command is None or log.rotor_speed is None for log in logs):
@@ -217,9 +314,7 @@ def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
         offset, gain, power, lag = params * (largest, largest, 1.0, 0.02)
         errors = []
         for part in (parts[k] for k in chosen):
-            share = np.exp(-1.0 / (part.rate * max(lag, 1e-4)))
-            steady = offset + gain * (np.clip(part.command, 0.0, None) / full) ** power
-            state = lfilter([0.0, 1.0 - share], [1.0, -share], steady - steady[:1], axis=0) + steady[:1]
+            state = _values_with_lag(offset + gain * (np.clip(part.command, 0.0, None) / full) ** power, lag, part.rate)
             errors.append(((state - part.speed) / largest)[part.rows].reshape(-1))
         return np.concatenate(errors)
 

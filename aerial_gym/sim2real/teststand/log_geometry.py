@@ -1,49 +1,144 @@
-"""Places and spins of rotors that a log states: by PX4's parameters, or by the frame of Betaflight and ArduPilot.
+"""Places and spins of rotors, and the thrust of their commands, as a log states them.
 
-Sources: PX4 parameter reference, CA_ROTOR*; Betaflight documentation, Mixer (QUADX); ArduPilot documentation, Connect ESCs and
-Motors (quadrotor frames). Body axes are forward, left, up; a spin of 1 turns positively about the thrust.
+Sources: PX4 parameter reference (CA_AIRFRAME, CA_ROTOR*, THR_MDL_FAC) and airframe reference (SYS_AUTOSTART); ArduPilot,
+``AP_MotorsMatrix.cpp`` and ``AP_MotorsMulticopter.cpp`` (frames, MOT_SPIN_MIN, MOT_SPIN_MAX, MOT_THST_EXPO); Betaflight 4.5,
+``mixer_init.c``. Body axes are forward, left, up; a spin of 1 turns positively about the thrust. Letters: R rotors.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError, UnknownNameError
+from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.raw_log import RawLog
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.recording import split_flight_number
 
 DEFAULT_RATIO = 0.05  # PX4's default of CA_ROTOR*_KM, which says nothing of a vehicle
 PLACEHOLDER = 0.99  # Arms of 1 m or more in PX4's parameters are placeholders
-FRONT, REAR, LEFT, RIGHT = 1.0, -1.0, 1.0, -1.0
-BETAFLIGHT_X = (((REAR, RIGHT), (FRONT, RIGHT), (REAR, LEFT), (FRONT, LEFT)), (-1, 1, 1, -1))
-ARDUPILOT_FRAMES = {
-    (1, 0): (((0.0, RIGHT), (0.0, LEFT), (FRONT, 0.0), (REAR, 0.0)), (1, 1, -1, -1)),
-    (1, 1): (((FRONT, RIGHT), (REAR, LEFT), (FRONT, LEFT), (REAR, RIGHT)), (1, 1, -1, -1)),
+DSHOT = (48.0, 2047.0)  # Motor values of DShot without and with full throttle; those of PWM are 1000 and 2000
+
+FRAMES = {
+    "quad_x": "45+ -135+ -45- 135-",
+    "quad_plus": "90+ -90+ 0- 180-",
+    "quad_h": "45- -135- -45+ 135+",
+    "quad_plus_reversed": "90- -90- 0+ 180+",
+    "quad_x_dji": "45+ -45- -135+ 135-",
+    "quad_x_clockwise": "45+ 135- -135+ -45-",
+    "quad_x_betaflight": "135- 45+ -135+ -45-",
+    "quad_x_betaflight_reversed": "135+ 45- -135- -45+",
+    "quad_x_1234": "-45- 45+ 135- -135+",
+    "quad_plus_betaflight": "180- 90+ -90+ 0-",
+    "y4": "45+ 180- 180+ -45-",
+    "y4_betaflight": "180- 45+ 180+ -45-",
+    "hexa_x": "90- -90+ -30- 150+ 30+ -150-",
+    "hexa_plus": "0- 180+ -120- 60+ -60+ 120-",
+    "hexa_x_dji": "30+ -30- -90+ -150- 150+ 90-",
+    "hexa_x_clockwise": "30+ 90- 150+ -150- -90+ -30-",
+    "hexa_x_betaflight": "150+ 30+ -150- -30- 90- -90+",
+    "hexa_plus_betaflight": "120+ 60- -120+ -60- 0+ 180-",
+    "octo_x": "22.5- -157.5- 67.5+ 157.5+ -22.5+ -112.5+ -67.5- 112.5-",
+    "octo_plus": "0- 180- 45+ 135+ -45+ -135+ -90- 90-",
+    "octo_x_dji": "22.5+ -22.5- -67.5+ -112.5- -157.5+ 157.5- 112.5+ 67.5-",
+    "octo_x_clockwise": "22.5+ 67.5- 112.5+ 157.5- -157.5+ -112.5- -67.5+ -22.5-",
+    "octo_x_betaflight": "-67.5+ 22.5+ 112.5+ -157.5+ -22.5- 67.5- 157.5- -112.5-",
+    "octo_plus_betaflight": "-45+ 45+ 135+ -135+ 0- 90- 180- -90-",
+    "coax_quad_x": "45+ -45- -135+ 135- -45+ 45- 135+ -135-",
+    "coax_quad_plus": "0+ -90- 180+ 90- -90+ 0- 90+ 180-",
+    "coax_quad_h": "45- -45+ -135- 135+ -45- 45+ 135- -135+",
+    "coax_quad_x_betaflight": "135- 45+ -135+ -45- 135+ 45- -135- -45+",
+    "coax_hexa_x": "30+ 30- 90- 90+ 150+ 150- -150- -150+ -90+ -90- -30- -30+",
+    "coax_hexa_plus": "0+ 0- 60- 60+ 120+ 120- 180- 180+ -120+ -120- -60- -60+",
+    "y6": "60+ -60- -60+ 180- 60- 180+",
+    "y6b": "60- 60+ 180- 180+ -60- -60+",
+    "y6f": "180+ 60+ -60+ 180- 60- -60-",
+    "y6_betaflight": "180+ 60- -60- 180- 60+ -60+",
 }
-"""Places and spins by FRAME_CLASS and FRAME_TYPE."""
+"""Angle of each rotor, clockwise from the front [deg], and + for a counter-clockwise spin, both from above."""
+
+ARDUPILOT_CLASSES = {
+    1: ("quad", {0: "plus", 1: "x", 2: "x", 3: "h", 6: "plus_reversed", 12: "x_betaflight", 13: "x_dji", 14: "x_clockwise",
+                 18: "x_betaflight_reversed"}),
+    2: ("hexa", {0: "plus", 1: "x", 13: "x_dji", 14: "x_clockwise"}),
+    3: ("octo", {0: "plus", 1: "x", 13: "x_dji", 14: "x_clockwise"}),
+    4: ("coax_quad", {0: "plus", 1: "x", 2: "x", 3: "h"}),
+    12: ("coax_hexa", {0: "plus", 1: "x"}),
+}  # fmt: skip
+"""Frames by FRAME_CLASS and FRAME_TYPE; a V frame (2) has the places of an X."""
+
+PX4_SERIES = {
+    4: "quad_x", 5: "quad_plus", 6: "hexa_x", 7: "hexa_plus", 8: "octo_x", 9: "octo_plus", 10: "quad_x", 12: "coax_quad_x",
+}  # fmt: skip
+"""Frames by the thousands of SYS_AUTOSTART, for PX4 before CA_ROTOR*."""
+
+DEFAULTS = {4: "quad_x", 6: "hexa_x", 8: "octo_x"}  # Frames by number of rotors for logs that state none
+BETAFLIGHT_DEFAULTS = {4: "quad_x_betaflight", 6: "hexa_x_betaflight", 8: "coax_quad_x_betaflight"}
+
+BEYOND_ROTORS = {
+    "FRAME_CLASS": {6: "helicopter", 7: "tricopter", 8: "single", 9: "coaxial", 10: "tail-sitter", 11: "helicopter"},
+    "Q_ENABLE": {1: "QuadPlane"},
+    "CA_AIRFRAME": {1: "fixed wing", 2: "VTOL", 3: "tilt-rotor", 4: "tail-sitter", 8: "tilting", 10: "helicopter"},
+    "MAV_TYPE": {
+        1: "fixed wing",
+        4: "helicopter",
+        15: "tricopter",
+        19: "tail-sitter",
+        20: "tail-sitter",
+        21: "tilt-rotor",
+    },
+}
+"""Vehicles with more than fixed rotors, by the parameters that say so."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThrustLaw:
+    """Thrust of a command u as a share of full thrust: ``f a² + (1 - f) a`` with ``a = ((u - low) / (high - low))^power``."""
+
+    square: float = 0.0  # f
+    low: float = 0.0
+    high: float = 1.0
+    power: float = 1.0
+    origin: str = "assumed: proportional to the command; the log states no curve"
+
+    def share(self, command: Array) -> Array:
+        """Return the thrust of commands as a share, in their shape."""
+        a = np.clip((command - self.low) / (self.high - self.low), 0.0, None) ** self.power
+        return self.square * a**2 + (1.0 - self.square) * a
+
+    def slope(self, command: float) -> float:
+        """Return the exponent of the power law with the same slope at a command."""
+        low, high = self.share(np.array((0.999, 1.001)) * command)
+        return float(np.log(high / low) / np.log(1.001 / 0.999)) if low > 0.0 else 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotorLayout:
-    """Rotors as the log states them."""
+    """Rotors as the log or a person states them."""
 
     count: int
     places: Array | None = None  # [m], or of arbitrary length, (R, 3)
+    axes: Array | None = None  # Directions of thrust, (R, 3); None: all upwards
     spins: tuple[int, ...] | None = None
     has_lengths: bool = False
     torque_ratio: float | None = None  # Drag torque per thrust [m]
-    thrust_curve: float = 0.0  # Share of u² in the thrust of a command u; the rest is u
+    law: ThrustLaw = ThrustLaw()
     source: str = "the log"
+    origin: str = "logged"  # Or ``assumed`` or ``given``
+    notes: tuple[str, ...] = ()
 
     @property
-    def signs(self) -> Array | None:
-        """Signs of the rotors about roll, pitch and yaw, (3, R)."""
+    def weights(self) -> Array | None:
+        """Torque of each rotor about roll, pitch and yaw, relative to the largest of each axis, (3, R)."""
         if self.places is None or self.spins is None:
             return None
-        return np.sign(np.stack((self.places[:, 1], -self.places[:, 0], -np.array(self.spins, dtype=np.float64))))
+        axes = np.tile((0.0, 0.0, 1.0), (self.count, 1)) if self.axes is None else self.axes
+        torques = np.stack((*np.cross(self.places, axes).T[:2], -np.array(self.spins, dtype=np.float64)))
+        torques = torques / np.maximum(np.abs(torques).max(axis=1, keepdims=True), 1e-12)
+        return np.where(np.abs(torques) < 0.05, 0.0, torques)
 
     def may_equal(self, other: "RotorLayout") -> bool:
         """Return whether both can be of one vehicle; a log that states no places agrees with any of as many rotors."""
@@ -52,37 +147,103 @@ class RotorLayout:
         return self.spins == other.spins and np.allclose(self.places, other.places, atol=0.01)
 
 
-def layout_in_log(path: str, count: int) -> RotorLayout:
-    """Return the rotors that a log states."""
+def layout_in_log(path: str, count: int, frame: str | None = None) -> RotorLayout:
+    """Return the rotors that a log states, or those of a frame: a name of ``FRAMES`` or a robot file."""
     raw = read_raw_log(Path(split_flight_number(path)[0]))
-    if raw is None:
-        return RotorLayout(count=count)
+    layout = RotorLayout(count=count) if raw is None else _layout_of_parameters(raw, count)
+    if frame is not None:
+        given = frame_layout(frame, count)
+        return replace(given, law=layout.law, notes=layout.notes, origin="given", source="--frame")
+    if layout.places is None and count in DEFAULTS:
+        assumed = replace(frame_layout(DEFAULTS[count], count), law=layout.law, notes=layout.notes)
+        return replace(assumed, origin="assumed", source=f"{DEFAULTS[count]}, as the log states no frame")
+    return layout
+
+
+def frame_layout(name: str, count: int) -> RotorLayout:
+    """Return the rotors of a frame by its name or of a robot file; raise ``ConfigError`` for another number of rotors."""
+    if name.endswith((".yaml", ".yml")):
+        mounts = robot_by_name(name).mounts.layout
+        places, spins = np.array([mount.position for mount in mounts]), tuple(mount.spin for mount in mounts)
+        axes = np.array([mount.axis for mount in mounts])
+        layout = RotorLayout(count=len(mounts), places=places, axes=axes, spins=spins, has_lengths=True)
+    elif name in FRAMES:
+        angles, signs = zip(*((np.radians(float(one[:-1])), one[-1]) for one in FRAMES[name].split()), strict=True)
+        places = np.stack((np.cos(angles), -np.sin(angles), np.zeros(len(angles))), axis=1)
+        layout = RotorLayout(count=len(places), places=places, spins=tuple(1 if sign == "+" else -1 for sign in signs))
+    else:
+        raise UnknownNameError(
+            f"no frame {name!r}. Known: {', '.join(FRAMES)}; or give a robot file that ends in .yaml"
+        )
+    if layout.count != count:
+        raise ConfigError(
+            f"--frame {name}: has {layout.count} rotors, and the log has {count}; give the frame of this vehicle"
+        )
+    return replace(layout, source=name)
+
+
+def _layout_of_parameters(raw: RawLog, count: int) -> RotorLayout:
+    """Return the rotors that parameters or headers state."""
     parameters = raw.parameters
+    kinds = [BEYOND_ROTORS[key].get(int(_number(parameters, key))) for key in BEYOND_ROTORS if key in parameters]
+    notes = tuple(
+        f"The log is of a vehicle of type {kind}: only fixed rotors are modelled, no wings, control surfaces or tilting rotors."
+        for kind in dict.fromkeys(kinds) if kind
+    )  # fmt: skip
     if "CA_ROTOR_COUNT" in parameters or "CA_ROTOR0_PX" in parameters:
-        return _px4_layout(parameters, count)
+        return replace(_px4_layout(parameters, count), notes=notes)
     if "FRAME_CLASS" in parameters:
-        frame = int(_number(parameters, "FRAME_CLASS")), int(_number(parameters, "FRAME_TYPE"))
-        curve = _number(parameters, "MOT_THST_EXPO")
-        if frame in ARDUPILOT_FRAMES and count == 4:
-            return _unit_layout(ARDUPILOT_FRAMES[frame], f"FRAME_CLASS {frame[0]}, FRAME_TYPE {frame[1]}", curve)
-        return RotorLayout(count=count, thrust_curve=curve)
-    if raw.format == "blackbox" and count == 4:
-        reverse = _number(parameters, "yaw_motors_reversed") > 0.0
-        places, spins = BETAFLIGHT_X
-        return _unit_layout((places, tuple(-s for s in spins) if reverse else spins), "Betaflight's QUADX", 1.0)
-    return RotorLayout(count=count)
+        kind, number = int(_number(parameters, "FRAME_CLASS")), int(_number(parameters, "FRAME_TYPE"))
+        y6 = {10: "y6b", 11: "y6f"}.get(number, "y6")
+        family, types = ARDUPILOT_CLASSES.get(kind, ("", {}))
+        name = y6 if kind == 5 else "y4" if (kind, number) == (1, 19) else f"{family}_{types.get(number)}"
+        return _table_layout(name, count, f"FRAME_CLASS {kind}, FRAME_TYPE {number}", _ardupilot_law(parameters), notes)
+    if "SYS_AUTOSTART" in parameters:
+        series = int(_number(parameters, "SYS_AUTOSTART"))
+        return _table_layout(
+            PX4_SERIES.get(series // 1000, ""), count, f"SYS_AUTOSTART {series}", _px4_law(parameters), notes
+        )
+    if raw.format == "blackbox":
+        name = BETAFLIGHT_DEFAULTS.get(count, "")
+        layout = _table_layout(name, count, f"{name}, Betaflight's default", _betaflight_law(parameters), notes)
+        return replace(layout, origin="assumed")
+    return RotorLayout(count=count, notes=notes)
 
 
-def _number(parameters: Mapping[str, float | str], name: str) -> float:
-    value = parameters.get(name, 0.0)
-    return float(value) if isinstance(value, (int, float)) else 0.0
+def _table_layout(name: str, count: int, source: str, law: ThrustLaw, notes: tuple[str, ...]) -> RotorLayout:
+    if name not in FRAMES or len(FRAMES[name].split()) != count:
+        return RotorLayout(count=count, law=law, notes=notes)
+    return replace(frame_layout(name, count), law=law, source=source, notes=notes)
 
 
-def _unit_layout(
-    frame: tuple[tuple[tuple[float, float], ...], tuple[int, ...]], source: str, curve: float
-) -> RotorLayout:
-    places = np.array([(x, y, 0.0) for x, y in frame[0]])
-    return RotorLayout(count=len(places), places=places, spins=frame[1], thrust_curve=curve, source=source)
+def _number(parameters: Mapping[str, float | str], name: str, default: float = 0.0) -> float:
+    value = parameters.get(name, default)
+    return float(value) if isinstance(value, (int, float)) else default
+
+
+def _ardupilot_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
+    """Return the curve between the signals of least and largest thrust."""
+    low, high = _number(parameters, "MOT_SPIN_MIN"), _number(parameters, "MOT_SPIN_MAX", 1.0)
+    curve = _number(parameters, "MOT_THST_EXPO")
+    low, high = (low, high) if low < high else (0.0, 1.0)
+    return ThrustLaw(square=curve, low=low, high=high, origin="logged: MOT_THST_EXPO, MOT_SPIN_MIN and MOT_SPIN_MAX")
+
+
+def _px4_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
+    curve = _number(parameters, "THR_MDL_FAC")
+    if curve <= 0.0:
+        return ThrustLaw(origin="assumed: proportional to the command, PX4's default (THR_MDL_FAC = 0)")
+    return ThrustLaw(square=curve, origin="logged: THR_MDL_FAC")
+
+
+def _betaflight_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
+    """Return the square of the duty cycle, which commands count from idle to the motor output limit."""
+    parts = str(parameters.get("motorOutput", "")).split(",")
+    low, high = map(float, parts) if len(parts) == 2 and all(part.isdigit() for part in parts) else DSHOT
+    off, full = DSHOT if low < 1000.0 else (1000.0, 2000.0)
+    idle, most = (low - off) / (full - off), (high - off) / (full - off)
+    zero = -idle / (most - idle) if most > idle else 0.0
+    return ThrustLaw(square=1.0, low=zero, origin="assumed: the square of the duty cycle; motorOutput states its range")
 
 
 def _px4_layout(parameters: Mapping[str, float | str], count: int) -> RotorLayout:
@@ -90,18 +251,22 @@ def _px4_layout(parameters: Mapping[str, float | str], count: int) -> RotorLayou
     listed = int(_number(parameters, "CA_ROTOR_COUNT")) or count
     if listed != count:
         raise DataError(f"CA_ROTOR_COUNT = {listed}, but the log has {count} rotors; give a log of one vehicle")
-    places = np.array([
-        [sign * _number(parameters, f"CA_ROTOR{k}_P{axis}") for sign, axis in ((1.0, "X"), (-1.0, "Y"), (-1.0, "Z"))]
-        for k in range(count)
-    ])  # fmt: skip
+
+    def vectors(kind: str, last: float = 0.0) -> Array:
+        names = ((1.0, "X", 0.0), (-1.0, "Y", 0.0), (-1.0, "Z", last))
+        return np.array(
+            [[s * _number(parameters, f"CA_ROTOR{k}_{kind}{n}", d) for s, n, d in names] for k in range(count)]
+        )
+
+    places, axes = vectors("P"), vectors("A", -1.0)
     moments = np.array([_number(parameters, f"CA_ROTOR{k}_KM") for k in range(count)])
-    curve = _number(parameters, "THR_MDL_FAC")
+    law = _px4_law(parameters)
     if not np.abs(places[:, :2]).any() or not moments.all():
-        return RotorLayout(count=count, thrust_curve=curve)
+        return RotorLayout(count=count, law=law)
     ratio = float(np.abs(moments).mean())
     real = float(np.abs(places[:, :2]).max()) < PLACEHOLDER
     return RotorLayout(
-        count=count, places=places, spins=tuple(int(s) for s in np.sign(moments)), has_lengths=real,
-        torque_ratio=None if abs(ratio - DEFAULT_RATIO) < 1e-4 else ratio, thrust_curve=curve,
+        count=count, places=places, axes=axes, spins=tuple(int(s) for s in np.sign(moments)), has_lengths=real,
+        torque_ratio=None if abs(ratio - DEFAULT_RATIO) < 1e-4 else ratio, law=law,
         source="CA_ROTOR*" if real else "CA_ROTOR*, whose arms of 1 m are placeholders",
     )  # fmt: skip
