@@ -38,8 +38,10 @@ def moments_and_turn(name: str, paths: list[Path], mass: float, inertia: np.ndar
     errors = np.array([each["value"] for each in estimates]) / truth - 1.0
     inside = [each["interval"][0] < value < each["interval"][1] for each, value in zip(estimates, truth, strict=True)]
     turn = float(np.degrees(Rotation.from_quat(result["axes_xyzw"]).magnitude()))  # type: ignore[arg-type]
-    print(f"{name}: errors {np.round(100 * errors, 2)} %, axes {turn:.1f} deg")
+    widths = np.array(result["axes_half_width_deg"])
+    print(f"{name}: errors {np.round(100 * errors, 2)} %, axes {turn:.1f} deg, 95 % {np.round(widths, 1)} deg")
     assert all(inside)
+    assert turn < 1.5 * widths.max()  # a turn about one axis moves two of them
     return errors, turn
 
 

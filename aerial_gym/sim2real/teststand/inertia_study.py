@@ -27,7 +27,6 @@ from aerial_gym.sim2real.teststand.throws import (
 
 NORMAL_95 = 1.96  # Half width of a 95 % interval in standard deviations
 LARGEST_REST = 0.15  # Largest unexplained share of the change of momentum; throws of one rigid body show 0.03
-NEAR_EQUAL = 0.1  # Principal moments that differ by less leave the directions of their axes open
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +47,7 @@ class BodyInertia:
     matrix: Array  # [kg m²], axes of the IMU, (3, 3)
     moments: tuple[Estimate, ...]  # Principal moments [kg m²], smallest first
     axes: Array  # Principal axes as columns, right-handed, (3, 3)
+    turns: Array  # Half widths of the 95 % intervals of the angle in the plane of two axes [rad], pi / 4: undetermined, (3, 3)
     centre: Array  # Centre of mass from the IMU [m], (3,)
     wheel: Estimate  # Inertia of the flywheel [kg m²]
 
@@ -154,11 +154,39 @@ def body_inertia(
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     gradients = np.stack([[axes[i, k] * axes[j, k] * (1.0 if i == j else 2.0) for i, j in PAIRS] for k in range(3)])
     spread = np.sqrt(np.einsum("ka,ab,kb->k", gradients, elements, gradients)) * scale.value
+    turns = angle_half_widths(values, axes, elements * scale.value**2)
     share = (scale.high - scale.value) / NORMAL_95 / scale.value
     half = NORMAL_95 * np.hypot(spread, values * share)
     return BodyInertia(
-        matrix=matrix, moments=tuple(map(Estimate.from_half_width, values, half)), axes=axes, centre=centre, wheel=scale
+        matrix=matrix, moments=tuple(map(Estimate.from_half_width, values, half)), axes=axes, turns=turns, centre=centre,
+        wheel=scale,
     )  # fmt: skip
+
+
+def angle_half_widths(moments: Array, axes: Array, covariance: Array) -> Array:
+    """Return half widths of the 95 % intervals of the angles by which two principal axes may turn in their plane [rad], (3, 3).
+
+    An error ``e`` of the product of inertia turns the axes of moments that differ by ``d`` by ``atan2(2 e, d) / 2``. The least
+    difference inside its interval counts; ``pi / 4`` means that the data do not tell the two moments apart.
+
+    Args:
+        moments: Principal moments [kg m²], (3,).
+        axes: Principal axes as columns, (3, 3).
+        covariance: Of the elements of the matrix in the order of ``PAIRS`` [kg² m⁴], (6, 6).
+    """
+    first, second = (np.array(index) for index in zip(*PAIRS, strict=True))
+    left, right = axes[first], axes[second]  # (6, 3)
+    outer = left[:, :, None] * right[:, None, :]
+    products = np.where((first == second)[:, None, None], outer, outer + np.swapaxes(outer, 1, 2))  # (6, 3, 3)
+    own = np.stack([products[:, k, k] for k in range(3)], axis=1)  # gradients of the moments, (6, 3)
+    apart = own[:, :, None] - own[:, None, :]
+
+    def half_width(gradients: Array) -> Array:
+        return NORMAL_95 * np.sqrt(np.einsum("akl,ab,bkl->kl", gradients, covariance, gradients))
+
+    difference = np.maximum(np.abs(moments[:, None] - moments) - half_width(apart), 0.0)
+    angles = 0.5 * np.arctan2(2.0 * half_width(products), difference)
+    return np.where(np.eye(3, dtype=bool), 0.0, angles)
 
 
 def inertia_of_distance(total: MomentumFit, device: MomentumFit, mass: float, device_mass: float) -> Array:
@@ -194,10 +222,14 @@ def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, la
             f"the moments {', '.join(f'{value:.3g}' for value in values)} kg m² belong to no body: the largest may not "
             "exceed the sum of the others; throw with more spin about all axes, and check masses and the number of magnet poles"
         )
-    near = [k for k in (0, 1) if values[k + 1] - values[k] < NEAR_EQUAL * values[k + 1]]
+    near = [k for k in (0, 1) if result.turns[k, k + 1] > 0.25 * np.pi - 1e-6]
     notes = [Finding("axes_open", "", {"first": k + 1, "second": k + 2}) for k in near]
+    turns = np.degrees(np.linalg.norm(result.turns, axis=1))
+    directions = [
+        f"{', '.join(f'{x:+.3f}' for x in axis)} ± {turn:.1f}°" for axis, turn in zip(result.axes.T, turns, strict=True)
+    ]
     rows = [
-        (f"principal moment {k + 1} [kg m²]", interval_text(moment), ", ".join(f"{x:+.3f}" for x in result.axes[:, k]))
+        (f"principal moment {k + 1} [kg m²]", interval_text(moment), directions[k])
         for k, moment in enumerate(result.moments)
     ]
     rows += [
@@ -221,6 +253,7 @@ def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, la
             "inertia_kg_m2": matrix,
             "moments_kg_m2": [moment.as_mapping() for moment in result.moments],
             "axes_xyzw": quaternion,
+            "axes_half_width_deg": turns.tolist(),
             "centre_of_mass_m": result.centre.tolist(),
             "wheel_inertia_kg_m2": result.wheel.as_mapping(),
             "wheel_lateness_s": lateness,

@@ -65,7 +65,7 @@ TESTSTAND: dict[str, Template] = {
     "intervals_of_flights": "Intervals hold the scatter within these flights, but no error of the declaration.",
     "published_law": _sentence_on_published_law,
     "axes_open": (
-        "Principal moments {first} and {second} differ by less than 10 %: the directions of their axes are uncertain."
+        "The throws do not tell principal moments {first} and {second} apart: their axes may lie anywhere in their plane."
     ),
     "one_record": "This is one record of one joint: its intervals hold for this record only.",
 }

@@ -12,7 +12,13 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.teststand import inertia_study
 from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
 from aerial_gym.sim2real.teststand.report import Study
-from aerial_gym.sim2real.teststand.throws import FreeFlight, find_free_flight, fit_momentum, steiner_term
+from aerial_gym.sim2real.teststand.throws import (
+    FreeFlight,
+    find_free_flight,
+    fit_momentum,
+    matrix_of_elements,
+    steiner_term,
+)
 
 WHEEL = 1.7e-6  # Inertia of the flywheel [kg m²]
 AXIS = np.array([0.02, -0.01, -1.0]) / np.linalg.norm([0.02, -0.01, -1.0])
@@ -112,6 +118,23 @@ def test_device_and_proof_body_give_the_body_alone(monkeypatch: pytest.MonkeyPat
     )
     np.testing.assert_allclose(study.mapping["inertia_kg_m2"], BODY, atol=0.01 * BODY.max())  # type: ignore[arg-type]
     np.testing.assert_allclose(study.mapping["centre_of_mass_m"], -(IMU + LEVER), atol=5e-4)  # type: ignore[arg-type]
+
+
+def test_intervals_of_axes_cover_the_turns_that_noise_causes() -> None:
+    """Against eigenvectors of matrices with random elements: 95 % of the turns lie inside; equal moments leave them open."""
+    rng = np.random.default_rng(0)
+    root = 1e-5 * rng.normal(size=(6, 6)) / np.sqrt(6.0)
+    moments, axes = np.linalg.eigh(BODY)
+    widths = inertia_study.angle_half_widths(moments, axes, root @ root.T)
+    inside = []
+    for _ in range(400):
+        noise = matrix_of_elements(root @ rng.normal(size=6))
+        turned = np.linalg.eigh(BODY + noise)[1]
+        inside.append(np.abs(turned[:, 1] @ axes[:, 2]) < np.sin(widths[1, 2]))
+    assert 0.93 < np.mean(inside) <= 1.0
+    equal = inertia_study.angle_half_widths(np.array((5e-4, 1.4e-3, 1.4e-3)), axes, root @ root.T)
+    assert equal[1, 2] == pytest.approx(np.pi / 4)
+    assert equal[0, 1] < 0.1
 
 
 def test_proof_body_gives_the_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
