@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.physics.effects import Condition
-from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
+from aerial_gym.physics.effects.base import RotorSpeedsOfFlight
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 KEPT = 2  # Cached results of each function, the most used first: that of the model around which others vary

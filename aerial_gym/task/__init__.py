@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from aerial_gym.task.commands.command import Command
     from aerial_gym.task.task import Task
     from aerial_gym.task.terms.actions import ACTIONS
-    from aerial_gym.task.terms.buffers import BUFFERS
     from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
+    from aerial_gym.task.values import BUFFERS
 
 __all__ = [
     "ACTIONS", "BUFFERS", "COMMANDS", "OBSERVATIONS", "REWARDS", "TERMINATIONS", "Command", "Task", "TaskRegistry",

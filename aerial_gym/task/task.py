@@ -37,8 +37,7 @@ from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observer import ObservationEntry, Observer
 from aerial_gym.task.step.row_kernels import GradientGraph, StepKernel
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced_terms
-from aerial_gym.task.terms.buffers import STEP_TIME
-from aerial_gym.task.values import Values
+from aerial_gym.task.values import STEP_TIME, Values
 
 if TYPE_CHECKING:
     from gymnasium import spaces

@@ -11,7 +11,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import Condition, EffectsByKind, Parameter, RotorEffect, SubstepStart, WrenchEffect
-from aerial_gym.physics.effects.track import RotorSpeedsOfFlight, relax
+from aerial_gym.physics.effects.base import RotorSpeedsOfFlight, relax
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.rows.function import KernelInput, RowFunction, RowWork
-    from aerial_gym.interop.rows.gradient import DifferentiableRows
+    from aerial_gym.interop.rows.function import DifferentiableRows, KernelInput, RowFunction, RowUpdate, RowWork
     from aerial_gym.interop.rows.row_trace import UntraceableError, trace
-    from aerial_gym.interop.rows.row_update import RowUpdate
 
 __all__ = ["DifferentiableRows", "KernelInput", "RowFunction", "RowUpdate", "RowWork", "UntraceableError", "trace"]
 

@@ -1,5 +1,7 @@
-"""A pure torch function of rows as one kernel launch.
+"""A pure torch function of rows as one kernel launch, with its gradient, and a masked update of rows from other rows.
 
+A gradient is one more launch in place of torch's many. The backward pass is traced like the forward pass, with torch's own
+formulas. It recomputes their intermediates in registers.
 Letters: E rows.
 """
 
@@ -13,7 +15,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop.launches import compile_ahead, on_torch_stream, wait_for_kernel
-from aerial_gym.interop.rows.row_trace import trace
+from aerial_gym.interop.rows.row_trace import UntraceableError, trace
 from aerial_gym.interop.rows.source import WARP_TYPES, write
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.interop.warp_start import start_warp
@@ -183,3 +185,145 @@ def _kernel(code: str, names: dict[str, Any], made: KernelInput | None, beside: 
         module.options["enable_backward"] = False
         _kernels[meant + code] = wp.Kernel(namespace["rows"], key="rows", source=code, module=module)
     return _kernels[meant + code]
+
+
+class DifferentiableRows:
+    """A torch function applied to every row in one Warp kernel, with its gradient in another."""
+
+    def __init__(
+        self,
+        function: Callable[..., tuple[Tensor, ...]],
+        inputs: Sequence[Tensor],
+        *,
+        lifts: bool = False,
+        has_gradient: Callable[[int], bool] = lambda _: True,
+    ) -> None:
+        """Trace the function and its gradient with respect to all float inputs.
+
+        A result that a loss ignores has a gradient of 0; if its derivatives are not finite, the product is NaN.
+
+        Args:
+            function: Pure function from tensors to tensors of E rows, traced once.
+            inputs: Example inputs of the right shapes and types, (E, ...) or shared by all rows; shared ones have no gradient.
+            lifts: Whether the function may read tensors (E, ...) from elsewhere, which must keep their memory; they have no
+                gradient.
+            has_gradient: Whether the result of an index has a gradient; called after one call of the function.
+
+        Raises:
+            UntraceableError: If the function or its gradient cannot be computed row by row; the text states the reason.
+        """
+        rows = next(tensor.shape[0] for tensor in inputs if tensor.ndim)
+        wanted = [i for i, tensor in enumerate(inputs) if tensor.is_floating_point() and tensor.shape[:1] == (rows,)]
+        self._forward = RowFunction(function, inputs, lifts=lifts, fresh=True)
+        self.outputs = self._forward.outputs
+        pulled = [i for i, (_, dtype) in enumerate(self.outputs) if dtype.is_floating_point and has_gradient(i)]
+        seeds = [inputs[0].new_empty(rows, *self.outputs[i][0], dtype=self.outputs[i][1]) for i in pulled]
+        self._back = RowFunction(
+            _pullback(function, len(inputs), wanted, pulled), [*inputs, *seeds], lifts=lifts, fresh=True
+        )
+        self._num_inputs, self._wanted, self._pulled = len(inputs), wanted, pulled
+
+    def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Launch on torch's current stream, and return the differentiable results without waiting."""
+        return _Rows.apply(self, *inputs)
+
+
+def _pullback(
+    function: Callable[..., tuple[Tensor, ...]], num_inputs: int, wanted: Sequence[int], pulled: Sequence[int]
+) -> Callable[..., tuple[Tensor, ...]]:
+    """Return the function from inputs and gradients of some results to gradients of some inputs."""
+
+    def back(*given: Tensor) -> tuple[Tensor, ...]:
+        with torch.enable_grad():
+            inputs = list(given[:num_inputs])
+            for i in wanted:
+                inputs[i] = inputs[i].detach().requires_grad_()
+            results = function(*inputs)
+            pairs = [
+                (results[i], seed)
+                for i, seed in zip(pulled, given[num_inputs:], strict=True)
+                if results[i].requires_grad
+            ]
+            ends, seeds = zip(*pairs, strict=True)
+            input_grads = torch.autograd.grad(ends, [inputs[i] for i in wanted], seeds, allow_unused=True)
+        none = [torch.zeros_like(given[i]) for i in wanted]
+        return tuple(zero if grad is None else grad for grad, zero in zip(input_grads, none, strict=True))
+
+    return back
+
+
+class _Rows(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rows: DifferentiableRows, *inputs: Tensor) -> tuple[Tensor, ...]:
+        results = rows._forward(*(tensor.contiguous() for tensor in inputs))
+        ctx.rows = rows
+        ctx.save_for_backward(
+            *inputs, *rows._back.lifted
+        )  # torch refuses the backward pass if these were written since
+        ctx.mark_non_differentiable(*(result for i, result in enumerate(results) if i not in rows._pulled))
+        return results
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        rows = ctx.rows
+        inputs = ctx.saved_tensors[: rows._num_inputs]
+        given = [tensor.contiguous() for tensor in (*inputs, *(grads[i] for i in rows._pulled))]
+        input_grads = dict(zip(rows._wanted, rows._back(*given), strict=True))
+        return (None, *(input_grads.get(i) for i in range(len(inputs))))
+
+
+class RowUpdate:
+    """Update of target tensors from source tensors by a row function, in one launch on masked rows only.
+
+    An untraceable function runs as plain torch on all rows and is written by the mask: correct, but slower.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., tuple[Tensor, ...]],
+        sources: Sequence[Tensor],
+        targets: Sequence[Tensor],
+        *,
+        mask: Tensor,
+        made: KernelInput,
+        beside: RowWork,
+        plain: Callable[..., tuple[Tensor, ...]] | None = None,
+    ) -> None:
+        """Record the launch for fixed tensors.
+
+        Args:
+            sources: Inputs of the function, (E, ...).
+            targets: Memory for its results, (E, ...).
+            mask: Rows to write, bool, (E,); read at every call.
+            made: Computation of the first source, which comes first in each masked row and is written.
+            beside: Further work on each masked row; neither reads the other's results.
+            plain: The same function for untraceable cases; it may read tensors from elsewhere.
+        """
+        self._function, self._sources, self._targets = plain or function, list(sources), list(targets)
+        self._written = [sources[0], *targets]
+        self._mask = mask
+        self._rows: RowFunction | None = None
+        self.why_slow = ""
+        """Why it runs as plain torch; empty where it is one launch."""
+        try:
+            self._rows = RowFunction(
+                lambda *given: (given[0], *function(*given)), sources, masked=True, made=made, beside=beside
+            )
+        except UntraceableError as error:
+            self.why_slow = str(error)
+            self._alone = RowFunction(lambda source: source, sources[:1], masked=True, made=made, beside=beside)
+
+    def __call__(self) -> None:
+        """Launch the update of masked rows on torch's current stream."""
+        if self._rows is not None:
+            self._rows(*self._sources, out=self._written, mask=self._mask)
+            return
+        self._alone(self._sources[0], out=self._sources[:1], mask=self._mask)
+        with torch.no_grad():
+            for target, rows in zip(self._targets, self._function(*self._sources), strict=True):
+                target.copy_(torch.where(self._mask.view(-1, *[1] * (target.ndim - 1)), rows, target))
+
+    def mark_written(self) -> None:
+        """Mark the targets as modified for torch, so that a backward pass through old values raises an error."""
+        for target in self._targets:
+            target.add_(0.0)

@@ -15,9 +15,8 @@ from aerial_gym.math.warp_functions import attitude_rate, small_turn, unit_quat
 from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect
 from aerial_gym.physics.fused.formulas import Constants, VehicleRows, make_accelerations, make_coast
 from aerial_gym.physics.fused.packing import effect_values_type
-from aerial_gym.physics.fused.readers import compile_source
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
-from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.fused.types import compile_source, rotor_types
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import (
     CommandSwitch,

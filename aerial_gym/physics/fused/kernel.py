@@ -23,7 +23,7 @@ from aerial_gym.physics.fused.packing import (
     num_parameters_and_memory,
     rotor_types_of_model,
 )
-from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
+from aerial_gym.physics.fused.types import make_completion, make_reader, make_vehicle_reader
 from aerial_gym.physics.model import Model
 
 

@@ -11,8 +11,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.fused.readers import compile_source
-from aerial_gym.physics.fused.types import LawArrays
+from aerial_gym.physics.fused.types import LawArrays, compile_source
 from aerial_gym.physics.law_memory import LawNeeds
 
 

@@ -21,7 +21,7 @@ from aerial_gym.interop.rows import UntraceableError, row_trace, trace
 from aerial_gym.interop.rows.row_trace import Trace
 from aerial_gym.interop.rows.warp_function import function_lines
 from aerial_gym.math.warp_functions import inverse_root, reciprocal, root, vector_type
-from aerial_gym.physics.fused.readers import compile_source
+from aerial_gym.physics.fused.types import compile_source
 
 QUICK_FUNCTIONS = {"inverse_root": inverse_root, "reciprocal": reciprocal, "root": root}
 """Functions that traced code may call."""

@@ -18,8 +18,8 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, RotorSensorEffect
+from aerial_gym.physics.effects.base import RotorSpeedsOfFlight
 from aerial_gym.physics.effects.by_kind import EffectsByKind
-from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.arrays import Array

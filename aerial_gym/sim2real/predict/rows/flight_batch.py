@@ -23,8 +23,8 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
+from aerial_gym.physics.effects.base import RotorSpeedsOfFlight
 from aerial_gym.physics.effects.learned_residual import network_inputs
-from aerial_gym.physics.effects.track import RotorSpeedsOfFlight
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import (
     MOVES_OF_VEHICLE,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from aerial_gym.physics import EFFECTS, vehicle_from_config
-from aerial_gym.physics.effects.track import relax
+from aerial_gym.physics.effects.base import relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
 from aerial_gym.sim2real.predict.replay.rotors import make_flight_track
