@@ -1,4 +1,4 @@
-"""The learned residual of flights that no named effect explains, judged on unseen flights. Letters: C channels."""
+"""Learned residual of flights without a named cause, judged on flights that it has not seen. Letters: C channels."""
 
 from dataclasses import replace
 

@@ -131,8 +131,8 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None =
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        levers, reactions = _angular_acceleration_by_rotors(robot, lowpass_without_mean, values, orders, inertia)
-        left = np.stack([_share_left_by_rotors(turning, levers + sign * reactions) for sign in (1.0, -1.0)])
+        levers, reactions = _rotor_accelerations(robot, lowpass_without_mean, values, orders, inertia)
+        left = np.stack([_residual_shares(turning, levers + sign * reactions) for sign in (1.0, -1.0)])
         independent = flies.sum() * stride / rate * CHECK_BANDWIDTH_HZ
         log_likelihood = -0.5 * independent * np.log(np.maximum(left, 1e-12)).sum(axis=-1)
         flip, best = (int(k) for k in np.unravel_index(int(np.argmax(log_likelihood)), log_likelihood.shape))
@@ -185,7 +185,7 @@ def _angular_acceleration_by_rotors(
     return levers, reactions
 
 
-def _share_left_by_rotors(turning: Array, expected: Array) -> Array:
+def _residual_shares(turning: Array, expected: Array) -> Array:
     """Return the share of each axis' mean square that N courses (N, T, 3) leave, each with its best gain >= 0, (N, 3)."""
     along = np.maximum(np.einsum("tk,ntk->nk", turning, expected), 0.0)
     squares = np.sum(turning**2, axis=0) * np.sum(expected**2, axis=1)
