@@ -131,7 +131,7 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None =
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        levers, reactions = _rotor_accelerations(robot, lowpass_without_mean, values, orders, inertia)
+        levers, reactions = _angular_acceleration_by_rotors(robot, lowpass_without_mean, values, orders, inertia)
         left = np.stack([_residual_shares(turning, levers + sign * reactions) for sign in (1.0, -1.0)])
         independent = flies.sum() * stride / rate * CHECK_BANDWIDTH_HZ
         log_likelihood = -0.5 * independent * np.log(np.maximum(left, 1e-12)).sum(axis=-1)
