@@ -37,7 +37,11 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     leaves["learned_residual"] = torch.full((NUM_ENVS, 1), 0.8, dtype=dtype).requires_grad_()
     effects.append((LearnedResidual(random_network(16), dtype=dtype), leaves["learned_residual"]))
     start = {k: v.to(dtype).requires_grad_() for k, v in vars(random_state(NUM_ENVS, seed=2)).items()}
-    start["position"] = (start["position"].detach() + 4.0).requires_grad_()  # above the ground
+    with (
+        torch.no_grad()
+    ):  # the first one upright near the ceiling, the last one near the ground: within reach of every law
+        start["position"][:, 2] = torch.tensor([CEILING - 1.0, 4.0, 1.0], dtype=dtype)
+        start["attitude"][0] = torch.tensor([0.1, 0.3, 0.3, 0.9], dtype=dtype)
     leaves |= start
     g = torch.Generator().manual_seed(0)
     action = torch.rand(NUM_ENVS, 4, dtype=torch.float64, generator=g).to(dtype)

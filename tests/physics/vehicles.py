@@ -58,7 +58,8 @@ def robot_with_memory() -> RobotCfg:
     for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
         effect = EFFECTS.get(name)
         params = zip(effect.neutral(robot), effect.parameters, strict=True)
-        effects[name] = {p.name: a + 0.5 * p.scale * (p.kind != "rotor") for a, p in params}
+        steps = ((a, p, 0.5 * p.scale * (p.kind != "rotor")) for a, p in params)
+        effects[name] = {p.name: min(a + step, p.high) for a, p, step in steps}
     return replace(robot, effects=effects, effects_source="test", battery=BATTERY)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -100,9 +101,9 @@ class RawLog:
                 yield topic, voltage
 
     def number(self, name: str, default: float) -> float:
-        """Return a parameter; the default if it is missing or text."""
+        """Return a parameter; the default if it is missing, text or no finite number."""
         value = self.parameters.get(name, default)
-        return default if isinstance(value, str) else float(value)
+        return float(value) if not isinstance(value, str) and isfinite(value) else default
 
 
 QUANTITIES = {

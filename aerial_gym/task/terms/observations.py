@@ -31,27 +31,25 @@ def _difference(first: Tensor, second: Tensor) -> Tensor:
 
 
 for _name, _width, _inputs, _text in (
-    ("attitude", 4, ("robot_orientation",), "attitude, body to world, xyzw, (E, 4)"),
-    ("lin_vel_world", 3, ("robot_linvel",), "velocity [m/s], world, (E, 3)"),
-    ("lin_vel_body", 3, ("robot_body_linvel",), "velocity [m/s], body, (E, 3)"),
-    ("ang_vel_body", 3, ("robot_body_angvel",), "angular velocity [rad/s], body, (E, 3)"),
-    ("last_action", ACTION, ("robot_actions",), "last command that the controller took, (E, U)"),
-    (LATENTS, None, (LATENTS,), "latents of the first sensor's image by the task's encoder, (E, L)"),
+    ("attitude", 4, ("robot_orientation",), "the attitude, body to world, xyzw, (E, 4)"),
+    ("lin_vel_world", 3, ("robot_linvel",), "the velocity [m/s], world, (E, 3)"),
+    ("lin_vel_body", 3, ("robot_body_linvel",), "the velocity [m/s], body, (E, 3)"),
+    ("ang_vel_body", 3, ("robot_body_angvel",), "the angular velocity [rad/s], body, (E, 3)"),
+    ("last_action", ACTION, ("robot_actions",), "the last command that the controller took, (E, U)"),
+    (LATENTS, None, (LATENTS,), "the latents of the first sensor's image by the task's encoder, (E, L)"),
     ("position_error_world", 3, ("target_position", "robot_position"),
-     "offset of the target from the robot [m], world, (E, 3)"),
+     "target minus position [m], world, (E, 3)"),
     ("velocity_error_world", 3, ("target_velocity", "robot_linvel"),
-     "velocity of the target relative to the robot [m/s], world, (E, 3)"),
+     "velocity of the target minus velocity [m/s], world, (E, 3)"),
     ("following_gate_world", 3, ("following_position", "robot_position"),
-     "centre of the gate after the next one minus position [m], world, (E, 3)"),
+     "the centre of the gate after the next one minus position [m], world, (E, 3)"),
     ("load_offset_world", 3, ("load_position", "robot_position"),
-     "load's position relative to the body origin [m], world, (E, 3)"),
+     "the load's position relative to the body origin [m], world, (E, 3)"),
     ("load_vel_world", 3, ("load_linvel", "robot_linvel"),
-     "velocity of the load relative to the body origin [m/s], world, (E, 3)"),
+     "the velocity of the load relative to the body origin [m/s], world, (E, 3)"),
 ):  # fmt: skip
     _value = _same if len(_inputs) == 1 else _difference
-    OBSERVATIONS.register(
-        _name, Term(name=_name, value=_value, width=_width, inputs=_inputs, text=f"Return the {_text}.")
-    )
+    OBSERVATIONS.register(_name, Term(name=_name, value=_value, width=_width, inputs=_inputs, text=f"Return {_text}."))
 
 
 @OBSERVATIONS.term(width=3)

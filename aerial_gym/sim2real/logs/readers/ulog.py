@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
 from io import BytesIO, StringIO
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -93,8 +94,8 @@ class UlogReader(LogReader):
             topics=tuple(
                 _topic(part.name, part.multi_id, part.data) for part in log.data_list if "timestamp" in part.data
             ),
-            parameters={  # damaged ones are bytes
-                name: value if isinstance(value, int | float) else str(value)
+            parameters={  # damaged ones are bytes, or no finite number
+                name: value if isinstance(value, int | float) and isfinite(value) else str(value)
                 for name, value in log.initial_parameters.items()
             },
             messages=(

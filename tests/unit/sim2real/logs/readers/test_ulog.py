@@ -63,6 +63,12 @@ def test_motor_commands_follow_the_thrust_curve_of_the_parameters() -> None:
     assert log.relative_commands
 
 
+def test_a_parameter_that_is_no_number_counts_as_missing() -> None:
+    controls = {f"control[{i}]": 0.3 if i < 4 else np.nan for i in range(12)}
+    log = read_topics(hover(actuator_motors=controls), THR_MDL_FAC=np.nan, MAV_TYPE=np.inf)
+    np.testing.assert_allclose(log.rotor_command, 0.3)
+
+
 def test_a_motor_without_a_command_stands_still() -> None:
     """PX4 commands NaN to a motor that stops, such as the pusher of a VTOL in hover."""
     controls = {f"control[{i}]": np.where((STAMP[400] < STAMP) | (i < 4), 0.5, np.nan) for i in range(5)}
