@@ -43,12 +43,13 @@ class StreamDelay:
 
     @property
     def is_material(self) -> bool:
-        """Return whether the delay is significant and large enough to matter; a rotor lag is no delay of a clock.
+        """Return whether the delay is significant and large enough to matter.
 
-        Slow torques of other causes than the rotors are part of a rotor's delay: that must certainly be large enough.
+        Torques of other causes bias that of the rotors by some 10 ms, so that it is stated only, up to ``CORRECTED_S``. With a
+        robot file, ``rotor_clock_offsets`` of all flights together corrects it.
         """
         if self.quantity.startswith("rotor"):
-            return abs(self.delay) - self.half_width > (CORRECTED_S if self.with_lag else MATERIAL["clock"])
+            return abs(self.delay) - self.half_width > CORRECTED_S
         return abs(self.delay) > max(self.half_width, MATERIAL["clock"])
 
 
