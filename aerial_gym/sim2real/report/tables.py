@@ -26,13 +26,15 @@ def parameter_rows(judged: LoopResult) -> list[dict[str, object]]:
     rows = []
     for effect in judged.verdict.effects:
         declared = judged.declared.stated.effects.get(effect.name, {})
-        neutral = EFFECTS.get(effect.name).neutral(judged.declared.stated)
-        for place, parameter in enumerate(EFFECTS.get(effect.name).parameters):
+        known = EFFECTS.get(effect.name)
+        pairs = zip(known.parameters, known.neutral(judged.declared.stated), strict=True)
+        shown = [pair for pair in pairs if pair[0].name in effect.params]  # optional ones may be left out
+        for place, (parameter, neutral) in enumerate(shown):
             low, high = effect.interval.get(parameter.name, (None, None))
             row = {"effect": effect.name, "parameter": parameter.name, "unit": parameter.unit, "low": low, "high": high}
-            row |= {"declared": declared.get(parameter.name, neutral[place]), "value": effect.params[parameter.name]}
+            row |= {"declared": declared.get(parameter.name, neutral), "value": effect.params[parameter.name]}
             row |= {"unknown": "not shown by these flights" if parameter.kind == "number" else ""}
-            row |= {"confidence": effect.confidence, "first": place == 0, "count": len(neutral)}
+            row |= {"confidence": effect.confidence, "first": place == 0, "count": len(shown)}
             rows.append(row)
     return rows
 
