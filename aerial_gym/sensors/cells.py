@@ -29,7 +29,7 @@ def warp_minimum(value: float) -> float:
 
 
 @cache
-def make_pool(*, lanes: int, rows: int) -> wp.Kernel:
+def make_pooling_kernel(*, lanes: int, rows: int) -> wp.Kernel:
     """Return the kernel with ``lanes`` threads for a cell, a warp of a GPU or 1, that read ``rows`` rows of pixels at once."""
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -85,7 +85,7 @@ class NearestInCells:
         lanes, together = _thread_layout(size, image.device)
         self._launches = [
             ReusableLaunch(
-                make_pool(lanes=lanes, rows=together),
+                make_pooling_kernel(lanes=lanes, rows=together),
                 dim=(count, rows, columns, lanes),
                 inputs=[arrays[0], *size, largest, empty, first],
                 outputs=[arrays[1]],

@@ -24,7 +24,7 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.robots import ROBOTS, initial_state, secondary_states
 from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
-from aerial_gym.sensors.cells import LANES, ROWS, make_pool
+from aerial_gym.sensors.cells import LANES, ROWS, make_pooling_kernel
 from aerial_gym.sensors.pixels import PixelOutputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.commands import gates
@@ -155,7 +155,7 @@ def test_the_collision_kernel_compiles(moves: bool, cores: bool, meshes: bool) -
 
 @pytest.mark.parametrize(("lanes", "rows"), [(LANES, ROWS), (1, 3)])
 def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
-    compile_for_gpu(make_pool(lanes=lanes, rows=rows).module)
+    compile_for_gpu(make_pooling_kernel(lanes=lanes, rows=rows).module)
 
 
 MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, gates, track, obstacle_motion)

@@ -284,7 +284,7 @@ def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
     """Raise ``ConfigError`` if the remaining base is no possible body, or a motion has no inertia."""
     exact = articulation.to(torch.zeros(1, dtype=torch.float64))
 
-    def rows(values: object) -> Tensor:
+    def as_row(values: object) -> Tensor:
         return torch.tensor(values, dtype=torch.float64).unsqueeze(0)
 
     carried = float(exact.link_mass.sum())
@@ -293,7 +293,7 @@ def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
             f"robot: its links weigh {carried:.6g} kg, the whole {robot.body.mass:.6g} kg. body.mass is that of the whole "
             "vehicle: the base must weigh something"
         )
-    whole = _Whole(mass=rows(robot.body.mass), com=rows(robot.body.com), inertia=rows(robot.body.inertia))
+    whole = _Whole(mass=as_row(robot.body.mass), com=as_row(robot.body.com), inertia=as_row(robot.body.inertia))
     links = exact.links(whole)  # type: ignore[arg-type]
     left = links.inertia[0, 0]
     moments = torch.linalg.eigvalsh(left)

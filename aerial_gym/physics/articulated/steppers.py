@@ -103,7 +103,7 @@ def step_within_limits(
     bounded = [(law, law is friction) for law in (drive, friction) if law is not None]
     if not bounded:
         end = step(acts, state)
-        return step(acts, half_way(state, end)) if centered else end
+        return step(acts, state_with_middle_rates(state, end)) if centered else end
     own, rubs = zip(*bounded, strict=True)
     ends = EffortLimits.at_end(own, state.joint_pos, dt)
     problem = ComplementarityProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
@@ -113,7 +113,7 @@ def step_within_limits(
         return solution, step(problem.total(solution), swings)
 
     _, first = solve_step(state, state)
-    solution, end = solve_step(half_way(state, first), first)
+    solution, end = solve_step(state_with_middle_rates(state, first), first)
     if applied is not None:
         with torch.no_grad():
             for effort, rub in zip(problem.law_efforts(solution, end).unbind(1), rubs, strict=True):
@@ -121,7 +121,7 @@ def step_within_limits(
     return end
 
 
-def half_way(state: TreeState, end: TreeState) -> TreeState:
+def state_with_middle_rates(state: TreeState, end: TreeState) -> TreeState:
     """Return the initial state of a step with the rates of its middle."""
     return replace(
         state,

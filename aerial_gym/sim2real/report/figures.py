@@ -18,7 +18,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 from aerial_gym.sim2real.report import plots
 from aerial_gym.sim2real.report.evidence import ParameterEvidence, evidence_figure, parameter_evidence
-from aerial_gym.sim2real.report.profiles import Profile, profile_quantities
+from aerial_gym.sim2real.report.profiles import ResidualProfile, profile_quantities
 
 MOST_REJECTED = 2  # Number of rejected effects whose evidence is plotted if none is accepted
 MOST_REMAINING = 3  # Number of channels whose final residual is plotted
@@ -53,7 +53,7 @@ def evidence_of_effects(judged: LoopResult) -> dict[str, list[ParameterEvidence]
 
 
 def report_figures(
-    judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], profiles_list: Sequence[Profile]
+    judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], profiles_list: Sequence[ResidualProfile]
 ) -> dict[str, list[dict[str, str]]]:
     """Return the figures of the page by section."""
     verdict, test = judged.verdict, judged.declared.test

@@ -14,7 +14,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.report.canvas import Panel, panels
-from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, Profile, bin_edges, bin_index
+from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, ResidualProfile, bin_edges, bin_index
 from aerial_gym.sim2real.statistics import Rms
 
 DECLARED, CORRECTED, MEASURED, FLOOR = "#b0413e", "#2a6f97", "#222222", "#888888"
@@ -87,7 +87,7 @@ def _most_informative_rows(time: Array, size: Array) -> Flags:
     return (time >= time[start]) & (time <= time[start] + TRACE_S)
 
 
-def profile_figure(profiles: Sequence[Profile], channels: Sequence[Channel], kind: str) -> str:
+def profile_figure(profiles: Sequence[ResidualProfile], channels: Sequence[Channel], kind: str) -> str:
     """Return the mean residual of one kind of channel against each quantity, per model with standard errors."""
     places = [place for place, channel in enumerate(channels) if channel.kind == kind]
     title = kind.replace("_", " ")

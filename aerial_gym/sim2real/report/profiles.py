@@ -29,7 +29,7 @@ FEWEST_ROWS = 5  # Least number of rows in a plotted bin
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
+class ResidualProfile:
     """The mean residual of every channel over bins of one quantity."""
 
     against: str  # Quantity and unit
@@ -67,7 +67,7 @@ def bin_index(edges: Array, values: Array) -> Indices:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
 
 
-def mean_residual_profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
+def mean_residual_profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[ResidualProfile]:
     """Return the profiles over all quantities that vary, for each model."""
     group, by_name = time_block_of_rows(predictor.times), []
     vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
@@ -85,11 +85,11 @@ def mean_residual_profiles(predictor: Predictor, models: Mapping[str, ModelParam
         bins = edges.size - 1
         middle = bin_means(values[:, None], place, bins, group).mean[:, 0]
         means = {model: bin_means(rows, place, bins, group) for model, rows in residuals.items()}
-        by_name.append(Profile(against=name, edges=edges, middle=middle, residual=means))
+        by_name.append(ResidualProfile(against=name, edges=edges, middle=middle, residual=means))
     return by_name
 
 
-def write_profiles(path: Path, profiles_list: list[Profile], channels: tuple[Channel, ...]) -> None:
+def write_profiles(path: Path, profiles_list: list[ResidualProfile], channels: tuple[Channel, ...]) -> None:
     """Write every bin of every channel: edges, rows, and the mean residual of each model with its standard error."""
     tables = [pd.DataFrame(columns=["channel", "against", "low", "high", "middle", "rows", "blocks"])]
     for profile in profiles_list:

@@ -20,7 +20,7 @@ from aerial_gym.sim2real.report.figures import (
     report_figures,
     report_models,
 )
-from aerial_gym.sim2real.report.profiles import LABELS, Profile, mean_residual_profiles, write_profiles
+from aerial_gym.sim2real.report.profiles import LABELS, ResidualProfile, mean_residual_profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
     SHOWN_NOTES,
     channel_rows,
@@ -77,7 +77,7 @@ def write_page(path: Path, name: str, context: dict[str, object]) -> None:
 
 
 def report_context(
-    judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], residual_profiles: Sequence[Profile]
+    judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], residual_profiles: Sequence[ResidualProfile]
 ) -> dict[str, object]:
     """Return the values for the templates."""
     verdict, selection = judged.verdict, judged.selection

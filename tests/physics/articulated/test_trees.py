@@ -224,11 +224,11 @@ def test_a_free_tree_keeps_energy_and_momentum_to_order_one_and_better_half_way(
             ((a - b).norm(dim=-1) / b.norm(dim=-1)).square().mean().sqrt().item() for a, b in zip(*pairs, strict=True)
         ]
 
-    at_start, half_way = ([off(drive, dt) for dt in (4e-3, 2e-3)] for drive in (None, empty))
-    print(f"\nenergy, momentum, angular momentum off at 4 and 2 ms: {at_start}; half way {half_way}")
-    for coarse, fine in (at_start, half_way):
+    at_start, state_with_middle_rates = ([off(drive, dt) for dt in (4e-3, 2e-3)] for drive in (None, empty))
+    print(f"\nenergy, momentum, angular momentum off at 4 and 2 ms: {at_start}; half way {state_with_middle_rates}")
+    for coarse, fine in (at_start, state_with_middle_rates):
         assert [log2(a / b) for a, b in zip(coarse, fine, strict=True)] == pytest.approx([1.0] * 3, abs=0.1)
-    assert half_way[1][0] < 0.5 * at_start[1][0]
+    assert state_with_middle_rates[1][0] < 0.5 * at_start[1][0]
 
 
 @pytest.mark.slow

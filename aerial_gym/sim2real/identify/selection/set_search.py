@@ -140,9 +140,9 @@ class SetSearch:
         whole = [one.dense_derivatives(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
         del whole
-        return self._weights_after_fits(start, tuple(one.name for one in common), own, linear)
+        return self._channel_weights_after_fits(start, tuple(one.name for one in common), own, linear)
 
-    def _weights_after_fits(
+    def _channel_weights_after_fits(
         self, params: ModelParams, effects: tuple[str, ...], own: Sequence[Array], linear: Sequence[Derivatives]
     ) -> Weighting:
         """Return the channel weights after three joint fits, each with weights from the last residual beyond structures.
