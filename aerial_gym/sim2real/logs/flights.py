@@ -40,6 +40,7 @@ from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     DERIVED_BAND,
+    apply_lag,
     check_gaps,
     log_at_equal_steps,
     lowpass,
@@ -49,6 +50,7 @@ from aerial_gym.sim2real.logs.stream_delays import correct_row_delays
 
 MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
 SETTLE_S = 0.5  # Time until rotors that follow commands forget their initial state [s]
+LAG_STEPS = 4  # Linear fits of the rotor lag behind commands that are shares
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
 
@@ -235,7 +237,7 @@ def _scale_to_thrust(speed: Array, force: Array, robot: RobotCfg) -> float:
 def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
     """Return the log with shares of the largest speed as speeds: by measured speeds, else by the mean measured thrust.
 
-    With speeds, the line ``w = a + b u`` is fitted. In force mode a thrust is the square of the share.
+    With speeds, the line ``w = a + b u`` is fitted behind the rotor lag. In force mode a thrust is the square of the share.
     """
     share, force = log.rotor_command, log.specific_force
     if not log.relative_commands or share is None or share.shape[1] != robot.num_rotors:
@@ -246,8 +248,8 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
                 f"{log.path}: has {log.rotor_speed.shape[1]} rotor speeds and {share.shape[1]} commands; both need "
                 "one for each rotor"
             )
-        line = np.polynomial.Polynomial.fit(share.ravel(), log.rotor_speed.ravel(), 1, domain=[])
-        command, full = line(share), float(line(1.0))
+        idle, slope = _line_behind_lag(share, log.rotor_speed, robot, sample_rate(log))
+        command, full = idle + slope * share, idle + slope
     elif force is None:
         raise DataError(
             f"{log.path}: its commands are shares of the largest speed, and without accelerometer no thrust scales them; "
@@ -269,6 +271,24 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
     values = {"full": full, "unit": unit, "by_speeds": log.rotor_speed is not None}
     note = Finding("relative_commands_scaled", "", values)
     return replace(log, rotor_command=command, relative_commands=False, notes=(*log.notes, note))
+
+
+def _line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float) -> tuple[float, float]:
+    """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, with a lag.
+
+    Without the lag, quick commands would weaken the slope. Gauss-Newton steps begin at the declared lag H(s): the derivative
+    by the time constant is ``-H (1 - H) u / tau``.
+    """
+    tau, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0
+    settled = slice(min(round(SETTLE_S * rate), len(share) // 2), None)
+    for _ in range(LAG_STEPS):
+        kept = float(np.exp(-1.0 / (rate * tau)))
+        late = apply_lag(share, kept, share[0])
+        by_lag = apply_lag(share - late, kept, np.zeros(share.shape[1]))
+        regressors = np.column_stack([one[settled].ravel() for one in (np.ones_like(share), late, by_lag)])
+        idle, slope, quick = (float(x) for x in np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0])
+        tau *= float(np.clip(1.0 - quick / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
+    return idle, slope
 
 
 def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground: Flags | None = None) -> Flight:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 from aerial_gym.errors import DataError
 from aerial_gym.robots.catalog import robot_by_name
@@ -13,6 +14,7 @@ from aerial_gym.sim2real.logs.inspection import inspect_log, topic_summary
 from aerial_gym.sim2real.logs.raw_log import Topic
 from aerial_gym.sim2real.logs.readers.follow import file_lines
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from tests.unit.sim2real.flat_flights import flight, write
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
@@ -129,3 +131,17 @@ def test_unequal_numbers_of_speeds_and_commands_are_refused() -> None:
     )  # fmt: skip
     with pytest.raises(DataError, match="1 rotor speeds and 4 commands"):
         scale_relative_commands(log, robot_by_name("tinyprop"))
+
+
+def test_a_full_command_is_that_of_steady_speeds_whatever_the_lag() -> None:
+    """Quick commands, and rotors with a fifth more lag than declared: 300 + 1500 u rad/s."""
+    robot, rate = robot_by_name("tinyprop"), 200.0
+    share = np.random.default_rng(0).uniform(0.2, 0.8, (2000, 4))
+    kept = np.exp(-1.0 / (rate * 1.2 * mean_time_constant(robot)))
+    speed = lfilter([0.0, 1.0 - kept], [1.0, -kept], 300.0 + 1500.0 * share, axis=0)[400:]
+    log = FlightLog(
+        path="a", time=np.arange(1600) / rate, attitude=np.tile((0.0, 0.0, 0.0, 1.0), (1600, 1)), rotor_speed=speed,
+        rotor_command=share[400:], relative_commands=True,
+    )  # fmt: skip
+    (note,) = scale_relative_commands(log, robot).notes
+    assert note.values["full"] == pytest.approx(1800.0, rel=0.01)
