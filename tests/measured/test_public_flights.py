@@ -81,8 +81,10 @@ def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: P
     of three vehicles; measured -68 % below 0.13 m on the fourth, held to 80 % of that."""
     train = ("groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot")
     verdict = verdict_of_loop("crazyflie_21", "neural_swarm", train, ("takeoff_cf50",), tmp_path, bandwidth=8.0)
-    assert verdict["effects"][0]["name"] == "ground_effect"
-    assert verdict["effects"][0]["params"]["k"] > 5.0  # measured_data.md 3.6: 9 to 15 % more thrust at 65 to 90 mm
+    (effect,) = (one for one in verdict["effects"] if one["name"] == "ground_effect")
+    assert effect["confidence"] > 0.99
+    gains = effect["params"]  # measured_data.md 3.6: 9 to 15 % more thrust at 65 to 90 mm, which is 3 to 4 radii
+    assert gains["k"] > 5.0 if effect["law"] == "formula" else gains["g2"] > 0.05
     table = pd.read_csv(tmp_path / "residuals.csv")
     before, after = (rms_near_the_ground(table, "takeoff_cf50", when) for when in ("before", "after"))
     assert before == pytest.approx(0.56, abs=0.05)
