@@ -96,9 +96,7 @@ def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
 
 
 MOST_ROTORS = 6  # More rotors have too many orders to try
-BETTER = (
-    0.5  # Another order must leave less than this share of the declared order's residual: a failed rotor leaves more
-)
+BETTER = 0.4  # Another order is accepted if its residual is less than this share of the declared order's
 MORE_PROBABLE = 1e4  # Least likelihood ratio of another order of the rotors that refuses the declared one
 
 
