@@ -132,7 +132,7 @@ def _parse_lines(one: MessageType, lines: list[str]) -> NDArray[Any]:
     if size - 1 in texts:  # which may hold commas
         rows = pd.DataFrame([(*line.split(",", size - 1), *size * [""])[:size] for line in lines])
     else:
-        source = StringIO("\n".join(lines))
+        source = StringIO("\n".join((lines[0] + "," * size, *lines[1:])))  # pandas refuses a table without full rows
         rows = pd.read_csv(
             source, header=None, names=range(size), usecols=range(size), quoting=3, dtype=texts, low_memory=False
         )

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.dataflash import DataflashReader
+from aerial_gym.sim2real.logs.readers.dataflash_messages import read_lines
 from tests.unit.sim2real.logs.readers import dataflash_files as files
 from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_bytes
 
@@ -105,6 +106,12 @@ def test_a_log_as_text_gives_the_quantities_of_the_binary_log(tmp_path) -> None:
         np.testing.assert_allclose(second.values[:200], first.values[:200], rtol=1e-6)
     assert other.parameters == one.parameters
     assert other.messages[-1].text == "a, b"
+
+
+def test_a_type_whose_lines_are_all_short_has_missing_values() -> None:
+    table = read_lines("FMT, 5, 20, IMU, Qff, TimeUS,GyrX,GyrY\nIMU, 1, 2\nIMU, 3\n")[1][5]
+    np.testing.assert_array_equal(table["1"], (2.0, np.nan))
+    np.testing.assert_array_equal(table["2"], (np.nan, np.nan))
 
 
 def bare_log(parameters: dict[str, float], *topics: Topic, firmware: str = "ArduCopter V4.5.1") -> RawLog:
