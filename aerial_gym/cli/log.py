@@ -9,6 +9,7 @@ from rich.console import Console
 
 from aerial_gym.cli.terminal import print_table
 from aerial_gym.config.console import json_line
+from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
     from aerial_gym.sim2real.logs.inspection import FlightSummary, LogInspection
@@ -26,6 +27,10 @@ class InspectLogCmd:
     mapping: str | None = None
     """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
 
+    draft_mapping: Path | None = None
+    """File (.yaml) for the draft of a mapping: columns by their names, units and frames by the motion. Check it, then give
+    it as --mapping. For CSV files with other columns than this package's."""
+
     json: bool = False
     """Print one JSON object instead of tables."""
 
@@ -34,12 +39,26 @@ class InspectLogCmd:
         from aerial_gym.sim2real.logs.inspection import inspect_log
         from aerial_gym.sim2real.wording import render_findings
 
-        inspection = inspect_log(self.log, _find_mapping(self.mapping))
+        mapping = _find_mapping(self.mapping)
+        if self.draft_mapping is not None:
+            mapping = self._write_draft(self.draft_mapping)
+        inspection = inspect_log(self.log, mapping)
         if self.json:
             print(json_line(render_findings(inspection.as_mapping()), allow_nan=False))
         else:
             _print_inspection(inspection)
         return int(not inspection.flights)
+
+    def _write_draft(self, path: Path) -> "LogMapping":
+        from aerial_gym.sim2real.logs.mapping_draft import draft_mapping
+
+        if self.mapping is not None:
+            raise ConfigError("--mapping and --draft-mapping: give only one of them")
+        draft = draft_mapping(self.log)
+        path.write_text(draft.as_yaml(), encoding="utf-8")
+        if not self.json:
+            print(f"{path}:\n{draft.as_yaml()}")
+        return draft.mapping
 
 
 @dataclass(frozen=True, kw_only=True)

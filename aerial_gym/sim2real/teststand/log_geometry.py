@@ -15,6 +15,7 @@ from aerial_gym.errors import ConfigError, DataError, UnknownNameError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import RawLog
+from aerial_gym.sim2real.logs.readers.csv_log import read_facts
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.recording import split_flight_number
 
@@ -149,8 +150,15 @@ class RotorLayout:
 
 def layout_in_log(path: str, count: int, frame: str | None = None) -> RotorLayout:
     """Return the rotors that a log states, or those of a frame: a name of ``FRAMES`` or a robot file."""
-    raw = read_raw_log(Path(split_flight_number(path)[0]))
-    layout = RotorLayout(count=count) if raw is None else _layout_of_parameters(raw, count)
+    file = Path(split_flight_number(path)[0])
+    raw = read_raw_log(file)
+    if raw is None:
+        law = (
+            ThrustLaw() if read_facts(file) else ThrustLaw(square=1.0, origin="assumed: the square of the rotor speed")
+        )
+        layout = RotorLayout(count=count, law=law)
+    else:
+        layout = _layout_of_parameters(raw, count)
     if frame is not None:
         given = frame_layout(frame, count)
         return replace(given, law=layout.law, notes=layout.notes, origin="given", source="--frame")

@@ -250,4 +250,7 @@ def mapping_hint(known: list[str]) -> str:
     if fits:
         best = max(fits, key=lambda name: fits[name])
         return f" The columns look like the mapping {best!r}: give --mapping {best}."
-    return " Rename the columns, or describe them in a mapping file (--mapping FILE.yaml)."
+    return (
+        " Describe the columns in a mapping file (--mapping FILE.yaml); "
+        "`aerial-gym log inspect LOG --draft-mapping FILE.yaml` writes a draft of one."
+    )

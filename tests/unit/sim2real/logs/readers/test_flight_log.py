@@ -75,7 +75,7 @@ def test_a_log_comes_back_as_it_was_written(table: pd.DataFrame, tmp_path: Path)
     ),
     (
         lambda t: t.rename(columns={f"rotor_{n}": f"motor_{n}" for n in range(1, 5)}),
-        r"needs the columns rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or .* mapping file",
+        r"needs the columns rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Describe the columns .* mapping file",
     ),
     (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
     (lambda t: t.drop(columns="acc_y"), r"column 'acc_y' is missing or empty while 'acc_x' is there; add it"),
