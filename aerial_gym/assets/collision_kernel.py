@@ -18,7 +18,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape, body_distance
-from aerial_gym.assets.geometry import primitive_distance, primitive_normal, signed_distance, support
+from aerial_gym.assets.geometry import extent_in_direction, primitive_distance, primitive_normal, signed_distance
 from aerial_gym.assets.obstacle_motion import advance_pose, is_present_and_moves, move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, MESH, WORLD, SceneArrays, Shape
@@ -58,7 +58,7 @@ def _ball_touches(
         normal = primitive_normal(shape, center)
         towards = -wp.dot(normal, shift + angle * (cosine * beside - sine * across))
         bend = angle * angle * wp.length(wp.vec2(wp.dot(normal, across), wp.dot(normal, beside)))
-        height = wp.dot(normal, center) - support(shape, normal) - radius
+        height = wp.dot(normal, center) - extent_in_direction(shape, normal) - radius
         wait = wp.max(distance - 0.5 * NEAR, 0.0) / wp.max(speed, 1.0e-20)
         if height >= -0.25 * NEAR:
             safe = wp.max(height - 0.5 * NEAR, 0.5 * wp.max(height, 0.0))  # the rest is a margin for rounding
@@ -91,7 +91,7 @@ def spheres_touch_static(
         local = wp.quat_rotate_inv(turn, position[last, env] + wp.quat_rotate(attitude[last, env], center) - origin)
         normal = primitive_normal(shape, local)
         outward = wp.quat_rotate(turn, normal)
-        surface = support(shape, normal) + ball + NEAR
+        surface = extent_in_direction(shape, normal) + ball + NEAR
         k = wp.int32(0)
         while k < last:
             x0 = position[k, env]

@@ -203,8 +203,11 @@ def primitive_distance(shape: Shape, point: wp.vec3) -> float:
 
 
 @wp.func
-def support(shape: Shape, direction: wp.vec3) -> float:
-    """Return the support of a shape that is no mesh along a unit vector [m]; of a plane along its own normal alone."""
+def extent_in_direction(shape: Shape, direction: wp.vec3) -> float:
+    """Return the distance [m] from the centre to the farthest point along a unit vector, of a shape but a mesh.
+
+    For a plane the vector must be its own normal. In geometry this is the support function.
+    """
     size = shape.size
     if shape.kind == BOX:
         return wp.dot(size, wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2])))

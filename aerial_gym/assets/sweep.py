@@ -20,7 +20,7 @@ from functools import cache
 import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape
-from aerial_gym.assets.geometry import primitive_distance, primitive_normal, support
+from aerial_gym.assets.geometry import extent_in_direction, primitive_distance, primitive_normal
 from aerial_gym.assets.nearest import BISECTIONS, Core, box_corner, nearest_of_core, repeats_corner
 from aerial_gym.assets.obstacle_motion import advance_pose, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
@@ -154,7 +154,7 @@ def make_touch_time(*, cores: bool) -> wp.Function:
             if distance < 0.0:
                 return t
             outward = wp.quat_rotate(turn, normal)
-            surface = support(shape, normal) + wp.dot(outward, to_part - away) + own.radius
+            surface = extent_in_direction(shape, normal) + wp.dot(outward, to_part - away) + own.radius
             wait = wp.where(is_refined, wp.max(distance - 0.5 * slack, 0.0) / wp.max(speed, 1.0e-20), 0.0)
             soonest = wp.float32(wp.inf)
             c = wp.int32(0)

@@ -17,7 +17,7 @@ from aerial_gym.math.quaternion import (
     quat_rotate,
     quat_rotate_inverse,
     quat_to_matrix,
-    quat_yaw,
+    quat_without_tilt,
     wrap_angle,
 )
 
@@ -36,7 +36,7 @@ quat_apply = quat_rotate
 quat_apply_inverse = quat_rotate_inverse
 quat_to_rotation_matrix = quat_to_matrix
 quat_from_euler_xyz_tensor = quat_from_euler
-vehicle_frame_quat_from_quat = quat_yaw
+vehicle_frame_quat_from_quat = quat_without_tilt
 
 
 def get_euler_xyz_tensor(q: Tensor) -> Tensor:

@@ -216,7 +216,7 @@ class Allocation:
 
     def compute_rows(self, vehicle: Vehicle) -> dict[str, Tensor]:
         """Compute the values of ``rows`` for a vehicle, as a row function of ``interop.rows``."""
-        vehicle = vehicle if vehicle.mass.dtype == self._dtype else vehicle.to(self._dtype)
+        vehicle = vehicle if vehicle.mass.dtype == self._dtype else vehicle.to_dtype(self._dtype)
         result = {name: rows for name, rows in vehicle.tensors_by_name().items() if name in self._own}
         if "low" in self._own:
             result["low"], result["high"] = _thrust_limits(vehicle)

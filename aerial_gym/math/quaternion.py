@@ -125,8 +125,8 @@ def wrap_angle(angle: Tensor) -> Tensor:
     return torch.remainder(angle + pi, 2.0 * pi) - pi
 
 
-def quat_yaw(q: Tensor) -> Tensor:
-    """Return the attitude of the *vehicle* frame: the rotation about world z with the yaw of ``q``, (..., 4)."""
+def quat_without_tilt(q: Tensor) -> Tensor:
+    """Return the attitude of the *vehicle* frame: ``q`` without roll and pitch, a rotation about world z, (..., 4)."""
     return quat_from_yaw(yaw_from_quat(q))
 
 

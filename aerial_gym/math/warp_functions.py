@@ -202,19 +202,19 @@ _STORE = """
 
 @wp.func_native(_LOAD.replace("{kind}", "wp::quat_t<float>"))
 def load_quat(source: wp.array[wp.quat], i: int) -> wp.quat:
-    """Return element ``i``."""
+    """Return element ``i`` of an array of quaternions, by one load of 16 bytes."""
 
 
 @wp.func_native(_LOAD.replace("{kind}", "wp::vec_t<4, float>"))
 def load_vec4(source: wp.array[wp.vec4], i: int) -> wp.vec4:
-    """Return element ``i``."""
+    """Return element ``i`` of an array of vectors of four numbers, by one load of 16 bytes."""
 
 
 @wp.func_native(_STORE)
 def store_quat(out: wp.array[wp.quat], i: int, value: wp.quat):
-    """Write element ``i``."""
+    """Write element ``i`` of an array of quaternions, by one store of 16 bytes."""
 
 
 @wp.func_native(_STORE)
 def store_vec4(out: wp.array[wp.vec4], i: int, value: wp.vec4):
-    """Write element ``i``."""
+    """Write element ``i`` of an array of vectors of four numbers, by one store of 16 bytes."""

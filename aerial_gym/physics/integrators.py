@@ -162,11 +162,11 @@ def speeds_and_wrench_of_step(
 def advance_load(load: Tensor, swing: Tensor, dt: float) -> Tensor:
     """Return direction and rate of a load's link, (E, 6), after a semi-implicit step under n'' [1/s²], (E, 3)."""
     rate = load[:, 3:] + dt * swing
-    return _normalise_load(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
+    return _normalise_load_direction(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
 
 
-def _normalise_load(load: Tensor) -> Tensor:
-    """Normalise direction and rate of a link to ``|n| = 1``, ``n . n' = 0``."""
+def _normalise_load_direction(load: Tensor) -> Tensor:
+    """Normalise direction and rate of a slung load's link to ``|n| = 1``, ``n . n' = 0``."""
     if load.shape[1] == 0:
         return load
     direction = load[:, :3] / load[:, :3].norm(dim=-1, keepdim=True)
@@ -231,7 +231,7 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
         attitude=quat_normalize(quat_multiply(attitude, turn)),
         lin_vel=state.lin_vel + quat_rotate(attitude, gain),
         ang_vel=ang_vel,
-        load=_normalise_load(torch.cat((load[:, :3] + dt * load[:, 3:], load[:, 3:]), dim=-1)),
+        load=_normalise_load_direction(torch.cat((load[:, :3] + dt * load[:, 3:], load[:, 3:]), dim=-1)),
     )
 
 
@@ -264,7 +264,11 @@ def rk4(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) 
         stage = _advance(state, slopes[-1], weight * dt)
     mean = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(*slopes, strict=True)]
     final = _advance(state, mean, dt)
-    settled = {"attitude": quat_normalize(final.attitude), "rotor_speed": end, "load": _normalise_load(final.load)}
+    settled = {
+        "attitude": quat_normalize(final.attitude),
+        "rotor_speed": end,
+        "load": _normalise_load_direction(final.load),
+    }
     return MassState(**{**vars(final), **settled})
 
 

@@ -43,17 +43,17 @@ class Model:
     other_position: Tensor  # Position of another vehicle with a downwash [m], world, (E, 3)
     articulation: "Articulation | None" = None  # Joints and links; `vehicle` is then that of the reference pose
 
-    def to(self, dtype: torch.dtype) -> "Model":
+    def to_dtype(self, dtype: torch.dtype) -> "Model":
         """Return the model in another float type."""
-        vehicle = self.vehicle.to(dtype)
-        effects = EffectsByKind((effect.to(dtype), _as_type(params, dtype)) for effect, params in self.effects)
+        vehicle = self.vehicle.to_dtype(dtype)
+        effects = EffectsByKind((effect.to_dtype(dtype), _as_type(params, dtype)) for effect, params in self.effects)
         heights = {
             name: _as_type(height, dtype) if isinstance(height := getattr(self, name), Tensor) else height
             for name in ("ground_height", "ceiling_height")
         }
         other = _as_type(self.other_position, dtype)
         inverse = _inverse(vehicle.inertia)
-        bends = None if self.articulation is None else self.articulation.to(vehicle.mass)
+        bends = None if self.articulation is None else self.articulation.to_dtype_and_device(vehicle.mass)
         return replace(
             self,
             vehicle=vehicle,

@@ -121,7 +121,7 @@ class Vehicle:
         """Return the vehicle with ``change(rows)`` in place of every tensor."""
         return replace(self, **{name: change(rows) for name, rows in self.tensors_by_name().items()})
 
-    def to(self, dtype: torch.dtype) -> "Vehicle":
+    def to_dtype(self, dtype: torch.dtype) -> "Vehicle":
         """Return the vehicle in another float type; shared rows stay shared."""
         return self.map_rows(
             lambda rows: share_row(rows[0].to(dtype), rows.shape[0]) if is_shared(rows) else rows.to(dtype, copy=True)

@@ -159,8 +159,8 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         if self._sizes.setdefault(letter, size) != size:
             raise ShapeError(f"size {letter} = {size}: it is {self._sizes[letter]} already")
 
-    def resolve(self, shape: tuple[str | int, ...]) -> tuple[int, ...]:
-        """Return the shape in numbers."""
+    def numeric_shape(self, shape: tuple[str | int, ...]) -> tuple[int, ...]:
+        """Return a shape with each letter replaced by its size."""
         for letter in shape:
             if isinstance(letter, str) and letter not in self._sizes:
                 raise ShapeError(f"shape letter {letter!r} has no size. Known: {', '.join(self._sizes)}")
@@ -170,7 +170,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         """Allocate the tensor of ``spec`` with zeros, or take ``view`` of declared memory, and return it."""
         if spec.key in self._specs:
             raise DuplicateNameError(f"GTD key {spec.key!r} is declared already, by {self._specs[spec.key].owner}")
-        shape = self.resolve(spec.shape)
+        shape = self.numeric_shape(spec.shape)
         tensor = torch.zeros(shape, dtype=spec.dtype, device=self.device) if view is None else view
         if tensor.shape != shape or tensor.dtype != spec.dtype or tensor.device.type != self.device.type:
             raise ShapeError(

@@ -21,7 +21,13 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape
-from aerial_gym.assets.geometry import outward_normal, primitive_distance, primitive_normal, signed_distance, support
+from aerial_gym.assets.geometry import (
+    extent_in_direction,
+    outward_normal,
+    primitive_distance,
+    primitive_normal,
+    signed_distance,
+)
 from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
 from aerial_gym.assets.obstacle_motion import advance_pose, is_present_and_moves, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
@@ -203,7 +209,7 @@ def _make_earlier_crossing(*, cores: bool) -> wp.Function:
         own_vel = point_velocity(done.first_lin_vel, rotate(done.first_attitude, done.first_ang_vel), arm)
         hit.crashes = hit.crashes or wp.dot(normal, surface_vel - own_vel) >= least_approach
         reach = radius + core_extent(core, local)
-        surface = support(solid, local)
+        surface = extent_in_direction(solid, local)
         if overlaps:
             surface = wp.dot(local, core.center) - reach - (pair.distance - radius)
         floor = wp.min(wp.dot(local, core.center) - reach - surface, 0.0)

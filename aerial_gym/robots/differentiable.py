@@ -59,7 +59,7 @@ class DifferentiableBackend(TorchBackend):
     def set_model(self, model: Model) -> None:
         """Replace the parameters of the model."""
         self._rows = None
-        super().set_model(model.to(self._dtype))
+        super().set_model(model.to_dtype(self._dtype))
 
     def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's cable, in float32 and without gradients; None without a load."""

@@ -268,7 +268,7 @@ def check_base_draws(randomized: RobotDraws, articulation: "Articulation", param
     randomized.fill_neutral(values)
     values[:, columns] = corners
     rows = (each[:1].to(corners).expand(len(corners), -1) for each in params)
-    links = articulation.to(corners).links(randomized.apply_draws(values, *rows).vehicle)
+    links = articulation.to_dtype_and_device(corners).links(randomized.apply_draws(values, *rows).vehicle)
     mass, least = links.mass[:, 0].min().item(), torch.linalg.eigvalsh(links.inertia[:, 0]).min().item()
     if not (mass > 0.0 and least > 0.0):
         names, carried = ", ".join(each.name for each in drawn), float(articulation.link_mass.sum())

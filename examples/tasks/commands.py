@@ -5,7 +5,7 @@ from torch import Tensor
 
 from aerial_gym.control import LeeController
 from aerial_gym.control.lee import acceleration_wrench, limit_inclination
-from aerial_gym.math.quaternion import quat_rotate_inverse, quat_yaw, yaw_from_quat
+from aerial_gym.math.quaternion import quat_rotate_inverse, quat_without_tilt, yaw_from_quat
 from aerial_gym.physics.state import BodyState
 
 
@@ -18,7 +18,7 @@ def command(controller: str, law: LeeController, state: BodyState, wanted: Tenso
         state: Motion of the vehicle.
         wanted: Acceleration [m/s²], world, (E, 3).
     """
-    gains, yaw, level = law.gains, yaw_from_quat(state.attitude), quat_yaw(state.attitude)
+    gains, yaw, level = law.gains, yaw_from_quat(state.attitude), quat_without_tilt(state.attitude)
     quickness = gains.attitude / gains.rate  # [1/s]: of the closed attitude loop
     turn = -quickness[:, 2:] * yaw.unsqueeze(-1)
     force = torch.cat((wanted[:, :2], wanted[:, 2:] + gains.gravity), dim=-1) / gains.gravity  # in weights

@@ -113,7 +113,7 @@ class Articulation:
         """Names of the entries of a joint command."""
         return tuple(f"{self.names[k]} {mode}" for k, mode in zip(self.driven, self.modes, strict=True))
 
-    def to(self, like: Tensor) -> "Articulation":
+    def to_dtype_and_device(self, like: Tensor) -> "Articulation":
         """Return the articulation with float type and device of ``like``."""
 
         def move_tensor(value: object) -> object:
@@ -282,7 +282,7 @@ def _joint(cfg: JointCfg, parent: int, parent_origin: tuple[float, float, float]
 
 def _check_bodies(robot: RobotCfg, articulation: Articulation) -> None:
     """Raise ``ConfigError`` if the remaining base is no possible body, or a motion has no inertia."""
-    exact = articulation.to(torch.zeros(1, dtype=torch.float64))
+    exact = articulation.to_dtype_and_device(torch.zeros(1, dtype=torch.float64))
 
     def as_row(values: object) -> Tensor:
         return torch.tensor(values, dtype=torch.float64).unsqueeze(0)

@@ -107,8 +107,8 @@ class _StepEnd:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComplementarityProblem:
-    """Efforts of limited drives and dry friction at the end of a step as one problem, with the state at its start."""
+class DriveLimitAndFrictionProblem:
+    """Complementarity problem of the efforts of limited drives and dry friction in one step, with the state at its start."""
 
     laws: EffortLimits  # Drives and dry friction, K of them
     friction: Sequence[bool]  # Whether each law is dry friction

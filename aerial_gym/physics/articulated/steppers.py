@@ -22,7 +22,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
-from aerial_gym.physics.articulated.complementarity import ROUNDS, ComplementarityProblem, EffortLimits, LimitState
+from aerial_gym.physics.articulated.complementarity import (
+    ROUNDS,
+    DriveLimitAndFrictionProblem,
+    EffortLimits,
+    LimitState,
+)
 from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
 from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid, add_damping, add_fluid
@@ -106,7 +111,7 @@ def step_within_limits(
         return step(acts, state_with_middle_rates(state, end)) if centered else end
     own, rubs = zip(*bounded, strict=True)
     ends = EffortLimits.at_end(own, state.joint_pos, dt)
-    problem = ComplementarityProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
+    problem = DriveLimitAndFrictionProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
 
     def solve_step(swings: TreeState, guess: TreeState) -> tuple[LimitState, TreeState]:
         solution = problem.solve(lambda effort: step(effort, swings), guess)

@@ -198,7 +198,7 @@ class Effect(ABC):
         """
         return self
 
-    def to(self, dtype: torch.dtype) -> "Effect":
+    def to_dtype(self, dtype: torch.dtype) -> "Effect":
         """Return the effect for another float type; itself if it holds no tensors."""
         return self
 

@@ -58,7 +58,7 @@ class LearnedResidual(WrenchEffect):
         self._hidden = [(put(layer.weights), put(layer.bias)) for layer in cfg.hidden]
         self._output = put(cfg.output.weights), put(cfg.output.bias)
 
-    def to(self, dtype: torch.dtype) -> "LearnedResidual":
+    def to_dtype(self, dtype: torch.dtype) -> "LearnedResidual":
         """Return the same network in another float type."""
         return LearnedResidual(self.cfg, dtype=dtype, device=self._low.device)
 

@@ -72,6 +72,6 @@ def prepare_comparison(
 
 def final_model_of_robot_file(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
     """Return the final model, with parameters rounded as in the robot file."""
-    params, effects = selection.fit.params, selection.effects
+    params, effects = selection.fit.params, selection.effect_names
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in parameter_row(params, effects)])
     return replace_params(declared.robot, params, effects, values)

@@ -103,7 +103,7 @@ def ablations_of_effects(
     """Return the ablation of each accepted effect; ``points`` are the declared and the final model."""
     train, tested = predictors
     _, final = points
-    less = {name: selection.without[name] for name in selection.effects}
+    less = {name: selection.without[name] for name in selection.effect_names}
     without = {name: one.params for name, one in less.items()}
     if final.deviation is not None:
         off = {name: deviation_of_vehicle(one.deviation, robot) for name, one in less.items()}

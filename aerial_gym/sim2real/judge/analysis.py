@@ -77,11 +77,11 @@ def judge_on_test_flights(
     floors = noise_floors_in_declared_wind(declared, model)
     still = rms_of_noise_floors(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
-    pair = (declared.params, model) if selection.effects else (declared.params,)
+    pair = (declared.params, model) if selection.effect_names else (declared.params,)
     evaluations = evaluate_models(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_residual_excess(declared.train, tested, selection, (declared.params, model), named, still)
-    doubtful = selection.effects and (unexplained.left_open or unexplained.open_to)
+    doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
     result = selection_with_test_odds(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
     effects = effects_with_ablations(declared, result, model, (before, named), unexplained.floor, seed=seed)
@@ -115,7 +115,7 @@ def judge_on_test_flights(
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         notes=verdict_notes(declared, result, model, unexplained, effects, named),
     )  # fmt: skip
-    accepted = (*result.effects, *(effect.name for effect in gusts))
+    accepted = (*result.effect_names, *(effect.name for effect in gusts))
     gusty, wind = params, unexplained.wind
     if wind.is_accepted:
         gusty = params.with_effect(NAME, np.array(EFFECTS.get(NAME).parse_params(wind.params())))
@@ -129,7 +129,7 @@ def model_with_new_values(declared: LoopSetup, selection: SelectionResult) -> Mo
     They are fitted together with the effects, which would be wrong without them. Without effects nothing is corrected.
     """
     model = final_model_of_robot_file(declared, selection)
-    if not selection.effects:
+    if not selection.effect_names:
         return model
     deviation = model_with_training_deviations(model, selection.fit, selection.weights.weight).deviation
     assert deviation is not None
@@ -194,7 +194,7 @@ def effects_with_ablations(
     worth = ablations_of_effects(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
     weight = selection.weights.weight
     regimes = {
-        name: errors_where_effect_acts(test, *models, name, weight, floor, seed=seed) for name in selection.effects
+        name: errors_where_effect_acts(test, *models, name, weight, floor, seed=seed) for name in selection.effect_names
     }
     return effects_of_selection(selection, worth, regimes, declared.stated)
 
@@ -204,7 +204,7 @@ def decision_with_gusts(
 ) -> Decision:
     """Return the kind, candidates and open points of the verdict, accepted gusts included."""
     made = verdict_decision(
-        {name: names_of_ties(name, selection) for name in selection.effects},
+        {name: names_of_ties(name, selection) for name in selection.effect_names},
         unexplained.channels,
         unexplained.floor is not None,
         open_to=unexplained.open_to,
@@ -251,7 +251,7 @@ def notes_on_bounds(declared: LoopSetup, selection: SelectionResult) -> list[Fin
     params, robot = selection.fit.params, declared.train.robot
     ends = {
         name: parameters_at_bounds(name, params, neutral_params(name, declared.params, robot), robot)
-        for name in selection.effects
+        for name in selection.effect_names
     }
     return [Finding("at_bound", name, {"parameters": at_end}) for name, at_end in ends.items() if at_end]
 
@@ -332,7 +332,7 @@ def untestable_effects(selection: SelectionResult, robot: RobotCfg, unexplained:
     for name in results:
         if robot.joints is None and not can_have_effect(name, selection, robot):
             results[name] = Finding("no_soft_arms", name)
-    for name in selection.effects:
+    for name in selection.effect_names:
         for other in EFFECTS.get(name).confused_with:
             if other not in EFFECTS:
                 results.setdefault(other, Finding("no_such_effect", other, {"alike": name}))

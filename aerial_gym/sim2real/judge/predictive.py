@@ -161,7 +161,7 @@ def effects_left_open(
     names = [name for name in EFFECTS if EFFECTS.get(name).is_candidate_of_selection]
     skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
-    known, weight, frozen = selection.effects, selection.weights.weight, selection.fit.frozen
+    known, weight, frozen = selection.effect_names, selection.weights.weight, selection.fit.frozen
     tangents = [linearise_candidates(flights, declared, final, known, skipped) for flights in (train, test)]
     both = set.intersection(*({one.key for one in part} for part in tangents))  # a load may swing over the top in one
     kept = [[one for one in part if one.key in both] for part in tangents]
@@ -260,7 +260,7 @@ def channel_names(channels: Sequence[str], chosen: Flags) -> tuple[str, ...]:
 
 def selection_with_test_odds(selection: SelectionResult, test: Predictor) -> SelectionResult:
     """Return the selection with the log odds that the test flights add to each rival of a named effect, at least 0."""
-    rivals = {one.fitted.label: one.fitted for name in selection.effects for one in selection.effect_rivals(name)}
+    rivals = {one.fitted.label: one.fitted for name in selection.effect_names for one in selection.effect_rivals(name)}
     if not rivals:
         return selection
     densities = log_densities(test, [selection.named, *rivals.values()], selection)
@@ -272,7 +272,7 @@ def notes_on_doubt(selection: SelectionResult) -> list[Finding]:
     """Return a note on each rival that is tied only because of the test flights."""
     return [
         Finding("doubt_by_test", name, {"other": rival.effect, "log_odds": rival.log_odds - rival.doubt})
-        for name in selection.effects
+        for name in selection.effect_names
         for rival in selection.effect_ties(name)
         if rival.is_clearly_less_probable_in_training
     ]

@@ -219,7 +219,7 @@ def notes_on_laws(selection: SelectionResult) -> list[Finding]:
             name,
             {"law": EFFECTS.get(name).law, "other": EFFECTS.get(rival.effect).law, "log_odds": -rival.log_odds},
         )
-        for name in selection.effects
+        for name in selection.effect_names
         for rival in selection.effect_rivals(name)
         if cause_name(rival.effect) == cause_name(name)
     ]

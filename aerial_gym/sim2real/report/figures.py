@@ -41,7 +41,7 @@ def evidence_of_effects(judged: LoopResult) -> dict[str, list[ParameterEvidence]
     Models include the jointly fitted deviations, so that the fitted line matches the residual.
     """
     declared, selection = judged.declared, judged.selection
-    models = dict.fromkeys(selection.effects, judged.within)
+    models = dict.fromkeys(selection.effect_names, judged.within)
     for fitted in () if models else most_probable_single_effects(selection):
         models.setdefault(fitted.effects[0], fitted.model_with_deviations)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
@@ -60,7 +60,7 @@ def report_figures(
     before, after = verdict.before, verdict.after if verdict.corrects else None
     clouds = []
     for name, own in told.items():
-        rejected = "" if name in judged.selection.effects else ", which is not accepted"
+        rejected = "" if name in judged.selection.effect_names else ", which is not accepted"
         clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence_figure(name, own)})
     rest = [
         {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.residual_figure(parts, channel)}

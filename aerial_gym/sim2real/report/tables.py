@@ -133,7 +133,7 @@ def rejection_rows(selection: SelectionResult) -> list[dict[str, str]]:
     for name, kind in selection.surrogates.items():
         reasons[name] = Finding("follows_structure", name, {"structure": kind})
     reasons |= selection.refused
-    shown = {name: reason for name, reason in reasons.items() if name not in selection.effects}
+    shown = {name: reason for name, reason in reasons.items() if name not in selection.effect_names}
     order = sorted(shown, key=lambda name: (name in selection.not_testable, -selection.adds.get(name, np.inf)))
     return [
         {

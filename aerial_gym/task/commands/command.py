@@ -60,8 +60,8 @@ Generator = TypeVar("Generator", bound=type[Command])
 class CommandRegistry(Registry[type[Command]]):
     """Generators by name."""
 
-    def generator(self, name: str) -> Callable[[Generator], Generator]:
-        """Register the class below."""
+    def register_class(self, name: str) -> Callable[[Generator], Generator]:
+        """Return a decorator that registers a class of commands under ``name``."""
 
         def add(cls: Generator) -> Generator:
             if not (isinstance(cls, type) and issubclass(cls, Command)):

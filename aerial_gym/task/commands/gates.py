@@ -162,7 +162,7 @@ def next_gate_index(values: Mapping[str, Tensor], count: int, *, loop: bool) -> 
     return torch.where(values["begun"], values[FIRST_GATE], index).int()
 
 
-@COMMANDS.generator("gates")
+@COMMANDS.register_class("gates")
 class Gates(GateCommand):
     """The next gate's centre is the target, ``target_direction`` and ``target_orientation`` the way through it.
 

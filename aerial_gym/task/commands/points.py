@@ -18,7 +18,7 @@ from aerial_gym.task.kernels.draws import GoalDraws, UniformDraws
 from aerial_gym.task.values import Values
 
 
-@COMMANDS.generator("point")
+@COMMANDS.register_class("point")
 class ConstantPoint(Command):
     """The same point in every episode."""
 
@@ -28,7 +28,7 @@ class ConstantPoint(Command):
         self._target().copy_(torch.tensor(position))
 
 
-@COMMANDS.generator("drawn_point")
+@COMMANDS.register_class("drawn_point")
 class RandomPoint(Command):
     """A point drawn uniformly at every reset; randomly placed obstacles keep clear of it."""
 
@@ -44,7 +44,7 @@ class RandomPoint(Command):
         self._goals.draw(mask)
 
 
-@COMMANDS.generator("drawn_pose")
+@COMMANDS.register_class("drawn_pose")
 class RandomPose(RandomPoint):
     """The point of ``drawn_point`` with a heading, ``target_yaw``, drawn uniformly from a full turn."""
 
@@ -60,7 +60,7 @@ class RandomPose(RandomPoint):
         self._yaw.draw(mask)
 
 
-@COMMANDS.generator("sequence")
+@COMMANDS.register_class("sequence")
 class PointSequence(Command):
     """Points one after the other: the next one as soon as the robot is near, from the first one at every reset."""
 
@@ -132,7 +132,7 @@ def _check_points(name: str, points: Sequence[Vec3]) -> None:
 STATES = "vec_root_tensor"  # Key of the GTD: states of the robot and, behind it, of the assets
 
 
-@COMMANDS.generator("asset")
+@COMMANDS.register_class("asset")
 class AssetPoint(Command):
     """A point at an asset's origin or an offset from it, with the asset's velocity as ``target_velocity``."""
 
@@ -164,7 +164,7 @@ class AssetPoint(Command):
 LOAD_PARAMS = "effect_slung_payload"  # Key of the GTD: mass, length and damping of the load
 
 
-@COMMANDS.generator("load_point")
+@COMMANDS.register_class("load_point")
 class LoadPoint(Command):
     """``load_target``, drawn uniformly at every reset, for the load; the robot's target is a link's length above it."""
 
@@ -215,7 +215,7 @@ CURVES: dict[str, Curve] = {"circle": _circle, "lemniscate": _lemniscate, "helix
 """Closed curves, once round in 2 pi."""
 
 
-@COMMANDS.generator("trajectory")
+@COMMANDS.register_class("trajectory")
 class TrajectoryCommand(Command):
     """A target on a closed curve, a function of the time since the episode began; ``target_velocity`` is its derivative."""
 

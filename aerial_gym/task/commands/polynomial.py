@@ -81,7 +81,7 @@ def control_point_weights(coefficients: Array) -> Array:
     return np.einsum("ij,sjk->sik", np.array(to_bernstein), coefficients).reshape(-1, coefficients.shape[2])
 
 
-@COMMANDS.generator("polynomial")
+@COMMANDS.register_class("polynomial")
 class Polynomial(Command):
     """A target on a track of minimum snap through drawn points; at its end it stays. Velocity and acceleration go with it."""
 

@@ -29,7 +29,7 @@ SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
 """Buffers of seen gates and poles with their poses."""
 
 
-@COMMANDS.generator("track_gates")
+@COMMANDS.register_class("track_gates")
 class TrackGates(GateCommand):
     """The next gate of the track, the first at a reset: its centre is the target, ``target_orientation`` its orientation.
 

@@ -7,7 +7,7 @@ Frames: world is z up; vehicle is the world turned by the robot's yaw. Letters: 
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_rotate_inverse, quat_yaw, wrap_angle, yaw_from_quat
+from aerial_gym.math.quaternion import quat_rotate_inverse, quat_without_tilt, wrap_angle, yaw_from_quat
 from aerial_gym.task.terms.observations import OBSERVATIONS, TINY
 from aerial_gym.task.terms.rewards import REWARDS, bell, dip
 
@@ -105,7 +105,7 @@ def unseen_flight(
 
     u is the velocity to where it does not look [m/s], vehicle frame, 0 to where it does; d the distance to the target [m].
     """
-    unseen = (-looks * quat_rotate_inverse(quat_yaw(robot_orientation), robot_linvel)[:, 0]).clamp_min(0.0)
+    unseen = (-looks * quat_rotate_inverse(quat_without_tilt(robot_orientation), robot_linvel)[:, 0]).clamp_min(0.0)
     near = bell((target_position - robot_position).norm(dim=-1), 1.0, near_width)
     return dip(unseen, height, width) * (1.0 - near)
 

@@ -7,7 +7,7 @@ Letters: E environments, W entries.
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_without_tilt
 from aerial_gym.task.terms.gate_path import gate_path_direction
 from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
 
@@ -62,7 +62,9 @@ def position_error_body(target_position: Tensor, robot_position: Tensor, robot_o
 def direction_vehicle(target_position: Tensor, robot_position: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return the unit vector from the robot to the target, vehicle frame (world turned by the yaw), (E, 3)."""
     error = target_position - robot_position
-    return quat_rotate_inverse(quat_yaw(robot_orientation), error / error.norm(dim=-1, keepdim=True).clamp_min(TINY))
+    return quat_rotate_inverse(
+        quat_without_tilt(robot_orientation), error / error.norm(dim=-1, keepdim=True).clamp_min(TINY)
+    )
 
 
 @OBSERVATIONS.term(width=1)

@@ -199,7 +199,7 @@ def test_rotors_of_any_kind_make_what_is_commanded() -> None:
     env, fused = make(cfg, backend="torch", **options), make(cfg, backend="warp", **options)
     manager = env.robot_manager
     assert manager._update.why_slow == ""
-    vehicle, allocation = manager.model.vehicle.to(torch.float64), manager.controller.allocation
+    vehicle, allocation = manager.model.vehicle.to_dtype(torch.float64), manager.controller.allocation
     asked = list(find_actuation(allocation_matrix(manager.declared, 9.81)[0]).axes)
     assert {2, 3, 4} <= set(asked)
     wanted = torch.tensor([[0.0, 0.0, 9.0, 0.05, -0.05, 0.01]]).expand(6, -1)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
-from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_without_tilt
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BodyState, state_at_rest
 from aerial_gym.robots.finite_watch import NonFiniteRows
@@ -141,7 +141,7 @@ def motions(num_envs: int, device: str) -> BodyState:
 
 def reference(state: BodyState) -> dict[str, Tensor]:
     x, q, v, w = (t.double() for t in (state.position, state.attitude, state.lin_vel, state.ang_vel))
-    turn, level = quat_rotate(q, w), quat_yaw(q)
+    turn, level = quat_rotate(q, w), quat_without_tilt(q)
     return {
         "ang_vel_world": turn, "lin_vel_body": quat_rotate_inverse(q, v), "vehicle_attitude": level,
         "vehicle_lin_vel": quat_rotate_inverse(level, v), "euler": euler_from_quat(q),

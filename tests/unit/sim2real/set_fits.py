@@ -107,7 +107,7 @@ def make_final_fit(
 def make_selection(chosen: MostProbableSet | None = None, **more: Any) -> SelectionResult:
     """Return the selection with a choice; by default no effect is named."""
     chosen = chosen or make_choice(make_fit())
-    fit, spread = make_final_fit(chosen.named.params, chosen.effects)
+    fit, spread = make_final_fit(chosen.named.params, chosen.effect_names)
     offsets = FlightOffsets(size=np.zeros(1), weight=chosen.weights.weight, most=np.zeros(1))
     defaults = {"fit": fit, "spread": spread, "not_testable": {}, "criteria": Criteria(), "flight_offsets": offsets}
     return SelectionResult(**vars(chosen), **defaults | more)

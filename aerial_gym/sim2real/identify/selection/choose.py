@@ -52,8 +52,8 @@ class MostProbableSet:
     in_part: tuple[ParameterRival, ...] = ()  # Rival effects in place of single parameters of the named effects
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Return the named effects."""
+    def effect_names(self) -> tuple[str, ...]:
+        """Return the names of the effects."""
         return self.named.effects
 
     def without_undetermined_effect(self, name: str, neutral: Array, code: str) -> "MostProbableSet":
@@ -113,7 +113,7 @@ def effects_against_kinematics(predictor: Predictor, chosen: MostProbableSet) ->
     interval of its rise by the effect is above zero.
     """
     places = [k for k, channel in enumerate(predictor.channels) if channel.kind in KINEMATIC]
-    names = [name for name in chosen.effects if isinstance(EFFECTS.get(name), ImuEffect)]
+    names = [name for name in chosen.effect_names if isinstance(EFFECTS.get(name), ImuEffect)]
     if not places or not names:
         return {}
     group, flight = time_block_of_rows(predictor.times), flight_of_rows(predictor.times)

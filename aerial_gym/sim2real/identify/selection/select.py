@@ -128,7 +128,7 @@ def select_effects(
     give_back_memory()
     final = FinalFit(predictor, declared, chosen)
     chosen, fit, spread = final.fit_determined()
-    unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effects}
+    unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effect_names}
     return SelectionResult(
         **vars(chosen),
         fit=fit,
@@ -161,11 +161,11 @@ class FinalFit:
 
     def fit_determined(self) -> tuple[MostProbableSet, ModelFit, Uncertainty]:
         """Return the choice with undetermined parameters at neutral, the fit of its effects, and the uncertainty."""
-        fit, spread = self.fit(self.chosen.effects, self.chosen.named.params)
+        fit, spread = self.fit(self.chosen.effect_names, self.chosen.named.params)
         owners = {fit.parameter_owners[k]: k for k in fit.indices_of_fitted_effect_params}
         uncertain = fit.indices_of_fitted_effect_params[~is_identifiable(spread.plain)]  # by more than their scale
         unseen = {owner for owner, k in owners.items() if k in uncertain}
-        blind = set(self.chosen.effects).difference(name for name, _ in owners.keys() - unseen)
+        blind = set(self.chosen.effect_names).difference(name for name, _ in owners.keys() - unseen)
         code = "parameters_unknown" if blind else "interval_holds_neutral"
         blind = blind or self.effects_near_neutral(fit, spread)
         if blind:  # the complete fit determines none of their parameters, or not that one differs from neutral
@@ -178,7 +178,7 @@ class FinalFit:
         start = self.params_at_neutral(self.chosen.named.params, unseen)
         sets = self.chosen.without.items()
         without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
-        return replace(self.chosen, without=without), *self.fit(self.chosen.effects, start, frozenset(unseen))
+        return replace(self.chosen, without=without), *self.fit(self.chosen.effect_names, start, frozenset(unseen))
 
     def effects_near_neutral(self, fit: ModelFit, spread: Uncertainty) -> set[str]:
         """Return the effects of which every fitted parameter has its neutral value in its 95 % interval."""

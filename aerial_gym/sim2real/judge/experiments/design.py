@@ -146,7 +146,7 @@ def manoeuvre_for_ties(
 
 def effects_to_show(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
     """Return the effects that these flights do not show, but other flights of this vehicle could."""
-    unseen = [name for name in selection.not_testable if name not in selection.effects]
+    unseen = [name for name in selection.not_testable if name not in selection.effect_names]
     possible = (name for name in unseen if not finding_on_untestable_effect(name, robot, flights))
     return [name for name in possible if can_have_effect(name, selection, robot)]
 
@@ -155,7 +155,7 @@ def can_have_effect(name: str, selection: SelectionResult, robot: RobotCfg) -> b
     """Return whether a vehicle may have an effect; soft arms need such an effect in its file or among the named ones."""
     if not isinstance(EFFECTS.get(name), ArmJoint):
         return True
-    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.effects))
+    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.effect_names))
 
 
 def recommend_manoeuvres(
@@ -166,7 +166,7 @@ def recommend_manoeuvres(
     ``open_to`` names effects that would explain the test residual and that training flights do not show.
     """
     train = declared.train
-    tied = {name: selection.effect_ties(name) for name in selection.effects}
+    tied = {name: selection.effect_ties(name) for name in selection.effect_names}
     hidden = list(dict.fromkeys((*effects_to_show(selection, train.robot, train.flights), *open_to)))
     if not any(tied.values()) and not hidden:
         return None, {}

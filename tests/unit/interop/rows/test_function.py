@@ -24,7 +24,13 @@ from aerial_gym.interop.rows import (
 )
 from aerial_gym.interop.rows.transport import LARGEST
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
+from aerial_gym.math.quaternion import (
+    euler_from_quat,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate_inverse,
+    quat_without_tilt,
+)
 
 ROWS = 5
 
@@ -62,7 +68,9 @@ MOVING: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "unit": lambda a, b: torch.nn.functional.normalize(a, dim=-1) + torch.linalg.norm(b, ord=inf, dim=-1, keepdim=True),
     "products": lambda a, b: torch.bmm(torch.einsum("ei,ej->eij", a, b), b.unsqueeze(-1))[..., 0] + a @ torch.eye(3),
     "any": lambda a, b: torch.stack(((a > 0.0).any(-1), (b < 2.0).all(-1)), dim=-1),
-    "attitudes": lambda a, b: quat_rotate_inverse(quat_yaw(quat_multiply(quat_from_euler(a), quat_from_euler(b))), a),
+    "attitudes": lambda a, b: quat_rotate_inverse(
+        quat_without_tilt(quat_multiply(quat_from_euler(a), quat_from_euler(b))), a
+    ),
     "euler": lambda a, b: euler_from_quat(quat_from_euler(0.3 * torch.tanh(a))) + b,
 }
 

@@ -58,7 +58,7 @@ def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray
 )
 def test_the_hidden_effects_are_the_most_probable_set(tmp_path, hidden, expected, parameter) -> None:
     results = most_probable(tmp_path, **hidden)
-    assert set(results.effects) == set(expected)
+    assert set(results.effect_names) == set(expected)
     assert results.sets[tuple(sorted(expected))] > 0.8
     assert sum(results.sets.values()) == pytest.approx(1.0)
     assert all(results.inclusion[name] > 0.95 for name in expected)
@@ -69,7 +69,7 @@ def test_the_hidden_effects_are_the_most_probable_set(tmp_path, hidden, expected
 
 def test_what_is_worth_a_trifle_has_no_name(tmp_path: Path) -> None:
     results = most_probable(tmp_path, FEW, 100.0, material=50.0, drag=0.05)
-    assert results.effects == ()
+    assert results.effect_names == ()
     assert "rotor_drag" not in results.named.params.effects
     rises = results.immaterial["rotor_drag"]
     assert max(rise.low for rise in rises.values()) > MATERIAL
@@ -79,7 +79,7 @@ def test_what_is_worth_a_trifle_has_no_name(tmp_path: Path) -> None:
 def test_a_force_that_follows_the_place_is_a_structure_and_no_effect(tmp_path: Path) -> None:
     """A spring of 0.05 N/m along the world's x; none of the effects has it."""
     results = most_probable(tmp_path, FEW, 100.0, spring=0.05)
-    assert results.effects == ()
+    assert results.effect_names == ()
     assert [one.name for one in results.best.structures] == ["position in specific_force.x"]
 
 
@@ -90,7 +90,7 @@ def test_an_effect_whose_size_follows_the_time_is_a_surrogate_unless_flights_dis
     view = climber.find_best_set()
     chooser = _Chooser(climber, MATERIAL)
     results = chooser.make_result(view)
-    assert results.effects == ()
+    assert results.effect_names == ()
     assert results.surrogates == {"thrust_coefficient": "time"}
     scattered = {name: replace(one, overdispersion=1e5) for name, one in view.present.support.items()}
     assert chooser.surrogate_effects(replace(view.present, support=scattered), view.fitter) == {}
@@ -102,7 +102,7 @@ def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
     the spring does along the z of a leaning vehicle is in no structure, which has one channel, so that the interval
     there is too short."""
     results = most_probable(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
-    assert results.effects == ("rotor_drag",)
+    assert results.effect_names == ("rotor_drag",)
     assert "position in specific_force.x" in [one.name for one in results.best.structures]
     assert (parameter_error(results.named, "rotor_drag", 0.05)[:2] < 4.0).all()
     np.testing.assert_allclose(results.named.params.effects["rotor_drag"], 0.05, rtol=0.1)

@@ -58,7 +58,7 @@ def add_ground_push(table: pd.DataFrame) -> pd.DataFrame:
 ])  # fmt: skip
 def test_a_name_holds_or_only_substitutes(scale, change, named, surrogates, tmp_path) -> None:
     result = select_hidden(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
-    assert result.effects == named
+    assert result.effect_names == named
     assert result.surrogates == surrogates
 
 
@@ -73,7 +73,7 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(gyro
         return table if gyro else table.drop(columns=["omega_x", "omega_y", "omega_z"])
 
     result = select_hidden(tmp_path, ("thrust_coefficient", "payload_mass"), change=log_columns, thrust_scale=0.95)
-    (named,) = result.effects
+    (named,) = result.effect_names
     assert {named, *names_of_ties(named, result)} == candidates
 
 
@@ -91,7 +91,7 @@ def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> Non
         flights.append(replace(read, name=str(seed), other_position=other))
     names = ("downwash", "thrust_coefficient", "rotor_drag")
     result = select_effects(make_predictor(flights), params_from_robot(ROBOT), Criteria(), candidates=names)
-    assert result.effects == ("downwash",)
+    assert result.effect_names == ("downwash",)
     force, sigma = result.fit.params.effects["downwash"]
     assert force == pytest.approx(0.6, rel=0.1)
     assert sigma == pytest.approx(width, rel=0.1)
@@ -105,7 +105,7 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
     result = select_hidden(
         tmp_path, ("constant_wind", "wind_shear", "rotor_drag"), robot=robot, drag=0.3, wind=(0.4, -0.3, 0.0)
     )
-    assert result.effects == ("constant_wind",)
+    assert result.effect_names == ("constant_wind",)
     assert names_of_ties("constant_wind", result) == []
     (rival,) = result.effect_rivals("constant_wind")
     assert (rival.effect, rival.wider, rival.is_clearly_less_probable) == ("wind_shear", True, False)
@@ -162,7 +162,7 @@ def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
 
 def test_an_effect_that_flights_cannot_show_is_told_when_it_is_requested(tmp_path: Path) -> None:
     result = select_hidden(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
-    assert result.effects == ()
+    assert result.effect_names == ()
     assert set(result.not_testable) == {"ceiling_effect"}
 
 
@@ -207,7 +207,7 @@ def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> Non
     drag = given.chosen.without["com_offset"]
     chosen, fit, _ = given.fit_determined()
     assert fit.params is drag.params
-    assert chosen.effects == ("rotor_drag",)
+    assert chosen.effect_names == ("rotor_drag",)
     assert chosen.refused == {"com_offset": Finding("parameters_unknown", "com_offset")}
     assert chosen.without["rotor_drag"].effects == ()
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [0.0, 0.0, 0.0]
@@ -221,7 +221,7 @@ def test_an_effect_with_no_effect_in_all_its_intervals_has_no_name() -> None:
         given = PriorFit(fitted, {"com_offset": [0.09] * 3})
         given.chosen = replace(given.chosen, without={"com_offset": make_fit()})
         chosen, _, _ = given.fit_determined()
-        assert chosen.effects == ("com_offset",) * named
+        assert chosen.effect_names == ("com_offset",) * named
         assert chosen.refused.get("com_offset") == (None if named else Finding("interval_holds_neutral", "com_offset"))
 
 
