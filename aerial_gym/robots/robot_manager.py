@@ -74,7 +74,7 @@ class RobotManager:
             asked |= {"gradients": True, "dtype": gradients}
         self.backend: PhysicsBackend = choose_backend(sim.backend, needs=robot_needs(robot, gtd.device, **asked))
         self.controller: Controller = make_controller(
-            controller, self.declared if gradients is None else self.declared.to(gradients), sim.gravity, dt=sim.dt,
+            controller, self.declared if gradients is None else self.declared.to_dtype(gradients), sim.gravity, dt=sim.dt,
             control=robot.control,
         )  # fmt: skip
         gtd.define_size("U", len(self.action_names))
