@@ -14,9 +14,10 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.kinematics import (
-    BLOCK_S,
     CHECK_BANDWIDTH_HZ,
+    QUIET,
     WORST_AGREEMENT,
+    gains_of_moving_sensors,
     imu_errors_from_kinematics,
 )
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_columns
@@ -27,12 +28,10 @@ from aerial_gym.sim2real.logs.checks.units import (
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.statistics import student_quantile
 
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
 
-QUIET_RATE = 0.1  # Below this RMS angular velocity [rad/s] the comparison with the attitude is skipped
 LEAST_GAIN = 0.5  # Share of the attitude's turning that a working gyro shows at least
 SURE_GAIN = 0.999  # One-sided confidence that the share is less
 QUIET_SPEED = 0.3  # Below this RMS velocity [m/s] the comparison with the position is skipped
@@ -133,7 +132,7 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
         return
     measured = _lowpass_compared_rows(log.ang_vel, log)
     size = _rms_of_vectors(measured)
-    if size < QUIET_RATE:
+    if size < QUIET["gyro"]:
         _check_resting_gyro(log, size)
         return
 
@@ -166,34 +165,13 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
 
 
 def _check_resting_gyro(log: FlightLog, size: float) -> None:
-    """Refuse a gyro, with RMS ``size`` [rad/s], that certainly shows less than half of the attitude's turning.
-
-    Its gain ``<m a> / <a a'>`` compares the readings m with the attitude's rates a and a' of even and odd rows, whose noise
-    is independent (instrumental variables: Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 6).
-    """
-    if log.attitude_integrated or log.ang_vel is None:
-        return
-    rate = 0.5 * sample_rate(log)
-    band, count = min(CHECK_BANDWIDTH_HZ, 0.2 * rate), log.time.size // 2
-    even, odd = (body_rate_from_attitude(log.attitude[k : 2 * count : 2], rate, band) for k in (0, 1))
-    gyro = lowpass(log.ang_vel[: 2 * count : 2], rate, band)
-    edge = round(0.5 * rate)
-    other = 0.5 * (odd + np.roll(odd, 1, axis=0))  # at the even rows
-    blocks = np.arange(count - 2 * edge) // max(1, round(BLOCK_S * rate))
-    along, square = (
-        np.bincount(blocks, np.sum(values, axis=1)[edge:-edge])
-        for values in (0.5 * gyro * (even + other), even * other)
-    )
-    turning = np.sqrt(max(float(square.sum()), 0.0) / (count - 2 * edge))
-    if turning < QUIET_RATE or blocks[-1] < 1:
-        return
-    gain, number = along.sum() / square.sum(), blocks[-1] + 1.0
-    spread = np.sqrt(np.sum((along - gain * square) ** 2) * number / (number - 1.0)) / square.sum()
-    if gain + student_quantile(SURE_GAIN, number - 1.0) * spread < LEAST_GAIN:
-        raise DataError(
-            f"{log.path}: omega is at rest ({size:.2g} rad/s RMS) while the attitude turns ({turning:.2g} rad/s RMS); leave "
-            "the inertial sensors out, or give a log in which they flew along"
-        )
+    """Refuse a gyro, with RMS ``size`` [rad/s], that certainly shows less than half of the attitude's turning."""
+    for one in gains_of_moving_sensors(log):
+        if one.sensor == "gyro" and one.gain + one.half_width(SURE_GAIN) < LEAST_GAIN:
+            raise DataError(
+                f"{log.path}: omega is at rest ({size:.2g} rad/s RMS) while the attitude turns ({one.motion:.2g} rad/s RMS); "
+                "leave the inertial sensors out, or give a log in which they flew along"
+            )
 
 
 def _check_gravity(log: FlightLog, attitude: Rotation) -> None:

@@ -1,7 +1,7 @@
 """Estimate bias, misalignment and delay of gyro and accelerometer from attitude and velocity.
 
 The comparison is pure kinematics, without mass, thrust or drag. Its results concern sensors, not the model.
-Letters: T rows.
+Letters: T rows, B blocks.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
+from aerial_gym.sim2real.json_values import select_fields
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate, take_rows
 from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
 
@@ -22,11 +23,8 @@ BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
 FEWEST_BLOCKS = 8
 
-QUIET = {
-    "gyro": 0.1,
-    "accelerometer": 0.3,
-    "velocity": 0.3,
-}  # Least RMS motion [rad/s], [m/s²], [m/s] for angles and delay, not for the bias
+QUIET = {"gyro": 0.1, "accelerometer": 0.3, "velocity": 0.3}
+"""Least RMS motion [rad/s], [m/s²], [m/s] that shows a gain, angles and a delay; a bias needs none."""
 
 MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002}
 """Smallest bias [rad/s], [m/s²], angle [rad] and delay [s] that are reported."""
@@ -75,24 +73,64 @@ def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
     return [errors for errors in fits if errors is not None]
 
 
+@dataclass(frozen=True, kw_only=True)
+class SensorGain:
+    """Share of the motion of another sensor that a sensor shows: 1 for a sound one, 0 at rest."""
+
+    sensor: str  # gyro or accelerometer
+    other: str  # attitude or velocity
+    gain: float
+    std: float  # Standard deviation of the gain
+    freedom: int  # Degrees of freedom of that deviation
+    motion: float  # RMS of the motion by the other sensor [rad/s], [m/s²]
+
+    def half_width(self, probability: float) -> float:
+        """Return the distance of the gain from a one-sided limit of this probability."""
+        return float(student_quantile(probability, self.freedom)) * self.std
+
+
+def gains_of_moving_sensors(log: FlightLog) -> list[SensorGain]:
+    """Return the gains ``<m a> / <a a'>`` of sensors that a flight moves enough, for readings m.
+
+    The motions a and a' are of even and odd rows, whose noise is independent (instrumental variables: Carroll et al. 2006,
+    Measurement Error in Nonlinear Models, chapter 6).
+    """
+    even_rows, odd_rows = (take_rows(log, slice(k, log.time.size // 2 * 2, 2)) for k in (0, 1))
+    rate, results = sample_rate(even_rows), list[SensorGain]()
+    band, size = min(CHECK_BANDWIDTH_HZ, 0.2 * rate), max(1, round(BLOCK_S * rate))
+    inner = slice(num_edge_rows(rate, band), -num_edge_rows(rate, band))
+    for pair in zip(_sensor_pairs(even_rows), _sensor_pairs(odd_rows), strict=True):
+        (sensor, other, measured, motion, level), (*_, next_motion, _) = pair
+        shown, even, odd = (lowpass(one - level, rate, band) for one in (measured, motion, next_motion))
+        odd = 0.5 * (odd + np.roll(odd, 1, axis=0))  # at the even rows
+        shown, even, odd = (one[inner] - one[inner].mean(axis=0) for one in (shown, even, odd))
+        starts = np.arange(0, len(shown), size)
+        if starts.size <= FEWEST_BLOCKS:
+            continue
+        products = (0.5 * shown * (even + odd), even * odd)
+        along, square = (np.add.reduceat(product.sum(axis=1), starts) for product in products)
+        moved = float(np.sqrt(max(square.sum(), 0.0) / len(shown)))
+        if moved >= QUIET[sensor]:
+            gain, std = gain_of_blocks(along, square)
+            size_and_scatter = {"gain": gain, "std": std, "freedom": starts.size - 1, "motion": moved}
+            results.append(SensorGain(sensor=sensor, other=other, **size_and_scatter))
+    return results
+
+
+def gain_of_blocks(along: Array, square: Array) -> tuple[float, float]:
+    """Return a gain and its standard deviation from the sums over independent blocks of products and of squares, (B,)."""
+    gain = float(along.sum() / square.sum())
+    return gain, float(np.sqrt(np.var(along - gain * square, ddof=1) * along.size) / abs(square.sum()))
+
+
 def findings_on_sensors_at_rest(log: FlightLog) -> list[Finding]:
     """Return findings on gyro and accelerometer whose gain on the motion of attitude and velocity may be 0, but not 1."""
-    notes, rate = list[Finding](), sample_rate(log)
-    for sensor, other, measured, motion, level in _sensor_pairs(log):
-        band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
-        inner, block = slice(num_edge_rows(rate, band), -num_edge_rows(rate, band)), max(1, round(BLOCK_S * rate))
-        slow, shown = (lowpass(values - level, rate, band)[inner] for values in (motion, measured))
-        slow, shown = slow - slow.mean(axis=0), shown - shown.mean(axis=0)
-        if len(slow) <= FEWEST_BLOCKS * block or np.sqrt(np.mean(np.sum(slow**2, axis=1))) < QUIET[sensor]:
-            continue
-        power = np.sum(slow**2)
-        gain = float(np.sum(shown * slow) / power)
-        sums = np.add.reduceat(np.sum((shown - gain * slow) * slow, axis=1), np.arange(0, len(slow), block))
-        half_width = float(student_quantile(0.975, sums.size - 1) * np.sqrt(np.sum(sums**2)) / power)
-        if abs(gain) <= half_width < abs(1.0 - gain):
-            values = {"sensor": sensor, "other": other, "gain": gain, "half_width": half_width}
-            notes.append(Finding("sensor_at_rest", "", values))
-    return notes
+    pairs = [(one, one.half_width(0.975)) for one in gains_of_moving_sensors(log)]
+    return [
+        Finding("sensor_at_rest", "", {**select_fields(one, "sensor", "other", "gain"), "half_width": half_width})
+        for one, half_width in pairs
+        if abs(one.gain) <= half_width < abs(1.0 - one.gain)
+    ]
 
 
 def rate_by_differences(attitude: Rotation, rate: float) -> Array:

@@ -20,7 +20,7 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.kinematics import BLOCK_S, CHECK_BANDWIDTH_HZ, WORST_AGREEMENT
+from aerial_gym.sim2real.logs.checks.kinematics import BLOCK_S, CHECK_BANDWIDTH_HZ, WORST_AGREEMENT, gain_of_blocks
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
@@ -156,13 +156,12 @@ def _gain_of_reaction(turning: Array, reaction: Array, rows: int) -> tuple[float
 
     It is 1 for the declared spins and -1 for reversed ones. Blocks of ``rows`` are independent.
     """
-    blocks = np.arange(len(turning)) // rows
-    along, square = (np.bincount(blocks, (values * reaction).sum(axis=1)) for values in (turning, reaction))
-    if blocks[-1] < FEWEST_WINDOWS or not square.sum() > 0.0:
+    starts = np.arange(0, len(turning), rows)
+    along, square = (np.add.reduceat((one * reaction).sum(axis=1), starts) for one in (turning, reaction))
+    if starts.size <= FEWEST_WINDOWS or not square.sum() > 0.0:
         return 1.0, np.inf
-    gain, number = float(along.sum() / square.sum()), blocks[-1] + 1.0
-    spread = np.sqrt(np.sum((along - gain * square) ** 2) * number / (number - 1.0)) / square.sum()
-    return gain, float(-student_quantile(SURE, number - 1.0) * spread)
+    gain, std = gain_of_blocks(along, square)
+    return gain, float(-student_quantile(SURE, starts.size - 1) * std)
 
 
 def _angular_acceleration_by_rotors(
