@@ -28,7 +28,8 @@ from aerial_gym.sim2real.logs.position_jumps import (
     displacement_from_velocity,
     largest_jump,
 )
-from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
+from aerial_gym.sim2real.logs.readers.mapping import COLUMNS
+from aerial_gym.sim2real.logs.readers.stamps import LiveStamps
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, NORM_OFF, FlightLog, take_rows
 from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import (
@@ -137,16 +138,6 @@ AT_LATEST_S = 8.0  # Longest time after onset and first suspicion until a failur
 
 SUSPECTED, NAMED, MISFIT = "suspected", "named", "misfit"
 
-COLUMNS = {
-    "position": ("p_x", "p_y", "p_z"),
-    "lin_vel": ("v_x", "v_y", "v_z"),
-    "ang_vel": ("omega_x", "omega_y", "omega_z"),
-    "specific_force": ("acc_x", "acc_y", "acc_z"),
-    "attitude": ("q_x", "q_y", "q_z", "q_w"),
-    "battery": ("vbat",),
-}
-"""Columns in this package's layout, besides t, rotor_n and cmd_n."""
-
 STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])  # Required columns
 
 
@@ -185,14 +176,12 @@ class FlightWatch:
         """Take the declared robot and the column names; raise ``DataError`` if a required one is missing or one is twice."""
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
-        numbers = range(1, robot.num_rotors + 1)
-        rotors = {"rotor_speed": [f"rotor_{n}" for n in numbers], "rotor_command": [f"cmd_{n}" for n in numbers]}
-        used = {
-            quantity: names for quantity, names in (COLUMNS | rotors).items() if all(n in self._place for n in names)
-        }
+        numbers, rotors = range(1, robot.num_rotors + 1), ("rotor_speed", "rotor_command")
+        columns = COLUMNS | {quantity: [COLUMNS[quantity][0].format(n=n) for n in numbers] for quantity in rotors}
+        used = {quantity: names for quantity, names in columns.items() if self._place.keys() >= set(names)}
         self._columns = {quantity: [self._place[name] for name in names] for quantity, names in used.items()}
-        used = {"t", *(name for names in (COLUMNS | rotors).values() for name in names)}
-        if twice := sorted(column for column in used if [name.strip() for name in header].count(column) > 1):
+        known = {"t", *(name for names in columns.values() for name in names)}
+        if twice := sorted(column for column in known if [name.strip() for name in header].count(column) > 1):
             raise DataError(f"{name}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
         if lacking := [column for column in ("t", *STATE) if column not in self._place]:
             raise DataError(f"{name}: no column {lacking[0]!r}; a log that is watched needs t, {', '.join(STATE)}")

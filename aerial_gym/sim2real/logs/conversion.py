@@ -15,22 +15,10 @@ from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_log import FlightFacts
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.readers.mapping import COLUMNS, LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
 
 NANOSECONDS = 1e9  # Unit of time in MCAP per second
-
-COLUMNS = {
-    "position": ("p_x", "p_y", "p_z"),
-    "attitude": ("q_x", "q_y", "q_z", "q_w"),
-    "lin_vel": ("v_x", "v_y", "v_z"),
-    "ang_vel": ("omega_x", "omega_y", "omega_z"),
-    "specific_force": ("acc_x", "acc_y", "acc_z"),
-    "rotor_speed": ("rotor_{n}",),
-    "rotor_command": ("cmd_{n}",),
-    "battery": ("vbat",),
-}
-"""Columns of each quantity in the layout of this package."""
 
 RELATIVE = "share_{n}"  # Columns of commands that are shares of the largest speed
 

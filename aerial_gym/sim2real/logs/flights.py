@@ -17,11 +17,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.conventions import (
-    body_rate_from_attitude,
-    check_duration_and_rate,
-    check_log,
-)
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_duration_and_rate, check_log
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_law, check_rotor_order, without_copied_commands
 from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_flights
@@ -85,13 +81,6 @@ class Flight(Recording):
             excluded[settle:] |= since[settle:] > since[:-settle]
             excluded[:settle] |= since[:settle] > 0
         return excluded
-
-    @property
-    def num_rotors(self) -> int:
-        """Number of rotors R."""
-        rotors = self.rotor_speed if self.rotor_speed is not None else self.rotor_command
-        assert rotors is not None
-        return rotors.shape[1]
 
 
 def flight_names(some: Sequence[Flight], flights: Sequence[Flight]) -> str:

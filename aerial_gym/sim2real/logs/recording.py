@@ -57,46 +57,37 @@ class Recording:
     streams: Mapping[str, StreamTiming] = field(default_factory=dict)  # By field name; empty if all have the rows' rate
     notes: tuple[Finding, ...] = ()  # Repairs and defects of the log, without subject
 
+    @property
+    def rotor_states(self) -> Array | None:
+        """Measured states of the rotors, or else their commands, (T, R)."""
+        return self.rotor_command if self.rotor_speed is None else self.rotor_speed
+
+    @property
+    def num_rotors(self) -> int:
+        """Number of rotors R; 0 if neither states nor commands are logged."""
+        return 0 if self.rotor_states is None else self.rotor_states.shape[1]
+
 
 @dataclass(frozen=True, kw_only=True)
 class FlightLog(Recording):
     """Measurements of one flight, row by row of its file; quaternions are not normalised."""
 
-    ang_vel: Array | None = None
-    """[rad/s], body, (T, 3)."""
-
-    collective: bool = False
-    """Whether all rotors share one command, which determines no torque."""
-
-    lift_off: float = 0.0
-    """Height tolerance for rows on the ground [m]; 0: heights are ignored."""
-
-    hover_above: float | None = None
-    """Height [m], world, above which commanded speeds are scaled to the measured thrust; None: no scaling."""
-
-    torques: bool = True
-    """Whether the log resolves torques."""
-
-    relative_commands: bool = False
-    """Whether commands are shares of the largest speed, 0 to 1, as firmwares log them."""
-
-    sample_times: Mapping[str, Array] = field(default_factory=dict)
-    """Times of the samples of streams that mostly repeat values [s], by field name."""
-
-    lines: Indices | None = None
-    """Line of each row in its file, (T,); None for binary logs and resampled rows."""
+    ang_vel: Array | None = None  # [rad/s], body, (T, 3)
+    collective: bool = False  # Whether all rotors share one command, which determines no torque
+    lift_off: float = 0.0  # Height tolerance for rows on the ground [m]; 0: heights are ignored
+    hover_above: float | None = None  # World height [m] above which commands are scaled to the thrust; None: no scaling
+    torques: bool = True  # Whether the log resolves torques
+    relative_commands: bool = False  # Whether commands are shares of the largest speed, 0 to 1, as firmwares log them
+    sample_times: Mapping[str, Array] = field(
+        default_factory=dict
+    )  # Of streams that mostly repeat values, by field [s]
+    lines: Indices | None = None  # Line of each row in its file, (T,); None for binary logs and resampled rows
 
     @property
     def name(self) -> str:
         """File name without folder and suffix, with the number of the flight."""
         file, number = split_flight_number(self.path)
         return Path(file).stem + ("" if number is None else f"#{number}")
-
-    @property
-    def num_rotors(self) -> int:
-        """Number of rotors R in the log."""
-        rotors = self.rotor_speed if self.rotor_speed is not None else self.rotor_command
-        return 0 if rotors is None else rotors.shape[1]
 
     def row_name(self, row: int) -> str:
         """Return a row's name for messages: file, line if known, and time."""

@@ -44,9 +44,8 @@ def profile_quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth:
     Thrust is the declared total at measured speeds, or at the commands if speeds were not measured.
     """
     rows = rows_at_times(flight, time)
-    rotors = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
-    assert rotors is not None
-    slow = torch.from_numpy(lowpass(rotors, flight.rate, bandwidth)[rows])
+    assert flight.rotor_states is not None
+    slow = torch.from_numpy(lowpass(flight.rotor_states, flight.rate, bandwidth)[rows])
     by_name = {"thrust [N]": rotor_thrust(vehicle, slow).sum(dim=1).numpy()}
     if flight.lin_vel is not None:
         by_name["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)

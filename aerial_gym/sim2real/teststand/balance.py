@@ -55,8 +55,7 @@ class HoverEffort:
 
 def hover_effort(log: FlightLog) -> HoverEffort:
     """Return the mean effort of each rotor while a flight hovers at one height."""
-    speed = log.rotor_speed if log.rotor_speed is not None else log.rotor_command
-    if speed is None or speed.shape[1] != ROTORS:
+    if (speed := log.rotor_states) is None or log.num_rotors != ROTORS:
         raise DataError(
             f"{log.path}: has {log.num_rotors} rotors; the balance at hover gives the thrust of exactly {ROTORS}"
         )

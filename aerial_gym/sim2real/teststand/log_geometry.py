@@ -5,7 +5,6 @@ Sources: PX4 parameter reference (CA_AIRFRAME, CA_ROTOR*, THR_MDL_FAC) and airfr
 ``mixer_init.c``. Body axes are forward, left, up; a spin of 1 turns positively about the thrust. Letters: R rotors.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -83,14 +82,8 @@ BEYOND_ROTORS = {
     "FRAME_CLASS": {6: "helicopter", 7: "tricopter", 8: "single", 9: "coaxial", 10: "tail-sitter", 11: "helicopter"},
     "Q_ENABLE": {1: "QuadPlane"},
     "CA_AIRFRAME": {1: "fixed wing", 2: "VTOL", 3: "tilt-rotor", 4: "tail-sitter", 8: "tilting", 10: "helicopter"},
-    "MAV_TYPE": {
-        1: "fixed wing",
-        4: "helicopter",
-        15: "tricopter",
-        19: "tail-sitter",
-        20: "tail-sitter",
-        21: "tilt-rotor",
-    },
+    "MAV_TYPE": {1: "fixed wing", 4: "helicopter", 15: "tricopter"}
+    | {19: "tail-sitter", 20: "tail-sitter", 21: "tilt-rotor"},
 }
 """Vehicles with more than fixed rotors, by the parameters that say so."""
 
@@ -192,28 +185,26 @@ def frame_layout(name: str, count: int) -> RotorLayout:
 
 def _layout_of_parameters(raw: RawLog, count: int) -> RotorLayout:
     """Return the rotors that parameters or headers state."""
-    parameters = raw.parameters
-    kinds = [BEYOND_ROTORS[key].get(int(_number(parameters, key))) for key in BEYOND_ROTORS if key in parameters]
+    kinds = [known.get(int(raw.number(key, 0.0))) for key, known in BEYOND_ROTORS.items() if key in raw.parameters]
     notes = tuple(
         f"The log is of a vehicle of type {kind}: only fixed rotors are modelled, no wings, control surfaces or tilting rotors."
         for kind in dict.fromkeys(kinds) if kind
     )  # fmt: skip
-    if "CA_ROTOR_COUNT" in parameters or "CA_ROTOR0_PX" in parameters:
-        return replace(_px4_layout(parameters, count), notes=notes)
-    if "FRAME_CLASS" in parameters:
-        kind, number = int(_number(parameters, "FRAME_CLASS")), int(_number(parameters, "FRAME_TYPE"))
+    if {"CA_ROTOR_COUNT", "CA_ROTOR0_PX"} & raw.parameters.keys():
+        return replace(_px4_layout(raw, count), notes=notes)
+    if "FRAME_CLASS" in raw.parameters:
+        kind, number = (int(raw.number(name, 0.0)) for name in ("FRAME_CLASS", "FRAME_TYPE"))
         y6 = {10: "y6b", 11: "y6f"}.get(number, "y6")
         family, types = ARDUPILOT_CLASSES.get(kind, ("", {}))
         name = y6 if kind == 5 else "y4" if (kind, number) == (1, 19) else f"{family}_{types.get(number)}"
-        return _table_layout(name, count, f"FRAME_CLASS {kind}, FRAME_TYPE {number}", _ardupilot_law(parameters), notes)
-    if "SYS_AUTOSTART" in parameters:
-        series = int(_number(parameters, "SYS_AUTOSTART"))
-        return _table_layout(
-            PX4_SERIES.get(series // 1000, ""), count, f"SYS_AUTOSTART {series}", _px4_law(parameters), notes
-        )
+        return _table_layout(name, count, f"FRAME_CLASS {kind}, FRAME_TYPE {number}", _ardupilot_law(raw), notes)
+    if "SYS_AUTOSTART" in raw.parameters:
+        series = int(raw.number("SYS_AUTOSTART", 0.0))
+        name = PX4_SERIES.get(series // 1000, "")
+        return _table_layout(name, count, f"SYS_AUTOSTART {series}", _px4_law(raw), notes)
     if raw.format == "blackbox":
         name = BETAFLIGHT_DEFAULTS.get(count, "")
-        layout = _table_layout(name, count, f"{name}, Betaflight's default", _betaflight_law(parameters), notes)
+        layout = _table_layout(name, count, f"{name}, Betaflight's default", _betaflight_law(raw), notes)
         return replace(layout, origin="assumed")
     return RotorLayout(count=count, notes=notes)
 
@@ -224,29 +215,24 @@ def _table_layout(name: str, count: int, source: str, law: ThrustLaw, notes: tup
     return replace(frame_layout(name, count), law=law, source=source, notes=notes)
 
 
-def _number(parameters: Mapping[str, float | str], name: str, default: float = 0.0) -> float:
-    value = parameters.get(name, default)
-    return float(value) if isinstance(value, (int, float)) else default
-
-
-def _ardupilot_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
+def _ardupilot_law(raw: RawLog) -> ThrustLaw:
     """Return the curve between the signals of least and largest thrust."""
-    low, high = _number(parameters, "MOT_SPIN_MIN"), _number(parameters, "MOT_SPIN_MAX", 1.0)
-    curve = _number(parameters, "MOT_THST_EXPO")
+    low, high = raw.number("MOT_SPIN_MIN", 0.0), raw.number("MOT_SPIN_MAX", 1.0)
+    curve = raw.number("MOT_THST_EXPO", 0.0)
     low, high = (low, high) if low < high else (0.0, 1.0)
     return ThrustLaw(square=curve, low=low, high=high, origin="logged: MOT_THST_EXPO, MOT_SPIN_MIN and MOT_SPIN_MAX")
 
 
-def _px4_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
-    curve = _number(parameters, "THR_MDL_FAC")
+def _px4_law(raw: RawLog) -> ThrustLaw:
+    curve = raw.number("THR_MDL_FAC", 0.0)
     if curve <= 0.0:
         return ThrustLaw(origin="assumed: proportional to the command, PX4's default (THR_MDL_FAC = 0)")
     return ThrustLaw(square=curve, origin="logged: THR_MDL_FAC")
 
 
-def _betaflight_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
+def _betaflight_law(raw: RawLog) -> ThrustLaw:
     """Return the square of the duty cycle, which commands count from idle to the motor output limit."""
-    parts = str(parameters.get("motorOutput", "")).split(",")
+    parts = str(raw.parameters.get("motorOutput", "")).split(",")
     low, high = map(float, parts) if len(parts) == 2 and all(part.isdigit() for part in parts) else DSHOT
     off, full = DSHOT if low < 1000.0 else (1000.0, 2000.0)
     idle, most = (low - off) / (full - off), (high - off) / (full - off)
@@ -254,21 +240,19 @@ def _betaflight_law(parameters: Mapping[str, float | str]) -> ThrustLaw:
     return ThrustLaw(square=1.0, low=zero, origin="assumed: the square of the duty cycle; motorOutput states its range")
 
 
-def _px4_layout(parameters: Mapping[str, float | str], count: int) -> RotorLayout:
+def _px4_layout(raw: RawLog, count: int) -> RotorLayout:
     """Return the rotors of PX4's control allocation; arms of 1 m are placeholders, of which only the pattern counts."""
-    listed = int(_number(parameters, "CA_ROTOR_COUNT")) or count
+    listed = int(raw.number("CA_ROTOR_COUNT", 0.0)) or count
     if listed != count:
         raise DataError(f"CA_ROTOR_COUNT = {listed}, but the log has {count} rotors; give a log of one vehicle")
 
     def vectors(kind: str, last: float = 0.0) -> Array:
         names = ((1.0, "X", 0.0), (-1.0, "Y", 0.0), (-1.0, "Z", last))
-        return np.array(
-            [[s * _number(parameters, f"CA_ROTOR{k}_{kind}{n}", d) for s, n, d in names] for k in range(count)]
-        )
+        return np.array([[s * raw.number(f"CA_ROTOR{k}_{kind}{n}", d) for s, n, d in names] for k in range(count)])
 
     places, axes = vectors("P"), vectors("A", -1.0)
-    moments = np.array([_number(parameters, f"CA_ROTOR{k}_KM") for k in range(count)])
-    law = _px4_law(parameters)
+    moments = np.array([raw.number(f"CA_ROTOR{k}_KM", 0.0) for k in range(count)])
+    law = _px4_law(raw)
     if not np.abs(places[:, :2]).any() or not moments.all():
         return RotorLayout(count=count, law=law)
     ratio = float(np.abs(moments).mean())

@@ -18,8 +18,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan, leave_out_partial_streams
 from aerial_gym.sim2real.logs.raw_log import QUANTITIES, STATES, LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
-from aerial_gym.sim2real.logs.readers.frames import to_package_frames
-from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping
+from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.row_grid import resample_streams, row_times, without_slow_rotor_data

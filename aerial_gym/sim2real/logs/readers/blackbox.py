@@ -21,19 +21,11 @@ from numpy.typing import NDArray
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import (
-    FREE_BYTES,
-    MOST_GROWTH,
-    LazyColumns,
-    LogChannel,
-    LogMessage,
-    RawLog,
-    Topic,
-)
-from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
+from aerial_gym.sim2real.logs import raw_log
+from aerial_gym.sim2real.logs.raw_log import LazyColumns, LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.kernels import blackbox_frames as frames
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
-from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS
+from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS, quantity_from_ned_frd
 
 MARK = b"H Product:Blackbox flight data recorder"  # First line of each flight
 HEADER_LINE = re.compile(rb"H ([^:\n\0]{1,100}):([^\n\0]{0,16384})\n")
@@ -41,10 +33,14 @@ MOST_FLIGHTS, MOST_FIELDS = 500, 1000  # Betaflight logs up to some 100 flights 
 BREAK_S = 10.0  # Time between two flights if the clock started anew between them
 
 INDIFLIGHT_UNIT = 8127.0  # Logged value of 1 in INDIFLIGHT's quaternions. Source: UNIT_FLOAT_TO_SIGNED16VB
-INDIFLIGHT_GYRO = {
-    "1a30175ae": 16.384
-}  # Gyro counts per deg/s of builds that deviate. Source: tudelft/inertiaEstimation
-COMPONENTS = {name: [f"{name}[{i}]" for i in range(size)] for name, size in (("quat", 4), ("pos", 3), ("vel", 3))}
+INDIFLIGHT_GYRO = {"1a30175ae": 16.384}  # Gyro counts per deg/s of odd builds. Source: tudelft/inertiaEstimation
+INDIFLIGHT_ESTIMATES = (
+    ("attitude", [f"quat[{i}]" for i in range(4)], 1.0 / INDIFLIGHT_UNIT),
+    ("position", [f"pos[{i}]" for i in range(3)], UNITS["mm"]),
+    ("lin_vel", [f"vel[{i}]" for i in range(3)], UNITS["cm/s"]),
+)
+"""Quantity, fields and unit of INDIFLIGHT's estimates."""
+
 VOLT_UNITS = {r"Betaflight (4|\d{4})\.|INAV|Indiflight": 0.01, r"Betaflight 3\.[1-9]|Cleanflight 2\.": 0.1}
 """Unit of the voltage [V] by firmware. Source: Betaflight blackbox viewer, ``flightlog.js``, function vbatADCToMillivolts."""
 
@@ -111,23 +107,18 @@ class BlackboxReader(LogReader):
         flights = [flight for flight in flights if flight.main["time"].size > 1]
         if not flights:
             raise DataError(f"{path}: holds no flight: no frame of the blackbox could be decoded")
-        times = _flight_times(flights)
-        topics = [_main_topic(flights, times)]
-        topics += [
-            _other_topic(flights, times, kind, name) for kind, name in ((frames.SLOW, "slow"), (frames.GPS, "gps"))
-        ]
-        entries = flights[-1].header.entries
+        times, rare = _flight_times(flights), ((frames.SLOW, "slow"), (frames.GPS, "gps"))
+        topics = [_main_topic(flights, times), *(_other_topic(flights, times, kind, name) for kind, name in rare)]
+        entries = {k: v for k, v in flights[-1].header.entries.items() if not k.startswith("Field ")}
         damaged, lost = (sum(getattr(flight, name) for flight in flights) for name in ("damaged", "lost"))
         note = Finding("frames_damaged", "", {"damaged": damaged, "lost": lost, "total": topics[0].time.size + lost})
         return RawLog(
             path=str(path),
             format=self.name,
             topics=tuple(topic for topic in topics if topic.time.size),
-            parameters={k: _number_or_text(v) for k, v in entries.items() if not k.startswith("Field ")},
+            parameters={k: _number_or_text(v) for k, v in entries.items()},
             messages=tuple(_event_messages(flights, times)),
-            metadata={
-                k: v for k, v in entries.items() if k[:1].isupper() and " " in k and not k.startswith("Field ") and v
-            },
+            metadata={k: v for k, v in entries.items() if k[:1].isupper() and " " in k and v},
             notes=(note,) if damaged + lost else (),
         )
 
@@ -147,7 +138,11 @@ class BlackboxReader(LogReader):
         return [
             *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC")),
             *vector("specific_force", ("accADCafterRpm", "accSmooth", "accADC"), unit),
-            *_estimates(main),
+            *(
+                main.channel(quantity, quantity_from_ned_frd(quantity, main.numbers(*fields, unit=unit)))
+                for quantity, fields, unit in INDIFLIGHT_ESTIMATES
+                if set(fields) <= known
+            ),
             *_rotors(log, main),
         ]
 
@@ -178,7 +173,7 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
     letters = np.bincount(piece, minlength=256)[list(frames.LETTERS.encode())]
     main_rows, other_rows = int(letters[:2].sum()) + 1, int(letters[2:].sum()) + 1
     width = tables.shape[2]
-    if 4 * width * (main_rows + other_rows) > MOST_GROWTH * piece.size + FREE_BYTES:
+    if 4 * width * (main_rows + other_rows) > raw_log.MOST_GROWTH * piece.size + raw_log.FREE_BYTES:
         raise DataError(
             f"{path}: is no log of a flight: {piece.size} bytes would hold {main_rows} rows of {width} fields"
         )
@@ -215,7 +210,7 @@ def _definitions(header: BlackboxHeader, path: str) -> tuple[NDArray[np.int32], 
         raise DataError(
             f"{path}: its header names no fields loopIteration and time; the file is damaged at its beginning"
         )
-    width = max(len(one) for one in names)
+    width = max(map(len, names))
     if width > MOST_FIELDS:
         raise DataError(f"{path}: its header names {width} fields, at most {MOST_FIELDS} are read")
     tables = np.zeros((3, len(letters), width), dtype=np.int32)
@@ -291,15 +286,10 @@ def _other_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float], kin
     """Return the topic of a rare kind of frame."""
     tables, time = list[dict[str, Numbers]](), list[Array]()
     for flight, shift in zip(flights, shifts, strict=True):
-        rows = flight.other[flight.other[:, 0] == kind]
-        names, signs = (
-            flight.header.names(frames.LETTERS[kind]),
-            flight.header.numbers(f"Field {frames.LETTERS[kind]} signed"),
-        )
-        columns = np.ascontiguousarray(rows[:, 2:].T)
-        tables.append(
-            {n: _narrow_column(column, sign == 1) for n, column, sign in zip(names, columns, signs, strict=False)}
-        )
+        rows, letter = flight.other[flight.other[:, 0] == kind], frames.LETTERS[kind]
+        signs, columns = flight.header.numbers(f"Field {letter} signed"), np.ascontiguousarray(rows[:, 2:].T)
+        fields = zip(flight.header.names(letter), columns, signs, strict=False)
+        tables.append({name: _narrow_column(column, sign == 1) for name, column, sign in fields})
         time.append(_seconds(rows[:, 1]) + shift)
     sizes = [one.size for one in time]
     return Topic(name=name, time=np.concatenate(time), columns=_columns(tables, sizes))
@@ -348,20 +338,6 @@ def _gyro_unit(log: RawLog, name: str) -> float:
 def _column_names(topic: Topic, name: str) -> list[str]:
     """Return the columns ``name[0]``, ``name[1]``, ... of a topic."""
     return [f"{name}[{i}]" for i in range(32) if f"{name}[{i}]" in topic.columns]
-
-
-def _estimates(main: Topic) -> list[LogChannel]:
-    """Return INDIFLIGHT's attitude, position and velocity."""
-    rows = (
-        ("attitude", "quat", 1.0 / INDIFLIGHT_UNIT),
-        ("position", "pos", UNITS["mm"]),
-        ("lin_vel", "vel", UNITS["cm/s"]),
-    )
-    return [
-        main.channel(quantity, quantity_from_ned_frd(quantity, main.numbers(*COMPONENTS[name], unit=unit)))
-        for quantity, name, unit in rows
-        if set(COMPONENTS[name]) <= main.columns.keys()
-    ]
 
 
 def _rotors(log: RawLog, main: Topic) -> list[LogChannel]:

@@ -73,15 +73,13 @@ class CrazyflieReader(LogReader):
         except (IndexError, ValueError, KeyError, struct.error):
             raise DataError(f"{path}: the definitions of its events are damaged; read the card again") from None
         places, end = _event_places(data, start, {number: record.itemsize for number, (_, record) in events.items()})
-        topics = [
-            _topic(data, *events[number], places[number], STAMPS[version][1]) for number in places if places[number]
-        ]
+        unit, last, notes = STAMPS[version][1], len(data) - CHECKSUM_BYTES, list[Finding]()
+        topics = [_topic(data, *events[number], starts, unit) for number, starts in places.items() if starts]
         if not topics:
             raise DataError(f"{path}: holds no event, only definitions")
-        notes = []
-        if end < len(data) - CHECKSUM_BYTES:
-            notes.append(Finding("bytes_left_out", "", {"bytes": len(data) - CHECKSUM_BYTES - end, "total": len(data)}))
-        elif zlib.crc32(data[:-CHECKSUM_BYTES]) != int.from_bytes(data[-CHECKSUM_BYTES:], "little"):
+        if end < last:
+            notes.append(Finding("bytes_left_out", "", {"bytes": last - end, "total": len(data)}))
+        elif zlib.crc32(data[:last]) != int.from_bytes(data[last:], "little"):
             notes.append(Finding("checksum_wrong"))
         return RawLog(path=str(path), format=self.name, topics=tuple(topics), notes=tuple(notes))
 

@@ -28,8 +28,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
     read_csv_rows,
     read_numbers,
 )
-from aerial_gym.sim2real.logs.readers.frames import to_package_frames
-from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping
+from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 

@@ -30,26 +30,15 @@ from aerial_gym.sim2real.logs.raw_log import (
     faster_first,
     note_on_rotor_order,
 )
-from aerial_gym.sim2real.logs.readers.dataflash_messages import (
-    HEAD,
-    TEXT_LOG,
-    TYPES,
-    MessageType,
-    binary_types,
-    read_lines,
-    split_messages,
-)
-from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
+from aerial_gym.sim2real.logs.readers import dataflash_messages as messages
+from aerial_gym.sim2real.logs.readers.dataflash_messages import TYPES, MessageTable, MessageType
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
-from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.mapping import UNITS, quantity_from_ned_frd
 
-TIMES = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # Fields of the time and their units [s]
 INSTANCES = ("I", "Instance", "Inst", "C")  # Fields that number several sources of one message, if no unit marks them
 SMALLEST_DAMAGE = 256  # A log cut by power loss ends within a message, whose length is at most 255 bytes
 ARMED, DISARMED, LANDED_MAYBE, LANDED, FLYING = 10, 11, 17, 18, 28  # Codes of EV messages
-HIGHEST_BATTERY_V = (
-    110.0  # More than any pack, and less than the hundredths of a volt that copters before 3.4 log for any
-)
+HIGHEST_BATTERY_V = 110.0  # More than any pack, and less than the hundredths of a volt that copters before 3.4 log
 RESETS = {"position": 60, "attitude": 62}  # Codes of EV messages, of height and of yaw
 MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))  # SERVOn_FUNCTION of motors 1 to 12
 LEFT, RIGHT = 73, 74  # SERVOn_FUNCTION of the two motors of a tail-sitter with elevons
@@ -57,12 +46,10 @@ TAIL_SITTER = 10  # Q_FRAME_CLASS
 MOTORS = {7: (0, 1, 3), 8: (4, 5), 9: (4, 5), **dict.fromkeys((6, 11, 13), ())}
 """Motor functions of rotors with variable speed, from 0, by frame class; the others turn servos, as of a helicopter."""
 
-DIGITAL = range(
-    4, 10
-)  # Types of motor signals (MOT_PWM_TYPE) with the range 1000 to 2000, in spite of MOT_PWM_MIN and MAX
-HOVER_AXES = Rotation.from_euler(
-    "y", 90.0, degrees=True
-)  # Of a tail-sitter: from body axes in hover to those of the sensors
+DIGITAL = range(4, 10)  # MOT_PWM_TYPE of signals with the range 1000 to 2000, in spite of MOT_PWM_MIN and MAX
+HOVER_AXES = Rotation.from_euler("y", 90.0, degrees=True)
+"""Rotation of a tail-sitter's body axes in hover to those of its sensors."""
+
 METRES_PER_DEG = 111_319.5  # Length of a degree of the equator. Source: WGS 84, 6378137 m pi / 180
 
 BATTERIES = (("BAT", "Volt"), ("CURR", "Volt"), ("MOTB", "BatVolt"))  # Messages and fields of voltages
@@ -87,34 +74,29 @@ class DataflashReader(LogReader):
 
     def recognises(self, head: bytes) -> bool:
         """Return whether the file begins with the head of a message, or with the definition of one as text."""
-        return head.startswith(HEAD) or TEXT_LOG.search(head) is not None
+        return head.startswith(messages.HEAD) or messages.TEXT_LOG.search(head) is not None
 
     def read(self, path: Path) -> RawLog:
         """Return all messages with a time as topics, and the parameters and texts."""
         data = np.fromfile(path, dtype=np.uint8)
-        if data[: len(HEAD)].tobytes() == HEAD:
-            types = binary_types(data)
-            tables, used = split_messages(data, types)
+        if data[: len(messages.HEAD)].tobytes() == messages.HEAD:
+            types = messages.binary_types(data)
+            tables, used = messages.split_messages(data, types)
         else:
-            (types, tables), used = read_lines(data.tobytes().decode("latin-1")), data.size
-        if not any(types[number].name in ("IMU", "ATT", "RATE", "GYR") for number in tables):
+            (types, tables), used = messages.read_lines(data.tobytes().decode("latin-1")), data.size
+        named = {table.type.name: table for table in tables}
+        if named.keys().isdisjoint(("IMU", "ATT", "RATE", "GYR")):
             raise DataError(f"{path}: holds no messages IMU, ATT, RATE or GYR of ArduPilot; log them (LOG_BITMASK)")
-        named = {types[number].name: (types[number], table) for number, table in tables.items()}
-        units = _field_units(types, named)
-        texts = [(_seconds(*named["MSG"])[i], text) for i, text in enumerate(_text(named, "MSG", "Message"))]
-        lost = data.size - used
+        units, lost = _field_units(types, named), data.size - used
+        texts = list(zip(named["MSG"].seconds, named["MSG"].texts("Message"), strict=False)) if "MSG" in named else []
         return RawLog(
             path=str(path),
             format=self.name,
-            topics=tuple(
-                topic for one, table in named.values() for topic in _topics(one, table, units.get(one.name, {}))
-            ),
+            topics=tuple(topic for name, table in named.items() for topic in _topics(table, units.get(name, {}))),
             parameters=_parameters(named),
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
             metadata={"firmware": texts[0][1]} if texts else {},
-            notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),)
-            if lost >= SMALLEST_DAMAGE
-            else (),
+            notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),) * (lost >= SMALLEST_DAMAGE),
         )
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
@@ -136,54 +118,21 @@ class DataflashReader(LogReader):
         ]
 
 
-def _numbers(one: MessageType, table: NDArray[Any], field: str) -> Array:
-    """Return the numbers of a field; raise ``ValueError`` if the message has no such field of numbers."""
-    place = next((i for i, (name, code) in enumerate(one.columns) if name == field and TYPES[code][1] != 0.0), None)
-    if place is None or one.format[place] == "a":
-        raise ValueError(f"no numbers {field}")
-    values = table[str(place)].astype(np.float64)
-    unit = TYPES[one.format[place]][1]
-    return values if unit == 1.0 else values * unit
-
-
-def _text(named: dict[str, tuple[MessageType, NDArray[Any]]], name: str, field: str) -> list[str]:
-    """Return the texts of a field; empty without such a message or text field."""
-    one, table = named.get(name, (None, None))
-    if one is None or table is None or field not in one.fields[: len(one.format)]:
-        return []
-    column = table[str(one.fields.index(field))]
-    return [text.decode("latin-1") for text in column.tolist()] if column.dtype.kind == "S" else []
-
-
-def _seconds(one: MessageType, table: NDArray[Any]) -> Array:
-    """Return the times [s]; zeros for a message without time."""
-    field = next((name for name in TIMES if name in one.fields[: len(one.format)]), None)
-    if field is None:
-        return np.zeros(table.size)
-    values = table[str(one.fields.index(field))]
-    return values.astype(np.float64) * TIMES[field] if values.dtype.kind in "uif" else np.zeros(table.size)
-
-
-def _parameters(named: dict[str, tuple[MessageType, NDArray[Any]]]) -> dict[str, float | str]:
+def _parameters(named: dict[str, MessageTable]) -> dict[str, float | str]:
     """Return the last value of each parameter."""
     try:
-        values = _numbers(*named["PARM"], "Value").tolist()
+        return dict(zip(named["PARM"].texts("Name"), named["PARM"].numbers("Value").tolist(), strict=False))
     except (KeyError, ValueError):
         return {}
-    return dict(zip(_text(named, "PARM", "Name"), values, strict=False))
 
 
-def _field_units(
-    types: dict[int, MessageType], named: dict[str, tuple[MessageType, NDArray[Any]]]
-) -> dict[str, dict[str, str]]:
+def _field_units(types: dict[int, MessageType], named: dict[str, MessageTable]) -> dict[str, dict[str, str]]:
     """Return the unit of each field by message and field, from the messages FMTU, UNIT and MULT."""
     try:
-        units = dict(zip(_numbers(*named["UNIT"], "Id").tolist(), _text(named, "UNIT", "Label"), strict=True))
-        factors = dict(
-            zip(_numbers(*named["MULT"], "Id").tolist(), _numbers(*named["MULT"], "Mult").tolist(), strict=True)
-        )
-        texts = (_text(named, "FMTU", field) for field in ("UnitIds", "MultIds"))
-        rows = zip(_numbers(*named["FMTU"], "FmtType").tolist(), *texts, strict=False)
+        units = dict(zip(named["UNIT"].numbers("Id").tolist(), named["UNIT"].texts("Label"), strict=True))
+        factors = dict(zip(*(named["MULT"].numbers(field).tolist() for field in ("Id", "Mult")), strict=True))
+        texts = (named["FMTU"].texts(field) for field in ("UnitIds", "MultIds"))
+        rows = zip(named["FMTU"].numbers("FmtType").tolist(), *texts, strict=False)
     except (KeyError, ValueError):
         return {}
     results: dict[str, dict[str, str]] = {}
@@ -193,35 +142,33 @@ def _field_units(
         for field, code, unit, factor in zip(one.fields, one.format, unit_ids, factor_ids, strict=False):
             scale = factors.get(float(ord(factor)), 0.0) if TYPES[code][1] == 1.0 else 1.0
             label = "#" if unit == "#" else units.get(float(ord(unit)), "")
-            results.setdefault(one.name, {})[field] = (
-                label if scale in (0.0, 1.0) or not label else f"{scale:g} {label}"
-            )
+            text = label if scale in (0.0, 1.0) or not label else f"{scale:g} {label}"
+            results.setdefault(one.name, {})[field] = text
     return results
 
 
-def _topics(one: MessageType, table: NDArray[Any], units: dict[str, str]) -> Iterator[Topic]:
+def _topics(table: MessageTable, units: dict[str, str]) -> Iterator[Topic]:
     """Yield the numeric fields of a message with a time, one topic for each instance."""
-    if not set(TIMES) & set(one.fields) or not table.size:
+    kind, rows = table.type, table.rows
+    if not set(messages.TIMES) & set(kind.fields) or not rows.size:
         return
-    pairs = one.columns
-    counted = [field for field, code in pairs if code in "bB"]
-    marked = [field for field in counted if units.get(field) == "#"] or [
-        field for field in counted if field in INSTANCES and one.name != "CMD"
-    ]
-    keys = _numbers(one, table, marked[0]).astype(int) if marked else np.zeros(table.size, dtype=int)
-    digits = one.name.lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+    counted = [field for field, code in kind.columns if code in "bB"]
+    marked = [field for field in counted if units.get(field) == "#"]
+    marked = marked or [field for field in counted if field in INSTANCES and kind.name != "CMD"]
+    keys = table.numbers(marked[0]).astype(int) if marked else np.zeros(rows.size, dtype=int)
+    digits = kind.name.lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
     for key in np.unique(keys).tolist():
-        rows = table if not keys.any() else table[keys == key]
+        part = MessageTable(type=kind, rows=rows[keys == key]) if keys.any() else table
         columns: dict[str, Any] = {}
-        for place, (field, code) in enumerate(pairs):
+        for place, (field, code) in enumerate(kind.columns):
             if code == "a":
-                columns |= {f"{field}[{i}]": partial(_array_column, rows, place, i) for i in range(32)}
+                columns |= {f"{field}[{i}]": partial(_array_column, part.rows, place, i) for i in range(32)}
             elif TYPES[code][1] != 0.0:
-                columns[field] = partial(_numbers, one, rows, field)
-        old = marked == [] and one.name[:-1] in ("IMU", "ACC", "GYR", "GPS", "BAT", "ESC") and digits.isdigit()
+                columns[field] = partial(part.numbers, field)
+        old = not marked and kind.name[:-1] in ("IMU", "ACC", "GYR", "GPS", "BAT", "ESC") and digits.isdigit()
         number = int(digits) - 1 if old else key  # before Copter 4.1 instances had names, such as IMU2
-        name = one.name[:-1] if old else one.name
-        yield Topic(name=name, instance=number, time=_seconds(one, rows), columns=LazyColumns(columns), units=units)
+        name = kind.name[:-1] if old else kind.name
+        yield Topic(name=name, instance=number, time=part.seconds, columns=LazyColumns(columns), units=units)
 
 
 def _array_column(rows: NDArray[Any], place: int, index: int) -> Array:
@@ -304,10 +251,8 @@ def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
         return
     escs = {topic.instance: topic for topic in log.topic_instances("ESC", "RPM")}
     numbers = [n - 1 for n in outputs]
-    if not set(numbers) <= escs.keys() and len(escs) == len(
-        outputs
-    ):  # before 4.1 ESCs were counted in the order of motors
-        numbers = sorted(escs)
+    if not set(numbers) <= escs.keys() and len(escs) == len(outputs):
+        numbers = sorted(escs)  # before 4.1 ESCs were counted in the order of motors
     if set(numbers) <= escs.keys():
         used = [escs[n] for n in numbers]
         time = max(used, key=lambda topic: topic.time.size).time

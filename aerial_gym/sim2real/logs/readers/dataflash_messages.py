@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.arrays import Indices
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.raw_log import read_records
 
 HEAD = b"\xa3\x95"  # First bytes of each message, before its type
@@ -29,6 +29,7 @@ TYPES: dict[str, tuple[str, float]] = {
 
 TEXT_LOG = re.compile(rb"^FMT, ?\d+, ?\d+, ?\w{1,4}, ?\w{1,16}, ?\w", re.MULTILINE)  # First line of a log as text
 IN_TEXT = str.maketrans("MHhIiQqgfcCeEL", "N" + 13 * "d")  # Formats of a log as text, whose numbers need no factor
+TIMES = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # Fields of the time and their units [s]
 MOST_FIELDS, LONGEST_NUMBER = 16, 40  # Most fields of a message, and most characters of a number in text
 
 
@@ -52,6 +53,39 @@ class MessageType:
         return np.dtype([(str(i), TYPES[code][0]) for i, code in enumerate(self.format)])
 
 
+@dataclass(frozen=True, kw_only=True)
+class MessageTable:
+    """All messages of one type."""
+
+    type: MessageType
+    rows: NDArray[Any]  # With one field for each place, (T,)
+
+    def numbers(self, field: str) -> Array:
+        """Return the numbers of a field, (T,); raise ``ValueError`` if the message has no such field of numbers."""
+        places = [i for i, (name, code) in enumerate(self.type.columns) if name == field and TYPES[code][1] != 0.0]
+        if not places or self.type.format[places[0]] == "a":
+            raise ValueError(f"no numbers {field}")
+        values, unit = self.rows[str(places[0])].astype(np.float64), TYPES[self.type.format[places[0]]][1]
+        return values if unit == 1.0 else values * unit
+
+    def texts(self, field: str) -> list[str]:
+        """Return the texts of a field; empty without such a field of text."""
+        column = self._column(field)
+        return [text.decode("latin-1") for text in column.tolist()] if column.dtype.kind == "S" else []
+
+    @property
+    def seconds(self) -> Array:
+        """Times [s], (T,); zeros for a message without time."""
+        field = next((name for name in TIMES if name in self.type.fields[: len(self.type.format)]), "TimeUS")
+        values = self._column(field)
+        return values.astype(np.float64) * TIMES[field] if values.dtype.kind in "uif" else np.zeros(self.rows.size)
+
+    def _column(self, field: str) -> NDArray[Any]:
+        """Return the raw values of a field; one of the type bool if the messages have no such field."""
+        names = self.type.fields[: len(self.type.format)]
+        return self.rows[str(names.index(field))] if field in names else np.zeros(1, dtype=bool)
+
+
 def binary_types(data: NDArray[np.uint8]) -> dict[int, MessageType]:
     """Return the types that FMT messages define, by number. The first definition of a type counts."""
     places = _head_places(data)
@@ -73,8 +107,8 @@ def _head_places(data: NDArray[np.uint8]) -> Indices:
     return places[data[places + 1] == HEAD[1]]
 
 
-def split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tuple[dict[int, NDArray[Any]], int]:
-    """Return the messages as one table for each type, and the number of bytes in them.
+def split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tuple[list[MessageTable], int]:
+    """Return one table for each type of message, and the number of bytes in all messages.
 
     A message counts if another one, or the end of the file, follows it; data that look like a head are inside of messages.
     """
@@ -87,15 +121,13 @@ def split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tu
     following = np.searchsorted(places, ends)
     whole = (ends == data.size) | (np.append(places, -1)[following] == ends)
     steps = np.where(whole, following, np.arange(1, places.size + 1))
-    kept = _chain(steps) & whole
-    tables = {
-        number: read_records(data, places[kept & (numbers == number)] + 3, types[number].record)
-        for number in np.unique(numbers[kept]).tolist()
-    }
+    kept = _places_along_chain(steps) & whole
+    pairs = [(types[number], places[kept & (numbers == number)] + 3) for number in np.unique(numbers[kept]).tolist()]
+    tables = [MessageTable(type=one, rows=read_records(data, starts, one.record)) for one, starts in pairs]
     return tables, int((ends - places)[kept].sum())
 
 
-def _chain(steps: Indices) -> NDArray[np.bool_]:
+def _places_along_chain(steps: Indices) -> NDArray[np.bool_]:
     """Return the places that are visited from place 0 on, where each states the next one."""
     visited = np.zeros(steps.size, dtype=bool)
     if np.array_equal(steps, np.arange(1, steps.size + 1)):
@@ -108,8 +140,8 @@ def _chain(steps: Indices) -> NDArray[np.bool_]:
     return visited
 
 
-def read_lines(text: str) -> tuple[dict[int, MessageType], dict[int, NDArray[Any]]]:
-    """Return the types of a log as text, and the messages as one table for each type."""
+def read_lines(text: str) -> tuple[dict[int, MessageType], list[MessageTable]]:
+    """Return the types of a log as text by number, and one table for each type of message."""
     lines: dict[str, list[str]] = {}
     for line in text.splitlines():
         name, _, rest = line.partition(",")
@@ -121,12 +153,12 @@ def read_lines(text: str) -> tuple[dict[int, MessageType], dict[int, NDArray[Any
         known = set(codes) <= TYPES.keys() - {"a"} and 0 < len(codes) <= min(len(fields), MOST_FIELDS)
         if known and number.isdecimal() and int(number) < 256 and name != "FMT":
             types.setdefault(int(number), MessageType(name=name, length=0, format=codes, fields=fields))
-    tables = {number: _parse_lines(one, lines[one.name]) for number, one in types.items() if one.name in lines}
-    return types, tables
+    known_types = [one for one in types.values() if one.name in lines]
+    return types, [MessageTable(type=one, rows=_parse_lines(one, lines[one.name])) for one in known_types]
 
 
 def _parse_lines(one: MessageType, lines: list[str]) -> NDArray[Any]:
-    """Return the fields of the messages of a type; what is no number becomes NaN, or 0 where the number is whole."""
+    """Return the rows of the messages of a type, (T,); what is no number becomes NaN, or 0 where the number is whole."""
     size = len(one.format)
     texts: dict[Hashable, Any] = {place: str for place, code in enumerate(one.format) if TYPES[code][1] == 0.0}
     if size - 1 in texts:  # which may hold commas

@@ -1,6 +1,6 @@
-"""Mappings from the columns of a log to a flight log: names, units, frames and quaternion order.
+"""Mappings from the columns of a log to a flight log: names, units and frames, and the conversion of frames.
 
-A mapping is a YAML file; the package's own layout is ``mappings/aerial_gym.yaml``.
+A mapping is a YAML file; the package's own layout is ``mappings/aerial_gym.yaml``. Letters: T samples.
 """
 
 from collections.abc import Mapping
@@ -8,8 +8,11 @@ from dataclasses import dataclass, field, fields
 from math import inf, isfinite
 from pathlib import Path
 
+import numpy as np
+
 from aerial_gym.config import load
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.sim2real.arrays import Array
 
 MAPPING_DIR = Path(__file__).parents[1] / "mappings"  # Folder of the built-in mappings
 UNIT_G = 9.80665  # Standard gravity as a unit [m/s²], independent of the place: BIPM (2019), The SI, table 8
@@ -202,6 +205,18 @@ class LogMapping:
         return {name: value for name, value in values.items() if isinstance(value, ColumnsCfg)}
 
 
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "position": ("p_x", "p_y", "p_z"),
+    "attitude": ("q_x", "q_y", "q_z", "q_w"),
+    "lin_vel": ("v_x", "v_y", "v_z"),
+    "ang_vel": ("omega_x", "omega_y", "omega_z"),
+    "specific_force": ("acc_x", "acc_y", "acc_z"),
+    "rotor_speed": ("rotor_{n}",),
+    "rotor_command": ("cmd_{n}",),
+    "battery": ("vbat",),
+}
+"""Columns of each measured quantity in the layout of this package, beside the time ``t``."""
+
 HEIGHTS = ("ground_height", "ceiling_height")
 SCALARS = ("time", "battery", "armed", "landed", *HEIGHTS)
 VECTORS = ("position", "lin_vel", "ang_vel", "specific_force", "other_position")
@@ -223,3 +238,51 @@ def find_mapping(name: str | Path) -> LogMapping:
         known = ", ".join(mapping_names())
         raise UnknownNameError(f"no log mapping {str(name)!r}. Known: {known}; or give a file that ends in .yaml")
     return load(LogMapping, MAPPING_DIR / f"{name}.yaml")
+
+
+def enu_from_ned(vectors: Array) -> Array:
+    """Return vectors (T, 3) in world axes east, north, up."""
+    return vectors[:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+
+
+def flu_from_frd(vectors: Array) -> Array:
+    """Return vectors (T, 3) in body axes forward, left, up."""
+    return vectors * (1.0, -1.0, -1.0)
+
+
+def attitude_with_world_enu(attitude: Array) -> Array:
+    """Return quaternions (T, 4), xyzw, of body to ENU from those of body to NED: ``q_ned_to_enu q``."""
+    x, y, z, w = attitude.T  # q_ned_to_enu = (1, 1, 0, 0) / sqrt(2), xyzw
+    return np.stack((w + z, w - z, y - x, -x - y), axis=1) / np.sqrt(2.0)
+
+
+def attitude_with_body_flu(attitude: Array) -> Array:
+    """Return quaternions (T, 4), xyzw, of body FLU to world from those of body FRD: ``q q_flu_to_frd``."""
+    x, y, z, w = attitude.T  # q_flu_to_frd = (1, 0, 0, 0), xyzw
+    return np.stack((w, z, -y, -x), axis=1)
+
+
+def attitude_from_ned_frd(wxyz: Array) -> Array:
+    """Return quaternions (T, 4), xyzw, of FLU to ENU from those of FRD to NED, w first, as PX4 and ArduPilot log them."""
+    return attitude_with_body_flu(attitude_with_world_enu(wxyz[:, [1, 2, 3, 0]]))
+
+
+def quantity_from_ned_frd(quantity: str, values: Array) -> Array:
+    """Return a quantity of a log channel in this package's axes, from NED and FRD, attitudes with w first."""
+    convert = {"attitude": attitude_from_ned_frd, "position": enu_from_ned, "lin_vel": enu_from_ned}
+    return convert.get(quantity, flu_from_frd)(values)
+
+
+def to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str, Array]:
+    """Return the quantities in world ENU and body FLU, with quaternions from body to world."""
+    result = dict(values)
+    if layout.attitude_direction == "world_to_body" and "attitude" in result:
+        result["attitude"] = result["attitude"] * (-1.0, -1.0, -1.0, 1.0)
+    if layout.world_frame == "ned":
+        result |= {n: enu_from_ned(result[n]) for n in ("position", "lin_vel", "other_position") if n in result}
+        result |= {n: attitude_with_world_enu(q) for n, q in result.items() if n == "attitude"}
+    if layout.body_frame == "frd":
+        result |= {name: flu_from_frd(result[name]) for name in ("ang_vel", "specific_force") if name in result}
+    if (layout.attitude_body_frame or layout.body_frame) == "frd":
+        result |= {n: attitude_with_body_flu(q) for n, q in result.items() if n == "attitude"}
+    return result

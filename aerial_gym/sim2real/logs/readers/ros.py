@@ -21,8 +21,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first, note_on_rotor_order
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.readers.ros_files import DATABASE, MCAP, MessageSource, read_sources
-from aerial_gym.sim2real.logs.readers.ros_layout import decode_messages
+from aerial_gym.sim2real.logs.readers.ros_files import DATABASE, MCAP, MessageSource, decode_messages, read_sources
 from aerial_gym.sim2real.logs.readers.ulog import UlogReader
 
 METADATA = "metadata.yaml"  # File of a ROS 2 bag that stands for its folder

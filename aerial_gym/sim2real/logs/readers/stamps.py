@@ -1,4 +1,4 @@
-"""Correct the time stamps of a log: sort late blocks, drop bad stamps, and undo backward steps of the clock.
+"""Correct time stamps, of a log or row by row: sort late blocks, drop bad stamps, and undo backward steps of the clock.
 
 The lateness of row n is ``t - n dt`` with the usual step dt. After a bad stamp it returns to its level. After a clock
 was set back or a counter wrapped, it stays lower. Letters: T rows, K kept rows.
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
+from statistics import median
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from scipy import ndimage
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices, true_spans
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
+from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, longest_bridgeable_gap
 
 JOINT_STEPS = 3.5  # Largest step between consecutive rows, in usual steps; two stamps may be missing
 MOST_RUNS = 50  # Largest number of runs searched around a step back; it bounds the run time of disordered logs
@@ -284,3 +285,73 @@ def _undo_clock_steps(stamps: Array, kept: Flags, step: float) -> tuple[Array, l
             ClockStep(row=row, before=before, after=after, shift=shift, counter=counter, may_be_restart=doubt)
         )
     return time, results
+
+
+LATE_START_S = 2.0  # Time before the first accepted row in which a late block may lie [s]
+HOLES = 8  # Number of recent time gaps that are remembered
+CONFIRMED = 10  # Number of consecutive rows that confirm a start, a gap or a step of the clock
+
+
+class LiveStamps:
+    """Filter of live rows: accept rows whose time continues, hold others until later rows decide, and drop late blocks."""
+
+    def __init__(self) -> None:
+        self._steps: list[float] = []
+        self._last: float | None = None
+        self._shift = 0.0
+        self._doubtful: list[Array] = []
+        self._holes: list[tuple[float, float]] = []
+        self.bad: list[float] = []
+        """Rejected stamps so far [s]."""
+        self.steps = 0
+        """Number of corrected backward steps of the clock."""
+
+    def add_row(self, row: Array, place: int) -> list[Array]:
+        """Return the rows that a row with its stamp [s] at index ``place`` confirms as valid, with corrected time."""
+        stamp = float(row[place])
+        if self._last is not None and 0.0 < stamp - self._last <= self._largest_step:
+            self.reject_pending_rows(place)
+            return [self._accept_row(row, place)]
+        if self._doubtful and not 0.0 < stamp - self._doubtful[-1][place] <= self._largest_step:
+            self.reject_pending_rows(place)
+        if stamp != stamp:  # NaN
+            self.bad.append(stamp)
+            return []
+        self._doubtful.append(row)
+        if len(self._doubtful) < CONFIRMED or self._may_be_late_block(place):
+            return []
+        good, self._doubtful = self._doubtful, []
+        if self._last is not None and good[0][place] <= self._last:
+            self._shift += self._last - float(good[0][place]) + (median(self._steps) if self._steps else 0.0)
+            self.steps += 1
+            self._holes = []
+        return [self._accept_row(one, place) for one in good]
+
+    def reject_pending_rows(self, place: int) -> None:
+        """Reject the held rows."""
+        self.bad += [float(row[place]) for row in self._doubtful]
+        self._doubtful = []
+
+    def _may_be_late_block(self, place: int) -> bool:
+        """Return whether all held rows lie in one earlier time gap."""
+        first, last = float(self._doubtful[0][place]), float(self._doubtful[-1][place])
+        return any(start < first and last < stop for start, stop in self._holes)
+
+    @property
+    def _largest_step(self) -> float:
+        """Return the longest time step that needs no confirmation [s]."""
+        return longest_bridgeable_gap(median(self._steps)) if self._steps else LONGEST_GAP_S
+
+    def _accept_row(self, row: Array, place: int) -> Array:
+        """Return a valid row with corrected time, and store its stamp."""
+        stamp = float(row[place])
+        if self._last is None:  # the first rows may follow a gap for a late block
+            self._holes = [(stamp - LATE_START_S, stamp)]
+        elif self._steps and stamp - self._last > SPLIT_STEPS * median(self._steps):
+            self._holes = [*self._holes[1 - HOLES :], (self._last, stamp)]
+        if self._last is not None and stamp > self._last:
+            self._steps = [*self._steps[-CONFIRMED:], stamp - self._last]
+        self._last = stamp
+        good = row.copy()
+        good[place] = stamp + self._shift
+        return good

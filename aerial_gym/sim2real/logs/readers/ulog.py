@@ -17,17 +17,9 @@ import numpy as np
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import (
-    LogChannel,
-    LogMessage,
-    RawLog,
-    Topic,
-    faster_first,
-    note_on_rotor_order,
-)
-from aerial_gym.sim2real.logs.readers.frames import quantity_from_ned_frd
+from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first, note_on_rotor_order
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
-from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.mapping import UNITS, quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, Header
@@ -36,9 +28,8 @@ MOTOR_1 = 101  # Output function of motor 1; further motors follow
 MOST_MOTORS = 12
 QUADROTOR = 2  # MAV_TYPE. Source: MAVLink common.xml, as of the next numbers
 ROTORS_BY_TYPE = {QUADROTOR: 4, 13: 6, 14: 8, 15: 3, 19: 2, 20: 4, 21: 4, 22: 4, 29: 12, 35: 10}  # 19 to 22: VTOL
-DSHOT_MOST = (
-    1999.0  # Output of full command by DShot; DSHOT_MIN is the share of the lowest one. Source: PX4 1.13, DShot.h
-)
+DSHOT_MOST = 1999.0  # Output of full command; DSHOT_MIN is the share of the lowest one. Source: PX4 1.13, DShot.h
+PWM_ENDS = {"MIN": 1000.0, "MAX": 2000.0}  # Default signals [us] without and with full command, by parameter
 DSHOT_RATES = range(-5, -1)  # Values of PWM_MAIN_TIMn of the DShot protocols
 MOST_REST_VALUES = 3  # Outputs below the range: not started, disarmed, failsafe
 PLUS_FRAMES = 5  # Thousands of SYS_AUTOSTART of quadrotors in plus form
@@ -88,6 +79,8 @@ class UlogReader(LogReader):
                 log = ULog(UlogStream(path.read_bytes()))
         except Exception as error:  # pyulog raises many types
             raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
+        texts = [(m.timestamp, LEVELS.get(m.log_level_str(), "error"), m.message.strip()) for m in log.logged_messages]
+        texts += [(dropout.timestamp, "warning", "messages were lost") for dropout in log.dropouts]
         return RawLog(
             path=str(path),
             format=self.name,
@@ -98,18 +91,7 @@ class UlogReader(LogReader):
                 name: value if isinstance(value, int | float) and isfinite(value) else str(value)
                 for name, value in log.initial_parameters.items()
             },
-            messages=(
-                *(
-                    LogMessage(
-                        time=1e-6 * m.timestamp, level=LEVELS.get(m.log_level_str(), "error"), text=m.message.strip()
-                    )
-                    for m in log.logged_messages
-                ),
-                *(
-                    LogMessage(time=1e-6 * d.timestamp, level="warning", text="messages were lost")
-                    for d in log.dropouts
-                ),
-            ),
+            messages=tuple(LogMessage(time=1e-6 * stamp, level=level, text=text) for stamp, level, text in texts),
             metadata={name: str(value) for name, value in log.msg_info_dict.items()},
             notes=(Finding("file_damaged"),) if log.file_corruption else (),
         )
@@ -240,28 +222,21 @@ def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
     for name, function in parameters.items():
         prefix, _, number = name.rpartition("_FUNC")
         if prefix and number.isdigit() and MOTOR_1 <= function < MOTOR_1 + MOST_MOTORS:
-            low, high = (
-                parameters.get(f"{prefix}_{end}{number}", end_value)
-                for end, end_value in (("MIN", 1000.0), ("MAX", 2000.0))
-            )
+            low, high = (parameters.get(f"{prefix}_{end}{number}", signal) for end, signal in PWM_ENDS.items())
             drivers.setdefault(prefix, []).append((function, int(number) - 1, low, high))
     count = parameters.get("CA_ROTOR_COUNT", 0.0)  # a driver with some of the rotors only does not show the others
     results = [[row[1:] for row in sorted(rows)] for rows in drivers.values() if count in (0.0, len(rows))]
     if not drivers:  # before PX4 1.13 the first outputs were the motors
         low, high = (
-            parameters.get(f"PWM_MAIN_{end}", parameters.get(f"PWM_{end}", value))
-            for end, value in (("MIN", 1000.0), ("MAX", 2000.0))
+            parameters.get(f"PWM_MAIN_{end}", parameters.get(f"PWM_{end}", signal)) for end, signal in PWM_ENDS.items()
         )
-        results = [[(index, low, high) for index in range(_num_rotors(log))]]
+        count = ROTORS_BY_TYPE.get(int(log.number("MAV_TYPE", QUADROTOR)), 0)
+        results = [[(index, low, high) for index in range(count)]]
     rates = [value for name, value in parameters.items() if name.startswith("PWM_") and "_TIM" in name]
     if parameters.get("DSHOT_CONFIG", 0.0) > 0.0 or any(rate in DSHOT_RATES for rate in rates):
         idle = DSHOT_MOST * parameters.get("DSHOT_MIN", 0.055)
         results += [[(index, idle, DSHOT_MOST) for index, _, _ in rows] for rows in results]
     return results
-
-
-def _num_rotors(log: RawLog) -> int:
-    return ROTORS_BY_TYPE.get(int(log.number("MAV_TYPE", QUADROTOR)), 0)
 
 
 def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) -> Array | None:
@@ -286,8 +261,8 @@ def _control_commands(log: RawLog) -> Iterator[LogChannel]:
     names = [f"control[{index}]" for index in range(4)]
     is_x = log.number("MAV_TYPE", QUADROTOR) == QUADROTOR and log.number("SYS_AUTOSTART", 0.0) // 1000 != PLUS_FRAMES
     for topic in log.topic_instances("actuator_controls_0", *names) if is_x else ():
-        torque_and_thrust = topic.numbers(*names)
-        thrust = torque_and_thrust[:, :3] @ QUAD_X.T + torque_and_thrust[:, 3:]
+        controls = topic.numbers(*names)  # roll, pitch, yaw and thrust
+        thrust = controls[:, :3] @ QUAD_X.T + controls[:, 3:]
         signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), log)
         yield _channel(topic, "rotor_command", signal, (*ORDER, Finding("commands_mixed")))
 

@@ -121,10 +121,15 @@ def test_a_layout_that_the_flight_contradicts_is_replaced(flights: list[Path], m
     assert len(draft.notes) == 1
 
 
-def px4(side: float, moment: float = 0.05) -> dict[str, float]:
+def raw_log(kind: str, **parameters: float | str) -> RawLog:
+    return RawLog(path="log", format=kind, topics=(), parameters=parameters)
+
+
+def px4(side: float, moment: float = 0.05) -> RawLog:
     places = ((side, side), (-side, -side), (side, -side), (-side, side))
     rows = {f"CA_ROTOR{k}_P{axis}": p for k, place in enumerate(places) for axis, p in zip("XY", place, strict=True)}
-    return rows | {f"CA_ROTOR{k}_KM": moment * (1 if k < 2 else -1) for k in range(4)} | {"CA_ROTOR_COUNT": 4.0}
+    moments = {f"CA_ROTOR{k}_KM": moment * (1 if k < 2 else -1) for k in range(4)}
+    return raw_log("ulog", **rows, **moments, CA_ROTOR_COUNT=4.0)
 
 
 def test_arms_of_1_m_and_the_default_moment_are_placeholders() -> None:
@@ -230,11 +235,11 @@ def test_fast_commands_show_the_exponent_of_their_thrust(tmp_path: Path) -> None
 
 def test_curves_of_firmwares() -> None:
     """ArduPilot: expo between MOT_SPIN_MIN and MOT_SPIN_MAX. Betaflight: square of the duty cycle, with idle of 5.5 %."""
-    ardupilot = _ardupilot_law({"MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_THST_EXPO": 0.65})
+    ardupilot = _ardupilot_law(raw_log("dataflash", MOT_SPIN_MIN=0.15, MOT_SPIN_MAX=0.95, MOT_THST_EXPO=0.65))
     np.testing.assert_allclose(
         ardupilot.share(np.array((0.1, 0.55, 0.95))), (0.0, 0.65 / 4 + 0.35 / 2, 1.0), atol=1e-12
     )
-    betaflight = _betaflight_law({"motorOutput": "158,2047"})
+    betaflight = _betaflight_law(raw_log("blackbox", motorOutput="158,2047"))
     duty = (110.0 + 0.4 * 1889.0) / 1999.0
     assert betaflight.share(np.array(0.4)) / betaflight.share(np.array(1.0)) == pytest.approx(duty**2)
     assert betaflight.slope(0.4) == pytest.approx(2.0 * 0.4 * 1889.0 / 1999.0 / duty, rel=1e-4)
@@ -254,17 +259,30 @@ def test_frames_hover_without_torque(name: str) -> None:
 
 
 def test_logs_state_frames_and_what_is_beyond_rotors() -> None:
-    def raw(kind: str, **parameters: float | str) -> RawLog:
-        return RawLog(path="log", format=kind, topics=(), parameters=parameters)
-
-    assert _layout_of_parameters(raw("dataflash", FRAME_CLASS=2.0, FRAME_TYPE=13.0), 6).spins == (1, -1, 1, -1, 1, -1)
-    assert _layout_of_parameters(raw("dataflash", FRAME_CLASS=5.0, FRAME_TYPE=10.0), 6).spins == (-1, 1, -1, 1, -1, 1)
-    assert _layout_of_parameters(raw("ulog", SYS_AUTOSTART=12001.0), 8).spins == frame_layout("coax_quad_x", 8).spins
-    unknown = _layout_of_parameters(raw("dataflash", FRAME_CLASS=1.0, FRAME_TYPE=4.0), 4)
+    assert _layout_of_parameters(raw_log("dataflash", FRAME_CLASS=2.0, FRAME_TYPE=13.0), 6).spins == (
+        1,
+        -1,
+        1,
+        -1,
+        1,
+        -1,
+    )
+    assert _layout_of_parameters(raw_log("dataflash", FRAME_CLASS=5.0, FRAME_TYPE=10.0), 6).spins == (
+        -1,
+        1,
+        -1,
+        1,
+        -1,
+        1,
+    )
+    assert (
+        _layout_of_parameters(raw_log("ulog", SYS_AUTOSTART=12001.0), 8).spins == frame_layout("coax_quad_x", 8).spins
+    )
+    unknown = _layout_of_parameters(raw_log("dataflash", FRAME_CLASS=1.0, FRAME_TYPE=4.0), 4)
     assert unknown.places is None
-    tail_sitter = _layout_of_parameters(raw("ulog", CA_AIRFRAME=4.0, CA_ROTOR_COUNT=4.0), 4)
+    tail_sitter = _layout_of_parameters(raw_log("ulog", CA_AIRFRAME=4.0, CA_ROTOR_COUNT=4.0), 4)
     assert len(tail_sitter.notes) == 1
-    assert _layout_of_parameters(raw("blackbox", motorOutput="48,2047"), 6).origin == "assumed"
+    assert _layout_of_parameters(raw_log("blackbox", motorOutput="48,2047"), 6).origin == "assumed"
 
 
 def test_the_order_of_six_rotors_follows_from_the_flight(tmp_path: Path) -> None:

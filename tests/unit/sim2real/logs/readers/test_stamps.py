@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, correct_stamps, find_disordered_blocks, stamp_seconds
+from aerial_gym.sim2real.logs.readers.stamps import (
+    COUNTERS_S,
+    LiveStamps,
+    correct_stamps,
+    find_disordered_blocks,
+    stamp_seconds,
+)
 
 ROWS, STEP = 3000, 0.0025
 Change = Callable[[np.ndarray], list[int]]
