@@ -25,6 +25,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.statistics import Estimate, student_quantile
 
 BAND_HZ = 20.0  # Highest frequency of the regression
+BAND_STD_S = float(np.sqrt(np.log(2.0)) / (2.0 * np.pi * BAND_HZ))  # Standard deviation of the smoothing window [s]
 ROWS_HZ = 250.0  # Rate of the rows of the regression, some ten times its band
 MEAN_S = 0.1  # Standard deviation of the Gaussian window whose mean is left out [s]; loops of attitude are slower
 THRUST_MEAN_S = 0.3  # The same for the thrust of commands [s]; inflow by a climb is slower
@@ -72,9 +73,7 @@ class Effectiveness:
     weights: Array  # Of each rotor about roll, pitch and yaw, relative to the largest of each axis, (3, R)
     known: Flags  # Axes whose size and sign the flights show, (3,)
     measured: Flags  # Axes whose weights are those of the flights, not of the log, (3,)
-    sizes: tuple[
-        Estimate, ...
-    ]  # Of the rotor with the largest weight about each axis, and the specific force of one rotor
+    sizes: tuple[Estimate, ...]  # Of the rotor with the largest weight about each axis; specific force of one rotor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +97,7 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
     step = max(1, int(rate / ROWS_HZ))
 
     def smooth(values: Array) -> Array:
-        return gaussian_filter1d(values, rate * np.sqrt(np.log(2.0)) / (2.0 * np.pi * BAND_HZ), axis=0)[::step]
+        return gaussian_filter1d(values, rate * BAND_STD_S, axis=0)[::step]
 
     def derivative(values: Array) -> Array:
         return np.gradient(values, axis=0) * rate
@@ -235,10 +234,8 @@ def _ratio_of_means(table: Array) -> Array:
 
 def _left_out_parts(sizes: Sequence[int]) -> list[Flags]:
     """Return the rows that remain without each flight, or without each of ``PARTS`` parts of few flights."""
-    count = sum(sizes)
-    part = (
-        np.repeat(np.arange(len(sizes)), sizes) if len(sizes) >= FEWEST_FLIGHTS else np.arange(count) * PARTS // count
-    )
+    part = np.repeat(np.arange(len(sizes)), sizes)
+    part = part if len(sizes) >= FEWEST_FLIGHTS else np.arange(part.size) * PARTS // part.size
     return [part != k for k in np.unique(part)]
 
 
@@ -272,18 +269,16 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
         rate, command = sample_rate(log), np.clip(log.rotor_command, 1e-6, None)
         rows = _without_edges(_rows_under_power(command**2), rate)
         if rows.any():
-            width = rate * np.sqrt(np.log(2.0)) / (2.0 * np.pi * BAND_HZ)
-            flights.append((rate, width, command, gaussian_filter1d(log.specific_force[:, 2], width), rows))
+            flights.append((rate, command, gaussian_filter1d(log.specific_force[:, 2], rate * BAND_STD_S), rows))
     if not flights:
         return None
     kept = _left_out_parts([int(rows.sum()) for *_, rows in flights])
 
     def residual(params: Array, chosen: Flags) -> Array:
         errors = []
-        for rate, width, command, force, rows in flights:
-            thrust = gaussian_filter1d(
-                _values_with_lag((command ** params[0]).sum(axis=1), 0.02 * params[1], rate), width
-            )
+        for rate, command, force, rows in flights:
+            thrust = _values_with_lag((command ** params[0]).sum(axis=1), 0.02 * params[1], rate)
+            thrust = gaussian_filter1d(thrust, rate * BAND_STD_S)
             error = force - force[rows].mean() / thrust[rows].mean() * thrust
             errors.append((error - gaussian_filter1d(error, rate * THRUST_MEAN_S, truncate=3.0))[rows])
         return np.concatenate(errors)[chosen]

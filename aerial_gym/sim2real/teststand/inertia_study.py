@@ -14,6 +14,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import open_raw_log, read_flight_log
 from aerial_gym.sim2real.logs.readers.log_readers import LOG_READERS, read_raw_log
 from aerial_gym.sim2real.logs.recording import split_flight_number
+from aerial_gym.sim2real.logs.signals import interpolate_columns
 from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.teststand.report import ReportTable, Study, interval_text
 from aerial_gym.sim2real.teststand.throws import (
@@ -35,9 +36,7 @@ class ThrowSeries:
 
     paths: Sequence[Path]
     mass: float | None = None  # Of the body without the device; of the device, for throws of the device alone [kg]
-    inertia: tuple[float, float, float] | None = (
-        None  # Known moments about the axes of the IMU [kg m²], of a proof body
-    )
+    inertia: tuple[float, float, float] | None = None  # Known moments of a proof body about the IMU's axes [kg m²]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,13 +58,11 @@ def read_throw(path: Path) -> FreeFlight:
         raise DataError(
             f"{path}: has no {' and no '.join(missing)}; log the gyro, the accelerometer and the wheel's speed"
         )
-    (time, rates), (force_time, force), (wheel_time, wheel) = (
-        series[name] for name in ("ang_vel", "specific_force", "rotor_speed")
-    )
+    (time, rates), force, (wheel_time, wheel) = (series[name] for name in ("ang_vel", "specific_force", "rotor_speed"))
     speed = wheel[:, int(np.argmax(np.nanmax(np.abs(wheel), axis=0)))]
     return find_free_flight(FreeFlight(
         name=str(path), time=time, ang_vel=rates, wheel_speed=np.interp(time, wheel_time, speed),
-        specific_force=np.stack([np.interp(time, force_time, column) for column in force.T], axis=1),
+        specific_force=interpolate_columns(time, *force),
     ))  # fmt: skip
 
 
@@ -241,10 +238,7 @@ def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, la
     matrix = [[float(f"{x:.6g}") for x in row] for row in result.matrix]
     mass = {} if body.mass is None else {"mass": body.mass}
     source = f"aerial-gym identify inertia: {', '.join(Path(path).name for path in body.paths)}"
-    lines = [
-        "body:",
-        *(f"  {name}: {value!r}" for name, value in (mass | {"inertia": matrix, "source": source}).items()),
-    ]
+    lines = [f"  {name}: {value!r}" for name, value in (mass | {"inertia": matrix, "source": source}).items()]
     quaternion = Rotation.from_matrix(result.axes).as_quat().tolist()
     return Study(
         title="Inertia of a thrown body",
@@ -261,5 +255,5 @@ def _report_inertia(body: ThrowSeries, result: BodyInertia, fit: MomentumFit, la
         },
         tables=(ReportTable("Body", ("quantity", "value, 95 %", "axis in the frame of the IMU"), rows),),
         notes=tuple(notes),
-        files={"body.yaml": "\n".join([*lines, ""])},
+        files={"body.yaml": "\n".join(["body:", *lines, ""])},
     )

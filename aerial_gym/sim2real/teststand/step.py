@@ -56,6 +56,11 @@ class StepRecord:
     measured: Array  # [rad/s], (T,)
     starts: Indices  # First row of each step, with T at the end
 
+    @property
+    def levels(self) -> Array:
+        """Speed before the first step and command of each step [rad/s]."""
+        return np.append(self.measured[self.starts[0]], self.command[self.starts[:-1]])
+
 
 @dataclass(frozen=True, kw_only=True)
 class StepFit:
@@ -65,7 +70,6 @@ class StepFit:
     laws: dict[str, LawFit]
     chosen: str
     in_robot: str  # Best law that a robot file supports
-
     notes: tuple[Finding, ...]
 
     def as_mapping(self) -> dict[str, object]:
@@ -134,12 +138,12 @@ def speed_of_law(record: StepRecord, params: dict[str, float]) -> Array:
 
 def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     """Return the fits of all laws to all steps, with cross-validation errors over steps."""
-    ways = [way for record in records for way in _step_directions(record)]
-    notes = []
-    names = list(LAWS)
-    if min(ways.count("up"), ways.count("down")) < 2:
+    rises = np.concatenate([np.diff(record.levels) > 0.0 for record in records])
+    counts = {"rising": int(rises.sum()), "falling": int((~rises).sum())}
+    names, notes = list(LAWS), list[Finding]()
+    if min(counts.values()) < 2:
         names = ["one time constant"]
-        notes.append(Finding("few_steps", "", {"rising": ways.count("up"), "falling": ways.count("down")}))
+        notes.append(Finding("few_steps", "", counts))
     laws = {name: _fit_law(name, records) for name in names}
     errors = {name: law.held_out_rms for name, law in laws.items()}
     terms = {name: len(params) for name, params in LAWS.items()}
@@ -150,11 +154,6 @@ def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     chosen = smallest_good_candidate(errors, terms)
     in_robot = smallest_good_candidate({name: errors[name] for name in ROBOT_LAWS if name in laws}, terms)
     return StepFit(records=tuple(records), laws=laws, chosen=chosen, in_robot=in_robot, notes=tuple(notes))
-
-
-def _step_directions(record: StepRecord) -> list[str]:
-    levels = [float(record.measured[record.starts[0]]), *record.command[record.starts[:-1]]]
-    return ["up" if after > before else "down" for before, after in pairwise(levels)]
 
 
 def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
@@ -179,9 +178,7 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
 def _bound_slew_limit(params: dict[str, Estimate], records: Sequence[StepRecord]) -> dict[str, Estimate]:
     """Return the parameters; a slew limit that no step reaches gets the required rate as its lower bound."""
     bounds = dict(params)
-    for way in ("up", "down"):
-        if f"slew_{way}" not in params:
-            continue
+    for way in (way for way in ("up", "down") if f"slew_{way}" in params):
         tau = params.get(f"tau_{way}") or params["tau"]
         asked = max(largest_step(record, way) for record in records) / tau.value
         slew = params[f"slew_{way}"]
@@ -193,5 +190,4 @@ def _bound_slew_limit(params: dict[str, Estimate], records: Sequence[StepRecord]
 
 def largest_step(record: StepRecord, way: str) -> float:
     """Return the largest step up or down in a record [rad/s]; 0 without one."""
-    levels = np.array([record.measured[record.starts[0]], *record.command[record.starts[:-1]]])
-    return float(np.max(np.diff(levels) * (1.0 if way == "up" else -1.0), initial=0.0))
+    return float(np.max(np.diff(record.levels) * (1.0 if way == "up" else -1.0), initial=0.0))

@@ -158,15 +158,9 @@ def _table_of_maps(quantity: str, choice: MapChoice) -> ReportTable:
         mark, numbers = " (chosen)" * (fit.name == choice.chosen), _parameter_text(fit.params)
         rows.append((fit.name + mark, f"{fit.fit_rms:.3g}", f"{fit.held_out_rms:.3g}", numbers))
     before, after = choice.rms_squared_only, choice.rms_chosen
+    change = relative_change_text(before.value, after.value)
     rows.append(("before: w²", "", interval_text(before), ""))
-    rows.append(
-        (
-            "after: selected again without each row",
-            "",
-            interval_text(after),
-            relative_change_text(before.value, after.value),
-        )
-    )
+    rows.append(("after: selected again without each row", "", interval_text(after), change))
     head = ("map", f"fit rms [{choice.unit}]", f"held-out rms [{choice.unit}]", "coefficients, 95 %")
     return ReportTable(f"{quantity} map", head, rows)
 
@@ -196,9 +190,8 @@ def step_table(lag: StepFit) -> ReportTable:
         mark = " (chosen)" * (law.name == lag.chosen) + " (in robot file)" * (law.name == lag.in_robot)
         rows.append((law.name + mark, f"{law.fit_rms:.3g}", interval_text(law.error), _parameter_text(law.params)))
     before, after = lag.laws["one time constant"], lag.laws[lag.chosen]
-    rows.append(
-        ("change against one time constant", "", relative_change_text(before.held_out_rms, after.held_out_rms), "")
-    )
+    change = relative_change_text(before.held_out_rms, after.held_out_rms)
+    rows.append(("change against one time constant", "", change, ""))
     head = ("law", "fit rms [rad/s]", "held-out rms [rad/s], steps left out", "tau, delay [s]; slew [rad/s²]")
     return ReportTable("Step responses", head, rows)
 
@@ -229,9 +222,7 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     )
     params = [(name, interval_text(value)) for name, value in best.params.items()]
     units = "release, time [s]; stiffness [1/s²], damping [1/s] per inertia of the joint; rest [rad]"
-    law_text = f"# {study.chosen}: {units}\n" + joint_law_yaml(
-        study.chosen, {n: p.value for n, p in best.params.items()}
-    )
+    law = joint_law_yaml(study.chosen, {name: value.value for name, value in best.params.items()})
     whole, early = (relative_change_text(published[name], held_out[name]) for name in ("rms", "rms_first_second"))
     return Study(
         title="Compliant joint",
@@ -244,7 +235,9 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
         ),
         figures=figures.joint_figures(study),
         notes=(Finding("published_law", "", PUBLISHED), Finding("one_record")),
-        files={"joint.yaml": f"{law_text}\n  source: 'aerial-gym identify joint: {Path(bench.path).name}'\n"},
+        files={
+            "joint.yaml": f"# {study.chosen}: {units}\n{law}\n  source: 'aerial-gym identify joint: {Path(bench.path).name}'\n"
+        },
     )
 
 
@@ -334,10 +327,7 @@ def study_balance(
 def _balance_tables(balance: Balance) -> tuple[ReportTable, ...]:
     changes = {f"share of rotor {number}": share for number, share in enumerate(balance.shares, start=1)}
     changes["sum of squared speeds; relative change"] = balance.total
-    rows = [
-        (name, interval_text(c.baseline), interval_text(c.flights), interval_text(c.change))
-        for name, c in changes.items()
-    ]
+    rows = [(name, *map(interval_text, (c.baseline, c.flights, c.change))) for name, c in changes.items()]
     efforts = ReportTable("Effort at hover", ("quantity", "baseline", "flights", "change"), rows)
     rows = []
     for fit in balance.fits:

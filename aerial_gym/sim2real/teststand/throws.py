@@ -122,10 +122,8 @@ def find_free_flight(flight: FreeFlight) -> FreeFlight:
         raise DataError(
             f"{flight.name}: only {max(last - first, 0) / rate:.2f} s of free flight; throw higher, 0.3 s are enough"
         )
-    return FreeFlight(
-        name=flight.name, time=flight.time[rows], ang_vel=flight.ang_vel[rows],
-        specific_force=flight.specific_force[rows], wheel_speed=flight.wheel_speed[rows],
-    )  # fmt: skip
+    samples = {name: values[rows] for name, values in vars(flight).items() if name != "name"}
+    return FreeFlight(name=flight.name, **samples)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,11 +196,7 @@ def _wheel_axis(columns: Array, wheel: Array) -> Array:
     inertial = columns[:, np.arange(columns.shape[1]) % 9 < 6]  # drag is no part of it
     basis = np.linalg.qr(inertial / np.sqrt((inertial * inertial).mean(axis=0)))[0]
     rest = wheel - basis @ (basis.T @ wheel)
-    axis = (
-        np.linalg.svd(rest / np.linalg.norm(rest))[2][-1]
-        if len(rest) < 1000
-        else np.linalg.eigh(rest.T @ rest)[1][:, 0]
-    )
+    axis = np.linalg.svd(rest, full_matrices=False)[2][-1]
     inertia = matrix_of_elements(np.linalg.lstsq(inertial, -wheel @ axis, rcond=None)[0][:6])
     return axis if np.trace(inertia) > 0.0 else -axis
 

@@ -152,9 +152,8 @@ def _assemble_draft(
     if mass is None:
         questions.append("How heavy is the vehicle, battery included? Weigh it and give --mass-kg")
     kilograms = 1.0 if mass is None else mass
-    values["mass"] = ValueWithOrigin(
-        value=kilograms, origin="assumed: not in the log" if mass is None else "given: --mass-kg"
-    )
+    how = "assumed: not in the log" if mass is None else "given: --mass-kg"
+    values["mass"] = ValueWithOrigin(value=kilograms, origin=how)
     places, spins, layout_origin, notes = _layout_of_flight(layout, effect)
     notes = [*layout.notes, *notes]
     if layout_origin.startswith("assumed"):
@@ -234,32 +233,28 @@ def _yaw_numbers(
             f"By CA_ROTOR0_KM = {layout.torque_ratio:g} the inertia about z would be {inertia.value:.3g} kg m², which no body "
             f"with {x:.3g} and {y:.3g} has; it is not used."
         )
-    return ValueWithOrigin(
-        value=size.value * flat.value / thrust, origin="assumed: as the inertia about z is; by yaw acceleration"
-    ), flat
+    origin = "assumed: as the inertia about z is; by yaw acceleration"
+    return ValueWithOrigin(value=size.value * flat.value / thrust, origin=origin), flat
 
 
 def _layout_of_flight(
     layout: RotorLayout, effect: Effectiveness | None
 ) -> tuple[Array, tuple[int, ...], str, list[str]]:
     """Return places and spins of the rotors: those of the flight where it shows them, else those of the log."""
-    stated = layout.places is not None and layout.spins is not None
-    if effect is None or not effect.known.all():
-        if layout.places is None or layout.spins is None:
-            raise DataError(
-                f"neither log nor flight shows where the {layout.count} rotors are; give --frame with the name of a frame or a "
-                f"robot file, or a flight that turns about all axes. Frames: {', '.join(FRAMES)}"
-            )
-        return layout.places, layout.spins, f"{layout.origin}: {layout.source}; the flight does not show all signs", []
-    if stated and not effect.measured.any():
-        assert layout.places is not None
-        assert layout.spins is not None
-        return layout.places, layout.spins, f"{layout.origin}: {layout.source}; the flight agrees", []
-    places, spins = _places_of_weights(effect.weights), tuple(int(-sign) for sign in np.sign(effect.weights[2]))
+    shown = effect if effect is not None and effect.known.all() else None
+    if layout.places is not None and layout.spins is not None and (shown is None or not shown.measured.any()):
+        result = "the flight does not show all signs" if shown is None else "the flight agrees"
+        return layout.places, layout.spins, f"{layout.origin}: {layout.source}; {result}", []
+    if shown is None:
+        raise DataError(
+            f"neither log nor flight shows where the {layout.count} rotors are; give --frame with the name of a frame or a "
+            f"robot file, or a flight that turns about all axes. Frames: {', '.join(FRAMES)}"
+        )
+    places, spins = _places_of_weights(shown.weights), tuple(int(-sign) for sign in np.sign(shown.weights[2]))
     origin, notes = "measured here: roll, pitch and yaw of each rotor", list[str]()
     if layout.places is None or layout.spins is None:
         return places, spins, origin, notes
-    moved, size = bool(effect.measured[:2].any()), np.abs(layout.places[:, :2]).mean(axis=0)
+    moved, size = bool(shown.measured[:2].any()), np.abs(layout.places[:, :2]).mean(axis=0)
     parts = [name for name, differs in (("order of rotors", moved), ("spins", layout.spins != spins)) if differs]
     if layout.origin != "assumed" and parts:
         notes.append(

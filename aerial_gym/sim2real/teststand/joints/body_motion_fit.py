@@ -64,13 +64,11 @@ def fit_hidden_joints(
     robot: RobotCfg, motions: Sequence[BodyMotion], *, bandwidth: float, progress: Progress = silent
 ) -> BodyMotionFit:
     """Return the fit of all joints to the body's motion in all flights."""
-    if left_out := [
-        reason for joint in require_joints(robot).layout if (reason := reason_against_fitting_joint(joint))
-    ]:
-        why = "has a drive, whose effort is not logged" if left_out[0].code == "joint_driven" else "creeps"
+    for reason in filter(None, map(reason_against_fitting_joint, require_joints(robot).layout)):
+        why = "has a drive, whose effort is not logged" if reason.code == "joint_driven" else "creeps"
         raise ConfigError(
             "identify joints: without logged angles every joint must be passive and without creep, but "
-            f"{left_out[0].subject} {why}"
+            f"{reason.subject} {why}"
         )
     return JointFitter(robot, motions, bandwidth).fit(progress)
 
@@ -79,10 +77,8 @@ class JointFitter:
     """Gauss-Newton fit that starts at the declared parameters."""
 
     def __init__(self, robot: RobotCfg, motions: Sequence[BodyMotion], bandwidth: float) -> None:
-        self.joints, self.simulation = (
-            require_joints(robot).layout,
-            JointSimulation(robot, motions, bandwidth=bandwidth),
-        )
+        self.joints = require_joints(robot).layout
+        self.simulation = JointSimulation(robot, motions, bandwidth=bandwidth)
         self.springs = [joint.spring or SpringCfg() for joint in self.joints]
         self.parameter_owners = [
             (k, name) for k, spring in enumerate(self.springs) for name in NUMBERS[spring.quadratic > 0.0]

@@ -92,14 +92,10 @@ class JointStudy:
 
     record: Release
     published: Array = field(repr=False)  # Measured minus the published law, with release at 0 [rad], (T,)
-
     laws: dict[str, LawFit]
     chosen: str
-
     forecast: dict[str, Rms]  # Error in the second half of the record, from fits to the first half [rad], by law
-
-    alternate: dict[str, Array] = field(repr=False)
-    """Measured minus predicted, from fits to the alternate blocks [rad], (T,), by law."""
+    alternate: dict[str, Array] = field(repr=False)  # Errors of fits to the alternate blocks [rad], (T,), by law
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -223,10 +219,8 @@ def fit_joint(record: Release) -> JointStudy:
     for name in laws:
         error = fit_curve_of_law(name, record, ~late).residual[late]
         forecast[name] = cross_validation_error(error, np.arange(error.size) // max(1, error.size // 20))
-    published, alternate = (
-        record.angle - law_angle(record, law),
-        {name: alternate_error(name, record) for name in laws},
-    )
+    published = record.angle - law_angle(record, law)
+    alternate = {name: alternate_error(name, record) for name in laws}
     return JointStudy(record, published, laws, chosen, forecast, alternate)
 
 
