@@ -11,7 +11,6 @@ from aerial_gym.assets.obstacles import Obstacles, draw_instance, park_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
 from aerial_gym.interop import ReusableLaunch, start_warp
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays
 from aerial_gym.math.random import Purpose, Randomness, copy_mask, state_of_count, uniform_draw
 
@@ -57,7 +56,6 @@ class Bounds:
                 inputs=[self._mask, random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
                 outputs=[lower, upper],
                 device=device,
-                block_dim=BLOCK_DIM,
             )
 
     def draw(self, mask: Tensor) -> None:
@@ -121,7 +119,7 @@ class Placement:
         asked = wp.from_torch(mask)
         self._command = ReusableLaunch(
             _place_instances, dim=obstacles.asset.shape, inputs=[asked, num_kept, num_others, PARKED_Z],
-            outputs=[obstacles], device=asked.device, block_dim=BLOCK_DIM,
+            outputs=[obstacles], device=asked.device,
         )  # fmt: skip
 
     def draw(self) -> None:

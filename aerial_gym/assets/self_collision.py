@@ -23,7 +23,6 @@ from aerial_gym.config.robot import CollisionCfg
 from aerial_gym.config.shape import BASE, ShapeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, on_torch_stream
-from aerial_gym.interop.streams import BLOCK_DIM
 
 _touches = make_touches(cores=True, meshes=False)
 
@@ -147,7 +146,7 @@ class SelfCollisionTest:
         ]
         return ReusableLaunch(
             _test_pairs, dim=len(self._out), inputs=[*self._fixed, *poses, is_step], outputs=[self._out, crashes],
-            device=self._place, block_dim=BLOCK_DIM,
+            device=self._place,
         )  # fmt: skip
 
     def measure(self) -> None:

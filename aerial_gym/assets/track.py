@@ -13,7 +13,6 @@ from torch import Tensor
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.environment import LayoutCfg, TrackCfg
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
@@ -250,7 +249,7 @@ class TrackPlacement:
         self._mask = random.mask
         self._command = ReusableLaunch(
             _draw_track, dim=start.shape[0], inputs=[self._mask, start, random_arrays(random), track],
-            outputs=[_pose_arrays(nominal), _pose_arrays(places), obstacles], device=device, block_dim=BLOCK_DIM,
+            outputs=[_pose_arrays(nominal), _pose_arrays(places), obstacles], device=device,
         )  # fmt: skip
 
     def draw(self) -> None:

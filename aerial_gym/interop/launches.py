@@ -15,6 +15,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+BLOCK_DIM = 64  # Threads of a block with one per environment: Warp's 256 would leave most multiprocessors idle
 MAX_WORKERS = 4  # Most modules compiled at the same time; each worker reads Warp's headers once, in 2 s
 NO_BFLOAT16 = "-DWP_NO_BFLOAT16="  # Leaves out bfloat16, a fifth of Warp's headers; no kernel here has any
 
@@ -27,7 +28,7 @@ _begun: dict[tuple[wp.Module, str, int | None], Future[None]] = {}  # By module,
 
 @cache
 def _workers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(min(torch.get_num_threads(), MAX_WORKERS), thread_name_prefix="compile")
+    return ThreadPoolExecutor(min(os.cpu_count() or 1, MAX_WORKERS), thread_name_prefix="compile")
 
 
 def _reset_after_fork() -> None:
@@ -40,7 +41,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_reset_after_fork)
 
 
-def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
+def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOCK_DIM) -> None:
     """Start to compile a kernel for a device, or to load it from Warp's cache, in the background."""
     key = _key(kernel, device, block_dim)
     if key in _begun:
@@ -65,7 +66,7 @@ def _own_flags(kernel: wp.Kernel) -> tuple[str, ...]:
     return ("-fno-slp-vectorize",) if kernel.adj.source.count("\n") > LONGEST_SEARCHED else ()
 
 
-def wait_for_kernel(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
+def wait_for_kernel(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOCK_DIM) -> None:
     """Wait until a kernel of ``compile_ahead`` can be launched; compile errors appear at the launch."""
     begun = _begun.get(_key(kernel, device, block_dim))
     if begun is not None:
@@ -98,7 +99,7 @@ class ReusableLaunch:
 
     def __init__(
         self, kernel: wp.Kernel, *, dim: int | Sequence[int], inputs: Sequence[object],
-        outputs: Sequence[object] = (), device: wp.Device | torch.device, block_dim: int = 256, tiled: bool = False,
+        outputs: Sequence[object] = (), device: wp.Device | torch.device, block_dim: int = BLOCK_DIM, tiled: bool = False,
     ) -> None:  # fmt: skip
         """Store the arguments of ``warp.launch``, or of ``warp.launch_tiled`` if ``tiled``. Tensors become arrays of the types
         that the kernel declares. All arguments are kept alive."""

@@ -11,8 +11,6 @@ from threadpoolctl import threadpool_limits
 
 from aerial_gym.interop.launches import ReusableLaunch, wait_for_all
 
-BLOCK_DIM = 64  # Threads of a block with one per environment: Warp's 256 would leave most multiprocessors idle
-
 
 @contextmanager
 def on_device(device: torch.device) -> Iterator[None]:

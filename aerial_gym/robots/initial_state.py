@@ -9,7 +9,6 @@ from torch import Tensor
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.interop.rows import RowWork
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.physics import BodyState
@@ -176,7 +175,6 @@ class InitialState:
         """The start of one environment, for use in another kernel."""
         self._command = ReusableLaunch(
             _start_episodes, dim=state.num_envs, inputs=[self._mask, given], device=state.position.device,
-            block_dim=BLOCK_DIM,
         )  # fmt: skip
 
     def reset(self, mask: Tensor) -> None:

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
 from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.warp_functions import euler_angles
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.finite_watch import NonFinite
@@ -151,7 +150,6 @@ class SecondaryStates:
             dim=state.num_envs,
             inputs=[*state.tensors()[:5], checked.actions, self.arrays, checked.non_finite, checked.crashes],
             device=self._like.device,
-            block_dim=BLOCK_DIM,
         )
 
     def refresh(self) -> None:

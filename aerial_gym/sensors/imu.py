@@ -29,7 +29,6 @@ from aerial_gym.assets.scene_arrays import check_tensor, vector_view
 from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp, with_usual_settings
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
@@ -299,7 +298,7 @@ class Imu:
         arrays |= {name: arrays[name].unflatten(-1, (2, 3)) for name in ("bias", "fresh", "line", "measurement")}
         outputs = make_struct(ImuOutputs, **arrays)
         inputs = [motion, unit, random_arrays(self._random), number, outputs]
-        launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
+        launch = {"dim": envs, "device": wp.device_from_torch(device)}
         self._measure_command = ReusableLaunch(_measure, inputs=inputs, **launch)
         self._reset_command = ReusableLaunch(_reset, inputs=[self._mask, *inputs], **launch)
 

@@ -9,7 +9,6 @@ from torch import Tensor
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.config.sensor_mount import PlacementCfg
 from aerial_gym.interop import ReusableLaunch
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_from_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
 from aerial_gym.sensors.mounts import Pose, file_pose
@@ -116,7 +115,7 @@ class SensorPoses:
         """Whether they differ between episodes."""
         self._command = ReusableLaunch(
             _place_sensors, dim=rows, inputs=[self._mask, random_arrays(random), number, place],
-            outputs=[self.position, self.attitude], device=device, block_dim=BLOCK_DIM,
+            outputs=[self.position, self.attitude], device=device,
         )  # fmt: skip
 
     def reset(self, mask: Tensor) -> None:

@@ -72,9 +72,11 @@ def _run_task(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[st
 
 def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[str, object]:
     """Train for ``--train-s`` after the first iteration; the evaluation is not timed."""
+    from aerial_gym.cli.process import cache_bytecode
     from aerial_gym.interop.preload import import_without_torch, preload
     from aerial_gym.lazy import pause_garbage_collection
 
+    cache_bytecode()
     preload(asked.device)
     with pause_garbage_collection():
         import_without_torch()

@@ -14,10 +14,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop.launches import compile_ahead, on_torch_stream, wait_for_kernel
+from aerial_gym.interop.launches import BLOCK_DIM, compile_ahead, on_torch_stream, wait_for_kernel
 from aerial_gym.interop.rows.row_trace import UntraceableError, trace
 from aerial_gym.interop.rows.source import WARP_TYPES, write
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.interop.warp_start import start_warp
 
 _kernels: dict[str, wp.Kernel] = {}  # Kernels by source; equal functions share a kernel

@@ -19,7 +19,6 @@ import warp as wp
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.interop import ReusableLaunch
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.robots.joints.link_tensors import LinkTensors
@@ -157,7 +156,7 @@ class LinkTrajectory:
         self._command = ReusableLaunch(
             _place_links_in_substeps, dim=size[:2],
             inputs=[_joint_arrays(cfg, place), *base, trajectory.joint_pos, self.pieces],
-            outputs=[self.position, self.attitude], device=place, block_dim=BLOCK_DIM,
+            outputs=[self.position, self.attitude], device=place,
         )  # fmt: skip
 
     def refresh(self) -> None:
@@ -181,7 +180,7 @@ class LinkPlaces:
         self._written = links.state
         self._command = ReusableLaunch(
             _write_link_states, dim=len(links.state), inputs=[table, *base, state.joint_pos, state.joint_vel],
-            outputs=[*links.state.split((3, 4, 3, 3), dim=-1), links.ang_vel], device=place, block_dim=BLOCK_DIM,
+            outputs=[*links.state.split((3, 4, 3, 3), dim=-1), links.ang_vel], device=place,
         )  # fmt: skip
 
     @torch.no_grad()

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from aerial_gym.config.checks import Vec3
 from aerial_gym.interop import ReusableLaunch, start_warp
-from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
 
@@ -25,11 +24,8 @@ class MaskLaunch:
     ) -> None:  # fmt: skip
         start_warp()
         self._mask = random.mask
-        block = {"block_dim": BLOCK_DIM} if isinstance(dim, int) else {}
         inputs = [self._mask, *inputs]
-        self._launch = ReusableLaunch(
-            kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._mask.device, **block
-        )
+        self._launch = ReusableLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._mask.device)
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""

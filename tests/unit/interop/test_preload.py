@@ -40,8 +40,10 @@ class Driver:
 
 
 def run_preload(driver: Driver, monkeypatch: pytest.MonkeyPatch, device: str | None) -> list[object]:
+    monkeypatch.setattr(module, "_open", lambda library: True)
     monkeypatch.setattr(module.ctypes, "CDLL", lambda name: driver)
-    module.preload(device).join()
+    for thread in module.preload(device):
+        thread.join()
     return driver.calls
 
 
@@ -63,9 +65,16 @@ def test_other_devices_have_no_context(device: str, monkeypatch: pytest.MonkeyPa
     assert run_preload(Driver(), monkeypatch, device) == []
 
 
+def test_a_library_is_opened_and_a_missing_one_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert module._open("libm.so.6")
+    assert not module._open("/missing/libnone.so")
+    monkeypatch.setattr(module, "_open", lambda library: False)
+    module._load_gpu(0)  # no driver
+
+
 def test_a_machine_without_a_driver_is_none_the_worse() -> None:
     code = (
-        "import sys; from aerial_gym.interop.preload import preload; preload('auto').join(); "
+        "import sys; from aerial_gym.interop.preload import preload; [each.join() for each in preload('auto')]; "
         "assert 'torch' not in sys.modules and 'warp' not in sys.modules; import torch; assert torch.ones(2).sum() == 2"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

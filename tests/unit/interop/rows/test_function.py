@@ -12,6 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import start_warp
+from aerial_gym.interop.launches import BLOCK_DIM
 from aerial_gym.interop.rows import (
     DifferentiableRows,
     KernelInput,
@@ -23,14 +24,7 @@ from aerial_gym.interop.rows import (
     trace,
 )
 from aerial_gym.interop.rows.transport import LARGEST
-from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.quaternion import (
-    euler_from_quat,
-    quat_from_euler,
-    quat_multiply,
-    quat_rotate_inverse,
-    quat_without_tilt,
-)
+from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
 
 ROWS = 5
 
