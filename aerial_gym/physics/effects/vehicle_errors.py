@@ -55,6 +55,31 @@ class TorqueRatio(VehicleEffect):
         return vehicle.with_scaled_maps(torque=params[:, :1])
 
 
+class ArmLength(VehicleEffect):
+    """Arm length: one factor on the horizontal positions of all rotors.
+
+    ``(x, y, z) -> (k x, k y, z)`` for every hub, in body axes.
+    Source: Derived: the lever in ``tau = sum r x f``, e.g. Featherstone (2008), Rigid Body Dynamics Algorithms, section 2.15.
+    """
+
+    name = "arm_length"
+    summary = "one factor on the horizontal distances of all rotors from the body origin"
+    acts_on = "rotor"
+    parameters = (Parameter("scale", "-", 0.3, 3.0, 0.05, "true per declared distance", neutral=1.0),)
+    excitation = "roll and pitch accelerations; inertias that are wrong by one factor about both axes look the same"
+    confused_with = ("inertia_error",)
+    told_by_torques = True
+    on_joints = False
+    rotors = ANY_ROTOR
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the rotors moved."""
+        flat, height = vehicle.rotor_position.split((2, 1), dim=-1)
+        return replace(
+            vehicle, rotor_position=torch.cat((flat * params[:, None, :1], height.expand(len(flat), -1, -1)), -1)
+        )
+
+
 class MotorTimeConstant(VehicleEffect):
     """Motor time constant: the true lag of the rotors, equal for rise and fall, in place of the declared one.
 
@@ -132,7 +157,7 @@ class ComOffset(VehicleEffect):
         return replace(vehicle, com=vehicle.com + params)
 
 
-LEAST_SHARE = 0.7  # Least mass with missing parts, as a share of the declared mass
+LEAST_SHARE = 0.4  # Least true mass, as a share of the declared mass
 
 
 class PayloadMass(VehicleEffect):

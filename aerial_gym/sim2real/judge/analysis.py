@@ -112,6 +112,7 @@ def judge_on_test_flights(
         before=before, after=after, outcomes=became,
         flights=errors_by_flight(tested, models, both, floors_with_gusts, least=least, seed=seed),
         unexplained=unexplained.channels, not_shown=unexplained.left_open, learned=learned,
+        value_ties=result.value_ties,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         notes=verdict_notes(declared, result, model, unexplained, effects, named),
     )  # fmt: skip
@@ -239,6 +240,7 @@ def verdict_notes(
         *notes_on_bounds(declared, selection),
         *notes_on_materiality(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
+        *(tie.finding for tie in selection.value_ties),
         *notes_on_redeclared_values(declared, model),
         *notes_on_implausible_deviations(declared, model, selection.criteria.material, unexplained, named),
         *notes_on_surrogates_and_offsets(selection),

@@ -149,6 +149,7 @@ def _open_findings(verdict: Verdict) -> Iterator[Finding]:
         if point.code not in result:
             yield _with_errors(verdict, point) if point.code == "remains_unexplained" else point
     yield from (rival.finding for effect in verdict.effects for rival in effect.in_part)
+    yield from (tie.finding for tie in verdict.value_ties if tie.is_as_simple)
     structure = verdict.structure
     if structure.kind != "none":
         values = {"channel": structure.channel, "freq_hz": structure.freq_hz, "share": structure.share}

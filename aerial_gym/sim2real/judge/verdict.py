@@ -22,6 +22,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 )
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.identify.selection.value_ties import ValueTie
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import ErrorsWhereActive, FlightError
@@ -161,6 +162,9 @@ class Verdict:
     learned: ResidualFit | None = None
     """The learned residual with its test result, if one was requested."""
 
+    value_ties: tuple[ValueTie, ...] = ()
+    """Combinations of declared values that explain the training flights as well as named effects."""
+
     failures: tuple[Failure, ...] = ()
     """Failures of flights, training flights first; each flight is compared up to its failure."""
 
@@ -184,7 +188,7 @@ class Verdict:
         return {
             "test_flights": {results.name: plain(results) for results in self.outcomes},
             "effects": plain([*self.effects, *learned]),
-            **select_fields(self, "failures", "joints"),
+            **select_fields(self, "value_ties", "failures", "joints"),
             "candidates": list(dict.fromkeys(map(cause_name, self.candidates))),
             "not_testable": list(dict.fromkeys(map(cause_name, self.not_testable))),
             **select_fields(self, "manoeuvre", "fly_next"),
@@ -306,4 +310,8 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     unit = EFFECTS.get(name).parameters[0].unit
     hidden = [other for other in alike if unit == EFFECTS.get(other).parameters[0].unit != "-"]
     rivals = [rival.effect for rival in selection.effect_ties(name)]
-    return list(dict.fromkeys(other for other in (*rivals, *hidden) if cause_name(other) != cause_name(name)))
+    values = [
+        other for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced for other in tie.params
+    ]
+    names = dict.fromkeys((*rivals, *values, *hidden))
+    return [other for other in names if cause_name(other) != cause_name(name)]

@@ -273,6 +273,7 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "thrust_coefficient": _ratio_template("All rotors give", "more thrust", "less thrust"),
     "weak_motor": _ratio_template("ROTOR gives", "more thrust", "less thrust"),
     "torque_ratio": _ratio_template("The drag torque of the rotors is", "higher", "lower"),
+    "arm_length": _ratio_template("The arms are", "longer", "shorter"),
     "motor_time_constant": _motor_time_constant_sentence,
     "motor_asymmetry": _rise_and_fall_time_sentence,
     "motor_failure": _failure_template("follows", "of its commands"),

@@ -116,6 +116,19 @@ def _sentence_on_lack(finding: Finding) -> str:
     return f"{finding.values['flights']} without {NEEDED[finding.values['need']]}."
 
 
+def _sentence_on_value_tie(finding: Finding) -> str:
+    values = finding.values
+    parts = [
+        f"{row['effect']} ({', '.join(f'{name} = {number_text(value)}' for name, value in row['params'].items())})"
+        for row in values["others"]
+    ]
+    loss = f"{max(float(values['loss']), 0.0):.1f}"
+    return (
+        f"These logs cannot distinguish {join_words(values['replaced'])} from {join_words(parts)}, because both predict the "
+        f"same motion: the log likelihood falls by {loss}."
+    )
+
+
 NOTES: dict[str, Template] = {
     "effect_immaterial": lambda f: (
         f"{f.subject} is immaterial: without it no error of the test flights rises by {percent_text(f.values['least'])}. "
@@ -133,6 +146,7 @@ NOTES: dict[str, Template] = {
         "Train on flights that move as the test flights do."
     ),
     "parameter_tied": "{parameter} of {subject} may also be {other} ({params:params}; log odds {log_odds:.1f}).",
+    "values_tied": _sentence_on_value_tie,
     "at_bound": (
         "{subject} ends at a physical bound of {parameters:names}: its law does not fit exactly, or another cause "
         "acts beside it."

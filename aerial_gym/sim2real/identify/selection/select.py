@@ -17,8 +17,10 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceS
 from aerial_gym.sim2real.identify.least_squares.derivatives import parameter_scales, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
+from aerial_gym.sim2real.identify.selection.candidate_view import occam_window
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
+from aerial_gym.sim2real.identify.selection.value_ties import ValueTie, find_value_ties
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -62,6 +64,7 @@ class SelectionResult(MostProbableSet):
     not_testable: dict[str, Finding]  # Effects that these flights cannot show, with the reason
     criteria: Criteria
     looked_for: tuple[str, ...] = field(default_factory=default_effects)  # Effects that the selection was to consider
+    value_ties: tuple[ValueTie, ...] = ()  # Effects on declared values that explain the flights as well
     doubt: dict[Label, float] = field(default_factory=dict)  # Log odds by test flights over the named set, at least 0
 
     def effect_rivals(self, name: str) -> list[Rival]:
@@ -137,6 +140,7 @@ def select_effects(
         not_testable={name: reason for name, reason in reasons.items() if reason} | unseen,
         criteria=criteria,
         looked_for=named,
+        value_ties=final.find_ties(fit, able),
     )
 
 
@@ -179,6 +183,14 @@ class FinalFit:
         sets = self.chosen.without.items()
         without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
         return replace(self.chosen, without=without), *self.fit(self.chosen.effect_names, start, frozenset(unseen))
+
+    def find_ties(self, fit: ModelFit, names: Sequence[str]) -> tuple[ValueTie, ...]:
+        """Return the combinations of effects on declared values, among ``names``, that explain the flights as well as a fit."""
+        best = self.chosen.best
+        return find_value_ties(
+            self.predictor, self.declared, fit, self.beside, names,
+            window=occam_window(best), overdispersion=best.parameter_overdispersion,
+        )  # fmt: skip
 
     def effects_near_neutral(self, fit: ModelFit, spread: Uncertainty) -> set[str]:
         """Return the effects of which every fitted parameter has its neutral value in its 95 % interval."""
