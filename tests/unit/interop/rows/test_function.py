@@ -24,7 +24,13 @@ from aerial_gym.interop.rows import (
     trace,
 )
 from aerial_gym.interop.rows.transport import LARGEST
-from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
+from aerial_gym.math.quaternion import (
+    euler_from_quat,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate_inverse,
+    quat_without_tilt,
+)
 
 ROWS = 5
 
