@@ -20,7 +20,6 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.column_names import column_families, count_foreign_words
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_csv_rows
-from aerial_gym.sim2real.logs.readers.frames import to_package_frames
 from aerial_gym.sim2real.logs.readers.mapping import (
     BODY_FRAMES,
     DIRECTIONS,
@@ -29,6 +28,7 @@ from aerial_gym.sim2real.logs.readers.mapping import (
     WORLD_FRAMES,
     ColumnsCfg,
     LogMapping,
+    to_package_frames,
 )
 
 TIME_UNITS = ("si", "ms", "us", "ns")
