@@ -16,14 +16,16 @@ def start_clock_and_preload() -> None:
     global _started
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
     cache_bytecode()
-    if sys.argv[1:2] == ["train"]:
-        preload(_device_option(sys.argv))
+    if sys.argv[1:2] == ["train"] and not {"-h", "--help"} & set(sys.argv):
+        preload(_training_device(sys.argv))
 
 
-def _device_option(argv: list[str]) -> str | None:
-    """Return the device of a command line, given as ``--device NAME`` or ``--device=NAME``; None without one."""
+def _training_device(argv: list[str]) -> str:
+    """Return the device that a command line names; else ``auto``, or ``cpu`` if a file of settings names it."""
     words = [part for word in argv for part in word.split("=", 1)]
-    return words[words.index("--device") + 1] if "--device" in words[:-1] else None
+    if "--device" in words[:-1]:
+        return words[words.index("--device") + 1]
+    return "cpu" if {"--resume", "--config"} & set(words) else "auto"
 
 
 def start_time() -> float:

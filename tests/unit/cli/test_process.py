@@ -64,13 +64,19 @@ def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("given", "device"), [([], None), (["--device", "cpu"], "cpu"), (["--device=cpu"], "cpu"), (["--device"], None)]
-)
+    ("given", "device"),
+    [
+        ([], "auto"), (["--device", "cpu"], "cpu"), (["--device=cuda:1", "--resume"], "cuda:1"), (["--device"], "auto"),
+        (["--resume"], "cpu"), (["--config=a.yaml"], "cpu"),
+    ],
+)  # fmt: skip
 def test_a_training_loads_libraries_for_its_device(given, device, monkeypatch) -> None:
-    loaded: list[str | None] = []
+    loaded: list[str] = []
     monkeypatch.setattr(process, "cache_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(process, "preload", loaded.append)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "train", *given])
+    process.start_clock_and_preload()
+    monkeypatch.setattr(sys, "argv", ["aerial-gym", "train", *given, "--help"])
     process.start_clock_and_preload()
     assert loaded == [device]
