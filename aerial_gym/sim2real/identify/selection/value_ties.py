@@ -33,7 +33,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-MOST_NEW = 4  # Largest number of effects in place of the named ones
+MOST_NEW = 3  # Largest number of effects in place of the named ones: a mass is a thrust with an inertia and a drag
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,12 +24,15 @@ from aerial_gym.sim2real.identify.learned import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
+from aerial_gym.sim2real.judge.residual_model import fit_residual
 from aerial_gym.sim2real.logs.flights import Flight, load_train_and_test
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from tests.physics.vehicles import random_network
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
+from tests.unit.sim2real.judge.builders import make_setup
 from tests.unit.sim2real.one_rollout import roll_out
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection
 
 CUBIC = 0.08
 FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
@@ -79,6 +82,21 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[ResidualFit
     judged = add_test_shares(narrow, make_predictor(held), (params_from_robot(ROBOT),) * 2, None)
     assert judged.rows_outside == judged.rows > 0
     assert set(judged.gaps.values()) == {0.0}
+
+
+def test_test_flights_report_and_do_not_choose(tmp_path: Path) -> None:
+    """A test flight that is pushed where training flights are braked gets worse: the share says so, the training decides."""
+    train, _ = fly(tmp_path, CUBIC)
+    test = write(flight(23, noise=1.0, seconds=8.0, rate=100.0, cubic=-CUBIC), tmp_path / "pushed.csv")
+    fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
+    params, predictor = params_from_robot(ROBOT), make_predictor(fit)
+    weights = inverse_variance_weights(predictor.residuals(params))
+    tolerated = np.full(len(predictor.channels), 0.02)
+    chosen = replace(make_choice(make_fit()), weights=weights, tolerated=tolerated)
+    setup = replace(make_setup(), params=params, train=predictor, test=make_predictor(held))
+    learned = fit_residual(setup, make_selection(chosen), params, None, seed=0)
+    assert learned.effect is not None
+    assert max(learned.gaps[name] or 0.0 for name in FORCES) < -0.5
 
 
 def test_training_repeats_itself(tmp_path: Path) -> None:
