@@ -20,7 +20,14 @@ from aerial_gym.sim2real.logs.readers.binary_log import flight_of_streams, strea
 from aerial_gym.sim2real.logs.readers.csv_log import read_csv_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import FlightLog, longest_bridgeable_gap, split_flight_number, take_rows
+from aerial_gym.sim2real.logs.recording import (
+    FlightLog,
+    longest_bridgeable_gap,
+    sample_rate,
+    split_flight_number,
+    take_rows,
+)
+from aerial_gym.sim2real.logs.row_grid import without_slow_rotor_data
 from aerial_gym.sim2real.logs.streams import Stream
 
 
@@ -119,7 +126,9 @@ def _open_csv(file: str, mapping: LogMapping | None, hover: bool) -> LogFlights:
     if not table.states:
         notes += _finding_on_short_parts(rows.time, spans)
     raw = RawLog(path=file, format="csv", topics=(Topic(name="table", time=rows.time, columns={}),))
-    rows = replace(rows, notes=tuple(notes))
+    rates = dict.fromkeys(("rotor_speed", "rotor_command"), sample_rate(rows))
+    rates |= {name: timing.rate for name, timing in rows.streams.items()}
+    rows = without_slow_rotor_data(replace(rows, notes=tuple(notes)), rates)
     return LogFlights(raw=raw, streams=streams, spans=spans, notes=(), mapping=mapping, rows=rows)
 
 

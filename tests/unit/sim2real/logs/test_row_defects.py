@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 
 from aerial_gym.sim2real.logs.flights import SETTLE_S, Flight
+from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.rollout import find_windows
-from tests.unit.sim2real.flat_flights import flight, load_tables, make_predictor
+from tests.unit.sim2real.flat_flights import flight, load_tables, make_predictor, write
 
 RATE = 200.0
 PLACES = ["p_x", "p_y", "p_z"]
@@ -90,6 +91,12 @@ def test_slow_commands_alone_show_no_torques(table: pd.DataFrame, tmp_path: Path
     assert not loaded.gyro
     assert loaded.rotor_command is not None
     assert {channel.kind for channel in find_channels([loaded])} == {"specific_force", "kinematic_force"}
+
+
+@pytest.mark.parametrize("rows", [20, 8])
+def test_slow_rows_show_no_torques_where_a_file_is_opened(rows: int, table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write(table.iloc[::rows], tmp_path / "a.csv")
+    assert open_log(path).flight(1).torques is (RATE / rows >= 40.0)
 
 
 def test_rows_near_a_gap_are_not_compared(table: pd.DataFrame, tmp_path: Path) -> None:
