@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import load_robot
@@ -17,6 +16,7 @@ from aerial_gym.sim2real.identify.learned import (
     OUTPUTS,
     CrossValidation,
     ResidualFit,
+    _Layers,
     _Trainer,
     add_test_shares,
     leave_out_flights,
@@ -107,10 +107,26 @@ def test_training_repeats_itself(tmp_path: Path) -> None:
     trainer = _Trainer(predictor, params_from_robot(ROBOT), make_judge(predictor), 0)
     first = trainer.train(0.01)
     np.testing.assert_array_equal(first.as_vector(), trainer.train(0.01).as_vector())
-    constant = replace(first, output=0.0 * first.output, offset=torch.eye(6, dtype=torch.float64)[4])
+    constant = replace(first, output=0.0 * first.output, offset=np.eye(6)[4])
     turning = trainer.network_config(constant).output.bias  # J times the rms of angular acceleration y
     rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(params_from_robot(ROBOT)))[:, 4] ** 2))
     np.testing.assert_allclose(turning, (0.0, 0.0, 0.0, 0.0, 2.4e-3 * rms, 0.0), rtol=1e-5)
+
+
+def test_gradient_of_the_loss_is_that_of_finite_differences() -> None:
+    """Central differences of 1e-5 of a smooth function are exact to 1e-9 of its size."""
+    rng = np.random.default_rng(0)
+    layers = _Layers(rng.normal(size=(4, 3)), rng.normal(size=4), rng.normal(size=(2, 4)), rng.normal(size=2))
+    inputs, targets, here = rng.normal(size=(3, 20)), rng.normal(size=(2, 20)), layers.as_vector()
+
+    def loss(numbers: np.ndarray) -> float:
+        return layers.from_vector(numbers).loss_and_gradient(inputs, targets, 0.1)[0]
+
+    slopes = [(loss(here + step) - loss(here - step)) / 2e-5 for step in 1e-5 * np.eye(here.size)]
+    value, gradient = layers.loss_and_gradient(inputs, targets, 0.1)
+    np.testing.assert_allclose(gradient, slopes, atol=1e-8)
+    squares = (layers.weights**2).sum() + (layers.output**2).sum()
+    np.testing.assert_allclose(value, np.mean((layers(inputs) - targets) ** 2) + 0.1 * squares, rtol=1e-12)
 
 
 def test_noise_is_not_learned(tmp_path: Path) -> None:
