@@ -9,6 +9,7 @@ LOG_READERS: Registry[Any] = Registry("log format")  # Readers of binary logs, e
 
 READERS: dict[str, tuple[str, tuple[bytes, ...]]] = {
     "blackbox": ("blackbox:BlackboxReader", (b"H Product:Blackbox",)),
+    "log_export": ("exports:LogExportReader", (b'"aerial_gym_log"', b"aerial_gym")),
     "crazyflie": ("crazyflie:CrazyflieReader", (b"\xbc",)),
     "dataflash": ("dataflash:DataflashReader", (b"\xa3\x95", b"FMT,")),
     "ros": ("ros:RosReader", (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP", b"rosbag2_bagfile_information")),
@@ -16,7 +17,8 @@ READERS: dict[str, tuple[str, tuple[bytes, ...]]] = {
 }
 """Module and class of each reader of this package, and bytes of which a file of its format begins with at least one.
 
-Only a reader whose bytes are found is imported. Each format has other first bytes, so that their order does not count.
+Only a reader whose bytes are found is imported, and the first that recognises the file reads it: an MCAP file of this package
+is one of ``log_export``, not of ``ros``.
 """
 
 for _name, (_place, _marks) in READERS.items():

@@ -13,6 +13,7 @@ from aerial_gym.sim2real.json_values import select_fields, write_json
 from aerial_gym.sim2real.logs.inspection import csv_raw_log
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_log import FlightFacts
+from aerial_gym.sim2real.logs.readers.exports import HEAD_TOPIC, LIBRARY, MARK, METADATA
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import COLUMNS, LogMapping
@@ -88,13 +89,17 @@ def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
         table = {"time": topic.time} | {name: np.ascontiguousarray(values) for name, values in columns.items()}
         files.append(out / f"{file}.parquet")
         parquet.write_table(pyarrow.table(table), files[-1])
+    write_json(out / METADATA, _log_head(raw, topics))
+    return [*files, out / METADATA]
+
+
+def _log_head(raw: RawLog, topics: Mapping[str, Topic]) -> dict[str, object]:
+    """Return all but the samples of a log for JSON, with the topics by the names of their files or channels."""
     entries = {
         file: {"name": one.name, "instance": one.instance, "units": dict(one.units)} for file, one in topics.items()
     }
-    head = {**select_fields(raw, "path", "format", "metadata"), "topics": entries}
-    content = head | {"parameters": _finite_numbers(raw.parameters), **select_fields(raw, "messages")}
-    write_json(out / "metadata.json", content)
-    return [*files, out / "metadata.json"]
+    head = {MARK: 1, **select_fields(raw, "path", "format", "metadata"), "topics": entries}
+    return head | {"parameters": _finite_numbers(raw.parameters), **select_fields(raw, "messages")}
 
 
 def _finite_numbers(parameters: Mapping[str, float | str]) -> dict[str, object]:
@@ -109,9 +114,10 @@ def _write_mcap(raw: RawLog, out: Path) -> list[Path]:
     path = out / f"{Path(raw.path).stem}.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
-        writer.start(profile="", library="aerial_gym")
-        writer.add_metadata("parameters", {name: str(value) for name, value in raw.parameters.items()})
-        writer.add_metadata("metadata", dict(raw.metadata))
+        writer.start(profile="", library=LIBRARY)
+        head = json.dumps(_log_head(raw, {topic.source: topic for topic in raw.topics})).encode()
+        channel = writer.register_channel(topic=HEAD_TOPIC, message_encoding="json", schema_id=0)
+        writer.add_message(channel_id=channel, log_time=0, publish_time=0, data=head)
         for topic in raw.topics:
             properties = {name: {"type": "number"} for name in topic.columns}
             schema = json.dumps({"type": "object", "properties": properties}).encode()

@@ -23,7 +23,7 @@ class LogReader(ABC):
     def recognises(self, head: bytes) -> bool:
         """Return whether a file has this format, from its first ``HEAD_BYTES``; the suffix does not count.
 
-        For a folder, such as a ROS 2 bag, they are those of its ``metadata.yaml``.
+        For a folder, such as a ROS 2 bag, they are those of its ``metadata.yaml`` or ``metadata.json``.
         """
 
     @abstractmethod
@@ -37,7 +37,8 @@ class LogReader(ABC):
 
 def find_reader(path: Path) -> LogReader | None:
     """Return the reader that recognises a file by its content; None for any other file, which may be CSV, or for no file."""
-    file = path / "metadata.yaml" if path.is_dir() else path
+    names = ("metadata.yaml", "metadata.json") if path.is_dir() else ("",)
+    file = next((path / name for name in names if (path / name).exists()), path)
     try:
         with file.open("rb") as stream:
             head = stream.read(HEAD_BYTES)

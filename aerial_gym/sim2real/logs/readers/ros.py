@@ -21,7 +21,14 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first, note_on_rotor_order
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.readers.ros_files import DATABASE, MCAP, MessageSource, decode_messages, read_sources
+from aerial_gym.sim2real.logs.readers.ros_files import (
+    DATABASE,
+    MCAP,
+    MessageSource,
+    decode_messages,
+    json_columns,
+    read_sources,
+)
 from aerial_gym.sim2real.logs.readers.ulog import UlogReader
 
 METADATA = "metadata.yaml"  # File of a ROS 2 bag that stands for its folder
@@ -151,6 +158,11 @@ def _one_world_first(channels: Sequence[LogChannel]) -> list[LogChannel]:
 def _decode_source(source: MessageSource, fields: Any) -> tuple[dict[str, Array], str]:
     """Return the numbers of all messages by field, and the reason why some of them are missing."""
     name, count = f"topic {source.topic}", len(source.messages)
+    if source.encoding == "json":
+        try:
+            return json_columns(source.messages), ""
+        except (ValueError, RecursionError, AttributeError) as error:
+            return {}, f"{name} has messages that are no JSON objects ({type(error).__name__})"
     if source.encoding not in ("cdr", "ros1"):
         return {}, f"{name} has messages in {source.encoding or 'no encoding'}, which are not read; log messages of ROS"
     if source.type not in fields:

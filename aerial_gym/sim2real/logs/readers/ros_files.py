@@ -7,6 +7,7 @@ Source: ROS wiki, *Bags/Format/2.0* and *ROS serialization*; OMG DDS-XTypes 1.3,
 specification (mcap.dev/spec); rosbag2 documentation, schema of its SQLite storage.
 """
 
+import json
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
@@ -42,6 +44,8 @@ class MessageSource:
     times: list[int] = field(default_factory=list)  # Time of the record [ns]
     messages: list[bytes] = field(default_factory=list)
 
+
+DEEPEST = 8  # Levels of fields in messages of JSON
 
 DECOMPRESSORS = {
     "bz2": ("bz2", "BZ2Decompressor"),
@@ -334,6 +338,12 @@ class MessageLayout:
             self._advance(number.itemsize)
         else:
             raise LayoutError(f"unknown type {kind}")
+
+
+def json_columns(messages: Sequence[bytes]) -> dict[str, Array]:
+    """Return the numbers of messages in JSON by field, such as ``pose.position.x``; raise ``ValueError`` for other text."""
+    table = pd.json_normalize(json.loads(b"[" + b",".join(messages) + b"]"), max_level=DEEPEST)
+    return {str(name): table[name].to_numpy() for name in table.columns if pd.api.types.is_numeric_dtype(table[name])}
 
 
 def decode_messages(

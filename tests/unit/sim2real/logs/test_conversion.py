@@ -11,8 +11,9 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.conversion import _write_parquet, convert_log
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
+from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.recording import FlightLog, row_arrays
-from tests.unit.sim2real.flat_flights import flight
+from tests.unit.sim2real.flat_flights import flight, write
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 
@@ -21,14 +22,14 @@ def table() -> pd.DataFrame:
     return flight(5, seconds=4.0, rate=200.0)
 
 
-def assert_same_flights(originals: list[FlightLog], copies: list[FlightLog]) -> None:
+def assert_same_flights(originals: list[FlightLog], copies: list[FlightLog], tolerance: float = 0.0) -> None:
     for original, copy in zip(originals, copies, strict=True):
         arrays = row_arrays(copy)
         assert row_arrays(original).keys() == arrays.keys() - {"lines"}
         for name, values in row_arrays(original).items():
-            np.testing.assert_array_equal(arrays[name], values, err_msg=name)
+            np.testing.assert_allclose(arrays[name], values, rtol=0.0, atol=tolerance, err_msg=name)
         for name in ("streams", "torques", "relative_commands", "attitude_integrated"):
-            assert getattr(copy, name) == getattr(original, name)
+            assert getattr(copy, name) == getattr(original, name) or tolerance > 0.0
 
 
 @pytest.mark.parametrize("kind", ["speeds", "slow shares", "no attitude"])
@@ -45,6 +46,42 @@ def test_flights_as_csv_are_the_flights_of_the_log(kind: str, table: pd.DataFram
     files = convert_log(path, "csv", tmp_path / "out")
     assert len(files) == 2
     assert_same_flights(read_flights([path]), read_flights(files))
+
+
+@pytest.mark.parametrize("kind", ["parquet", "mcap"])
+def test_a_converted_log_is_the_log(kind: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    path = write_ulog(tmp_path / "a.ulg", topics(table), {"A": 1.5, "B": np.nan})
+    file = tmp_path / "out" if kind == "parquet" else tmp_path / "out" / "a.mcap"
+    convert_log(path, kind, tmp_path / "out")
+    first, second = read_raw_log(path), read_raw_log(file)
+    assert first is not None
+    assert second is not None
+    assert (second.format, second.messages, second.metadata) == (first.format, first.messages, first.metadata)
+    np.testing.assert_equal(dict(second.parameters), dict(first.parameters))
+    assert_same_flights(read_flights([path]), read_flights([file]), tolerance=0.0 if kind == "parquet" else 1e-7)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"aerial_gym_log": 1}',
+        '{"aerial_gym_log": 1, "topics": {"a": {}}}',
+        '{"aerial_gym_log": 1, "topics": 3}',
+        "{",
+    ],
+)
+def test_a_damaged_folder_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "metadata.json").write_text(text)
+    with pytest.raises(DataError):
+        read_flights([tmp_path])
+
+
+def test_a_converted_csv_file_names_its_remedy(table: pd.DataFrame, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    convert_log(write(table, tmp_path / "a.csv"), "parquet", tmp_path / "out")
+    with pytest.raises(DataError, match="give that file"):
+        read_flights([tmp_path / "out"])
 
 
 def test_bad_facts_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:

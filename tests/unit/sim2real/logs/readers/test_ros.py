@@ -94,7 +94,7 @@ def test_the_files_of_a_split_bag_are_one_log(tmp_path) -> None:
     np.testing.assert_array_equal(channel(read(tmp_path / "log"), "ang_vel").values, numbers["gyro"])
 
 
-@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+@pytest.mark.parametrize("encoding", ["protobuf", "cbor"])
 def test_messages_that_are_not_of_ros_are_named(tmp_path, encoding) -> None:
     with (tmp_path / "log").open("wb") as stream:
         writer = Writer(stream)
@@ -104,6 +104,21 @@ def test_messages_that_are_not_of_ros_are_named(tmp_path, encoding) -> None:
         writer.finish()
     (note,) = read(tmp_path / "log").notes
     assert encoding in note.values["error"]
+
+
+def test_messages_of_ros_in_json_are_read(tmp_path) -> None:
+    with (tmp_path / "log").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema(name="sensor_msgs/msg/Imu", encoding="jsonschema", data=b"{}")
+        number = writer.register_channel(topic="/imu", message_encoding="json", schema_id=schema)
+        for i in range(3):
+            data = f'{{"angular_velocity": {{"x": {i}.0, "y": 2.0, "z": 3.0}}}}'.encode()
+            writer.add_message(channel_id=number, log_time=i, publish_time=i, data=data)
+        writer.finish()
+    log = read(tmp_path / "log")
+    (channel,) = [one for one in RosReader().channels(log) if one.quantity == "ang_vel"]
+    np.testing.assert_array_equal(channel.values, [[0.0, 2.0, 3.0], [1.0, 2.0, 3.0], [2.0, 2.0, 3.0]])
 
 
 def test_a_type_without_definition_is_named(tmp_path) -> None:
