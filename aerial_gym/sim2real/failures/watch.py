@@ -69,13 +69,10 @@ class SensorWatch:
 
     def __init__(self, flight: str) -> None:
         self._flight = flight
-        self._since = -np.inf
-        """Start of the compared positions [s], after the last sensor dropout."""
-        self._stopped: dict[str, float] = {}
-        """Stopped sensors, with the time of their last change [s]."""
+        self._since = -np.inf  # Start of the compared positions [s], after the last sensor dropout
+        self._stopped: dict[str, float] = {}  # Time of the last change of each stopped sensor [s]
         self._jumps: list[tuple[float, PositionJump]] = []
-        self._offset = PositionOffset()
-        """Sum of all jumps, earlier ones included."""
+        self._offset = PositionOffset()  # Sum of all jumps, earlier ones included
 
     @property
     def has_stopped_sensor(self) -> bool:
@@ -201,14 +198,10 @@ class FlightWatch:
         self._suspected: Failure | None = None
         self._since = 0.0
         self._stateless = 0
-        self._fits: bool | None = None
-        """Whether the declared vehicle fits the first half minute; None before this is known."""
-        self._usual = 0.0
-        """Largest log sum of odds in the first half minute of a vehicle that does not fit."""
-        self.last_bad: Finding | None = None
-        """Reason for the rejection of the last bad row."""
-        self.over = False
-        """Whether a lasting failure has occurred."""
+        self._fits: bool | None = None  # Whether the declared vehicle fits the first half minute; None: not known yet
+        self._usual = 0.0  # Largest log sum of odds in the first half minute of a vehicle that does not fit
+        self.last_bad: Finding | None = None  # Reason for the rejection of the last bad row
+        self.over = False  # Whether a lasting failure has occurred
         self.watched_s = 0.0
 
     def add(self, row: Sequence[float] | Array) -> list[Alarm]:

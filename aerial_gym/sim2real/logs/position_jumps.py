@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
+from scipy.integrate import cumulative_trapezoid
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
@@ -99,8 +100,7 @@ def displacement_from_velocity(velocity: Array, step: float) -> Array:
     """Return the displacement (T, 3) [m] by trapezoidal integration of the median-filtered velocity [m/s]."""
     size = 2 * round(0.5 * LEAP_S / step) + 1  # scipy's median of single columns is much faster
     columns = [ndimage.median_filter(column, size=size, mode="nearest") for column in velocity.T.copy()]
-    velocity = np.stack(columns, axis=1)
-    return np.concatenate((np.zeros((1, 3)), np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)))
+    return cumulative_trapezoid(np.stack(columns, axis=1), dx=step, axis=0, initial=0.0)
 
 
 def largest_jump(left: Array, step: float, offset: PositionOffset) -> PositionJump | None:

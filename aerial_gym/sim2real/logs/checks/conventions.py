@@ -119,9 +119,7 @@ def body_rate_from_attitude(attitude: Array, rate: float, bandwidth: float) -> A
 READINGS: dict[str, Callable[[Array], Array]] = {
     "the quaternion is stored w first": lambda q: q[:, [1, 2, 3, 0]],
     "the quaternion turns world into body": lambda q: q * (-1.0, -1.0, -1.0, 1.0),
-    "the quaternion is stored w first and turns world into body": lambda q: (
-        q[:, [1, 2, 3, 0]] * (-1.0, -1.0, -1.0, 1.0)
-    ),
+    "the quaternion is stored w first and turns world into body": lambda q: q[:, [1, 2, 3, 0]] * (-1, -1, -1, 1),
 }
 """Common wrong conventions of the four quaternion columns, each with its correction."""
 
@@ -148,12 +146,9 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     degrees = UNITS["deg/s"]
     if _rms_of_vectors(rate - degrees * measured) < 0.5 * _rms_of_vectors(rate) and abs(slope / degrees - 1.0) < 0.5:
         alternatives["omega is in degrees per second"] = 0.0
-    alternatives["omega is in world axes"] = (
-        _rms_of_vectors(attitude[_rows_of_comparison(log)].apply(rate) - measured) / size
-    )
-    alternatives["omega is in axes x forward, y right, z down"] = (
-        _rms_of_vectors(rate * (1.0, -1.0, -1.0) - measured) / size
-    )
+    in_world, in_frd = attitude[_rows_of_comparison(log)].apply(rate), rate * (1.0, -1.0, -1.0)
+    alternatives["omega is in world axes"] = _rms_of_vectors(in_world - measured) / size
+    alternatives["omega is in axes x forward, y right, z down"] = _rms_of_vectors(in_frd - measured) / size
     best = min(alternatives, key=lambda text: alternatives[text])
     guess = "check order, direction, axes and units of both"
     if alternatives[best] < 0.6 * miss:
@@ -246,17 +241,14 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
     as_world = _lowpass_compared_rows(log.specific_force, log)
     if log.lin_vel is None and log.position is None:
         across = _lowpass_compared_rows(attitude.inv().apply(log.specific_force), log)
-        turned = _rms_of_vectors(as_world[:, :2]) > LEAST_ACROSS and _rms_of_vectors(
-            across[:, :2]
-        ) < 0.3 * _rms_of_vectors(as_world[:, :2])
-        motion = "thrust"
+        size, turned_size = (_rms_of_vectors(one[:, :2]) for one in (as_world, across))
+        is_world, motion = size > LEAST_ACROSS and turned_size < 0.3 * size, "thrust"
     else:
         world = _acceleration_from_motion(log) + AT_REST
-        turned = _rms_of_vectors(as_body - as_world) > 0.5 and _rms_of_vectors(
-            as_world - world
-        ) < 0.4 * _rms_of_vectors(as_body - world)
-        motion = "the motion"
-    if turned:
+        pairs = ((as_body, as_world), (as_world, world), (as_body, world))
+        difference, of_world, of_body = (_rms_of_vectors(one - other) for one, other in pairs)
+        is_world, motion = difference > 0.5 and of_world < 0.4 * of_body, "the motion"
+    if is_world:
         raise DataError(
             f"{log.path}: specific force (acc_x, acc_y, acc_z) agrees with {motion} in world axes, not in body axes; "
             "turn it into body axes with the inverse of the attitude"

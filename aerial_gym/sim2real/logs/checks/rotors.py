@@ -191,9 +191,7 @@ def _residual_shares(turning: Array, expected: Array) -> Array:
 
 WINDOW_S = 0.25  # Length of the averaging windows [s]
 FEWEST_WINDOWS = 8  # Least surplus of windows over fitted coefficients
-WRONG_SLOPE = float(
-    np.sqrt(2.0)
-)  # Ratio beyond which a slope is nearer to 2 or 1/2, those of a mistaken column, than to 1
+WRONG_SLOPE = 2.0**0.5  # Ratio beyond which a slope is nearer to 2 or 1/2, those of a mistaken column, than to 1
 
 
 def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) -> None:

@@ -25,9 +25,7 @@ AXES = np.arange(3)
 WINDOW_S = 0.5  # Window length [s]; errors of different windows count as independent
 SURE = normal_tail(4.0)  # Error probability of a refusal per axis, small because each log has six axes
 CLEARLY = 10.0  # Least log likelihood ratio of another order, whose moved axes are explained to ``SHARED``
-
 SHARED = 0.8
-
 FEWEST = 4  # Least number of windows
 DERIVED_HZ = 4.0  # Bandwidth of a velocity that is derived from the position [Hz]
 MATERIAL = 0.05  # Least deviation of a factor from 1 that is reported
@@ -93,9 +91,8 @@ def axis_relation(effect: Array, cause: Array) -> AxisRelation | None:
     shared = np.clip(scores[0].T @ scores[1] / count, -1.0 + 1e-12, 1.0 - 1e-12)
     order = _most_likely_axis_order(shared, count)
     share, size = shared[AXES, order], sizes[0] / sizes[1][list(order)]
-    error = (
-        -student_quantile(SURE, count - 2) * np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
-    )
+    error = np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
+    error = -student_quantile(SURE, count - 2) * error
     known = error < 1.0  # otherwise the correlation may be 0
     widening = np.exp(np.minimum(error, 1.0))
     low = np.where(known, np.abs(share) * size / widening, 0.0)
@@ -182,9 +179,7 @@ def _letters_of_wrong_quantities(relation: AxisRelation, log: FlightLog) -> list
 
     def agrees_with_accelerometer(letter: str) -> bool:
         other = _relation_to_accelerometer(log, letter)
-        return other is not None and bool(
-            np.all(other.significant_axes[relation.wrong_axes]) and not other.wrong_axes[relation.wrong_axes].any()
-        )
+        return other is not None and bool(np.all((other.significant_axes & ~other.wrong_axes)[relation.wrong_axes]))
 
     wrong = [letter for letter in ("v", "p") if not agrees_with_accelerometer(letter)]
     return wrong or ["v", "p"]

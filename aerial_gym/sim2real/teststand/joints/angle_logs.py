@@ -25,7 +25,6 @@ from aerial_gym.sim2real.statistics import Estimate, Rms
 from aerial_gym.sim2real.teststand.joints.joint_motion import JointMotion
 from aerial_gym.sim2real.teststand.statistics import (
     FOLDS,
-    PARSIMONY,
     LawFit,
     cross_validation_error,
     errors_on_left_out_folds,
@@ -33,6 +32,7 @@ from aerial_gym.sim2real.teststand.statistics import (
     fit_law,
     fold_labels,
     hac_covariance,
+    smallest_good_candidate,
 )
 
 CLEAR = 0.8  # Least |s| of rows with continuous motion to one side
@@ -44,6 +44,8 @@ LAWS: dict[str, tuple[str, ...]] = {
     "quadratic spring": ("quadratic", "damping", "rest", "preload"),
 }
 """Parameters of each law: stiffness [N m/rad], quadratic [N m/rad²], damping [N m s/rad], rest [rad], others [N m]."""
+
+NUM_PARAMETERS = {name: len(parameters) for name, parameters in LAWS.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +144,7 @@ def _fit_joint(joint: JointCfg, k: int, motions: Sequence[JointMotion]) -> LogJo
         )
     fold = fold_labels(counts)
     laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
-    limit = (1.0 + PARSIMONY) * min(law.error.value for law in laws.values())
-    chosen = min((name for name, law in laws.items() if law.error.value <= limit), key=lambda name: len(LAWS[name]))
+    chosen = smallest_good_candidate({name: law.error.value for name, law in laws.items()}, NUM_PARAMETERS)
     declared = joint.spring or SpringCfg()
     before = cross_validation_error(effort - _effort_of_spring(declared, angle, rate, side), fold)
     sizes = {"stiffness": angle.std(), "quadratic": (angle**2).std(), "damping": rate.std(), "friction": side.std()}

@@ -14,13 +14,13 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.json_values import plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
-    PARSIMONY,
     CurveFit,
     LawFit,
     cross_validation_error,
     errors_on_left_out_folds,
     fit_curve,
     rms,
+    smallest_good_candidate,
 )
 from aerial_gym.sim2real.teststand.tables import Bench
 
@@ -211,8 +211,7 @@ def fit_joint(record: Release) -> JointStudy:
     """Return the fits of all laws to the record, their errors on left-out blocks, and the choice."""
     laws = {name: _fit_law(name, record) for name in LAWS}
     errors = {name: rms(np.array(rms_by_block(record, law))) for name, law in laws.items()}  # weights the first moments
-    limit = (1.0 + PARSIMONY) * min(errors.values())
-    chosen = min((name for name, error in errors.items() if error <= limit), key=lambda name: len(LAWS[name]))
+    chosen = smallest_good_candidate(errors, {name: len(parameters) for name, parameters in LAWS.items()})
     law = {"quadratic_stiffness": PUBLISHED["stiffness"], "damping": PUBLISHED["damping"], "rest": PUBLISHED["rest"]}
     late = record.time > 0.5 * record.time[-1]
     forecast = {}

@@ -76,30 +76,22 @@ def _read_three(data: wp.array[wp.uint8], cursor: wp.array[int], uneven: bool, o
     """Read three numbers of 2, of 4 and of 6 bits, or of whole bytes each; ``uneven``: of 5, 5, 4 and of 8, 7, 7 bits."""
     lead = _read_byte(data, cursor)
     form = lead >> 6
-    if form == 0:
-        for i in range(3):
-            out[at + i] = _extend_sign(lead >> (4 - 2 * i), 2)
-    elif form == 3:
+    if form == 3:
         for i in range(3):
             out[at + i] = _read_little_endian(data, cursor, 1 + ((lead >> (2 * i)) & 3))
-    else:
-        lead = (lead << 8) | _read_byte(data, cursor)
-        if form == 2:
+    elif form > 0 and uneven:
+        for _ in range(form):
             lead = (lead << 8) | _read_byte(data, cursor)
-        if form == 1 and uneven:
-            out[at] = _extend_sign(lead >> 9, 5)
-            out[at + 1] = _extend_sign(lead >> 4, 5)
-            out[at + 2] = _extend_sign(lead, 4)
-        elif form == 1:
-            for i in range(3):
-                out[at + i] = _extend_sign(lead >> (8 - 4 * i), 4)
-        elif uneven:
-            out[at] = _extend_sign(lead >> 14, 8)
-            out[at + 1] = _extend_sign(lead >> 7, 7)
-            out[at + 2] = _extend_sign(lead, 7)
-        else:
-            for i in range(3):
-                out[at + i] = _extend_sign(lead >> (16 - 8 * i), 6)
+        last = 3 * form + 1  # bits of the third number; the second one has 5 or 7
+        out[at] = _extend_sign(lead >> (last + 3 + 2 * form), 3 * form + 2)
+        out[at + 1] = _extend_sign(lead >> last, 3 + 2 * form)
+        out[at + 2] = _extend_sign(lead, last)
+    else:
+        for _ in range(form):
+            lead = (lead << 8) | _read_byte(data, cursor)
+        gap = wp.max(4 * form, 2)  # distance of the numbers: 2, 4 or 8 bits
+        for i in range(3):
+            out[at + i] = _extend_sign(lead >> (gap * (2 - i)), 2 + 2 * form)
 
 
 @wp.func
