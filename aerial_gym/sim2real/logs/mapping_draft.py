@@ -237,7 +237,8 @@ def _with_motion(draft: MappingDraft, numbers: pd.DataFrame, time: Array) -> Map
                 f"columns {', '.join(attitude.columns)}: are no unit quaternion, their usual norm is {np.median(norms):.3g}; "
                 "rename them, or write the mapping by hand"
             )
-        values["attitude"] = values["attitude"] / np.maximum(norms, 1e-9)[:, None]
+        usable = np.abs(norms - 1.0) < 0.5
+        values["attitude"] = np.where(usable[:, None], values["attitude"] / np.where(usable, norms, 1.0)[:, None], 0.5)
     width = max(1, round(MEAN_S * (time.size - 1) / float(time[-1] - time[0])))
     draft = _with_units(draft, values, time, width)
     if attitude is None:

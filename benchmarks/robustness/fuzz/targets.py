@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from aerial_gym.env_manager import EnvManager, SimBuilder
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.rl_training import load_policy, load_settings, settings_for
 from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.sim2real.logs.conversion import convert_log
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.inspection import inspect_log
+from aerial_gym.sim2real.logs.mapping_draft import draft_mapping
 from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR, find_mapping
 from aerial_gym.task import Task
 from benchmarks.robustness.fuzz.mutations import BINARY, PLAIN, TEXT, TREE, Mutation
@@ -103,17 +106,33 @@ def _log_targets(folder: Path) -> tuple[Target, ...]:
         "database": databases,
         "mcap": mcaps,
     }
+    inputs["export"] = (convert_log(ulog, "mcap", folder)[0].read_bytes(),)
+    foreign = folder / "foreign.csv"
+    flat_flights.flight(0, seconds=3.0, rate=100.0).rename(columns={"t": "stamp"}).to_csv(foreign, index=False)
+
+    def use_part(part: Path, path: Path) -> object:
+        part.write_bytes(path.read_bytes())
+        return inspect_log(part.parent)
+
+    uses: dict[str, tuple[Path, Callable[[Path], object]]] = {
+        "draft": (foreign, lambda path: inspect_log(path, draft_mapping(path).mapping))
+    }
+    for name, place in (("metadata", -1), ("parquet", 0)):
+        part = convert_log(ulog, "parquet", folder / name)[place]
+        uses[name] = part, partial(use_part, part)
+    everything = [(name, data, inspect_log) for name, data in inputs.items()]
+    everything += [(name, (file.read_bytes(),), use) for name, (file, use) in uses.items()]
     return tuple(
         Target(
             name=f"log_{name}",
             suffix=f".{name}",
             inputs=data,
             ways=BINARY,
-            use=inspect_log,
+            use=use,
             limit_s=LOG_S,
             limit_bytes=LOG_BYTES,
         )
-        for name, data in inputs.items()
+        for name, data, use in everything
     )
 
 

@@ -49,7 +49,7 @@ class LogExportReader(LogReader):
         except DataError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
-            raise DataError(f"{path}: is no complete converted log ({error}); convert the log again") from None
+            raise DataError(f"{path}: is no complete converted log ({type(error).__name__}); convert the log again") from None
         if name not in LOG_READERS or name == self.name:
             raise DataError(f"{path}: was converted from {name}, whose rows only the file itself tells; give that file")
         return RawLog(
@@ -84,7 +84,7 @@ def _read_folder(path: Path) -> tuple[dict[str, Any], tuple[Topic, ...]]:
                 raise DataError(f"{part}: grows to more than {MOST_GROWTH} times its size; it is no log")
             table = parquet.read_table(part)
         except ArrowException as error:
-            raise DataError(f"{part}: is no Parquet file ({error}); convert the log again") from None
+            raise DataError(f"{part}: is no Parquet file ({type(error).__name__}); convert the log again") from None
         columns = {key: table[key].to_numpy() for key in table.column_names}
         topics.append(_topic(entry, columns.pop("time"), columns))
     return head, tuple(topics)

@@ -53,8 +53,9 @@ def read_raw_log(path: Path) -> RawLog | None:
     reader = find_reader(path)
     if reader is None:
         return None
-    state = path.stat()
-    return _read_once(reader.name, str(path), state.st_mtime_ns, state.st_size)
+    states = [file.stat() for file in (path.iterdir() if path.is_dir() else (path,))]
+    version = max(one.st_mtime_ns for one in states), sum(one.st_size for one in states)
+    return _read_once(reader.name, str(path), *version)
 
 
 @lru_cache(maxsize=1)
