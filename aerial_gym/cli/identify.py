@@ -19,7 +19,37 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotorCmd:
+class StudyCmd:
+    """Base of the commands: where the results go."""
+
+    out: Path | None = None  # Folder for report.md, result.json, figures and corrected files; nothing if not given
+    json: bool = False  # Print one JSON object on stdout instead of tables
+
+    def report(self, study: "Study", inputs: tuple[Path, ...]) -> int:
+        """Write the results to the folder, if there is one, and print them; return the exit status."""
+        from aerial_gym.sim2real.teststand.report import write_study
+        from aerial_gym.sim2real.wording import render_findings, text
+
+        if self.out is not None:
+            write_study(self.out, study, {"command": f"identify {study.title}", **vars(self)}, inputs)
+        if self.json:
+            print(json_line(render_findings(study.mapping), allow_nan=False))
+            return 0
+        console = Console(markup=False)
+        console.print(f"{study.title}. {study.intro}")
+        for part in study.tables:
+            print_table(part.rows, part.head, title=part.title)
+        for note in study.notes:
+            console.print(f"note: {text(note)}")
+        if self.out is not None:
+            console.print(
+                f"written: {', '.join(f'{self.out}/{name}' for name in ('report.md', 'result.json', *study.files))}"
+            )
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorCmd(StudyCmd):
     """Thrust and torque maps from static tests, time constants, slew limits and delay from step responses."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -35,11 +65,6 @@ class MotorCmd:
 
     robot: str | None = None  # Registered robot or robot file that gets the new rotor numbers (robot.yaml in --out)
 
-    out: Path | None = None
-    """Folder for report.md, figures, result.json and robot.yaml or rotor.yaml; nothing is written if not given."""
-
-    json: bool = False  # Print one JSON object on stdout instead of tables
-
     def run(self) -> int:
         """Identify and print; return the exit status."""
         from aerial_gym.sim2real.teststand.studies import study_motor
@@ -50,19 +75,17 @@ class MotorCmd:
             benches = _read_benches(self.files, self.columns, self.units)
             progress("fitting maps and lags, each also without every row or step", 0.1)
             study = study_motor(benches, num_motors=self.num_motors, robot=_optional_robot(self.robot))
-        return _report_study(self, study, self.files)
+        return self.report(study, self.files)
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCmd:
+class JointCmd(StudyCmd):
     """The law of a compliant joint from the record of a load that is let go: spring, damping, creep."""
 
     file: Annotated[Path, tyro.conf.Positional]  # CSV table: time and angle of the joint, from before the release on
     release_s: float = 0.0  # Time of the release in the file [s]
     columns: dict[str, str] = field(default_factory=dict)  # Column by quantity without its usual name: time, angle
     units: dict[str, str] = field(default_factory=dict)  # Unit by quantity if not in the name: s, ms, us; rad, deg
-    out: Path | None = None  # Folder for report.md, figures, result.json and joint.yaml; nothing if not given
-    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
@@ -72,11 +95,11 @@ class JointCmd:
             (bench,) = _read_benches((self.file,), self.columns, self.units)
             progress("fitting springs and creep, each also without every block of time", 0.1)
             study = study_joint(bench, release=self.release_s)
-        return _report_study(self, study, (self.file,))
+        return self.report(study, (self.file,))
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointsCmd:
+class JointsCmd(StudyCmd):
     """Stiffness, damping, rest angle and dry friction of a robot's joints from flights, with or without their angles logged."""
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml), with joints
@@ -86,8 +109,6 @@ class JointsCmd:
     has any, all joints are fitted by what the body felt, which takes minutes."""
 
     bandwidth_hz: float = 15.0  # Efforts are compared below this frequency [Hz]; at most a fifth of the logs' rate
-    out: Path | None = None  # Folder for report.md, result.json and robot.yaml; nothing is written if not given
-    json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
@@ -98,11 +119,11 @@ class JointsCmd:
         with progress_bar() as progress:
             progress("reading flights, and fitting every joint", 0.1)
             study = study_flown_joints(robot, self.flights, bandwidth=self.bandwidth_hz, progress=progress)
-        return _report_study(self, study, self.flights)
+        return self.report(study, self.flights)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoverCmd:
+class HoverCmd(StudyCmd):
     """The thrust coefficient from hover; with --baseline, what changed the balance: a payload or a weak propeller."""
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -132,9 +153,6 @@ class HoverCmd:
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
 
-    out: Path | None = None  # Folder for report.md, a figure, result.json and robot.yaml; nothing if not given
-    json: bool = False  # Print one JSON object on stdout instead of tables
-
     def run(self) -> int:
         """Identify and print; return the exit status."""
         from aerial_gym.sim2real.logs.readers.mapping import find_mapping
@@ -142,7 +160,7 @@ class HoverCmd:
         robot = _optional_robot(self.robot)
         layout = None if self.mapping is None else find_mapping(self.mapping)
         study = self._study_balance(robot, layout) if self.baseline else self._study_thrust(robot, layout)
-        return _report_study(self, study, (*self.baseline, *self.flights, *self.test, *self.repeats))
+        return self.report(study, (*self.baseline, *self.flights, *self.test, *self.repeats))
 
     def _study_thrust(self, robot: "RobotCfg | None", layout: "LogMapping | None") -> "Study":
         from aerial_gym.sim2real.teststand.studies import study_hover
@@ -172,7 +190,7 @@ class HoverCmd:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InertiaCmd:
+class InertiaCmd(StudyCmd):
     """The inertia of a body from throws by hand with a flywheel that spins up in the air."""
 
     throws: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -191,9 +209,6 @@ class InertiaCmd:
     proof_inertia_kg_m2: tuple[float, float, float] | None = None
     """Moments of inertia of the proof body about the x, y and z axes of the IMU [kg m²]."""
 
-    out: Path | None = None  # Folder for report.md, result.json and body.yaml; nothing is written if not given
-    json: bool = False  # Print one JSON object on stdout instead of tables
-
     def run(self) -> int:
         """Identify and print; return the exit status."""
         from aerial_gym.sim2real.teststand.inertia_study import ThrowSeries, study_inertia
@@ -210,7 +225,7 @@ class InertiaCmd:
                 proof if self.proof else None,
                 self.wheel_inertia_kg_m2,
             )
-        return _report_study(self, study, (*self.throws, *self.device, *self.proof))
+        return self.report(study, (*self.throws, *self.device, *self.proof))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,27 +263,3 @@ def _optional_robot(name: str | None) -> "RobotCfg | None":
     from aerial_gym.robots.catalog import robot_by_name
 
     return None if name is None else robot_by_name(name)
-
-
-def _report_study(
-    command: MotorCmd | JointCmd | JointsCmd | HoverCmd | InertiaCmd, study: "Study", inputs: tuple[Path, ...]
-) -> int:
-    """Write the results of a command to its folder, if it has one, and print them; return the exit status."""
-    from aerial_gym.sim2real.teststand.report import write_study
-    from aerial_gym.sim2real.wording import render_findings, text
-
-    out = command.out
-    if out is not None:
-        write_study(out, study, {"command": f"identify {study.title}", **vars(command)}, inputs)
-    if command.json:
-        print(json_line(render_findings(study.mapping), allow_nan=False))
-        return 0
-    console = Console(markup=False)
-    console.print(f"{study.title}. {study.intro}")
-    for part in study.tables:
-        print_table(part.rows, part.head, title=part.title)
-    for note in study.notes:
-        console.print(f"note: {text(note)}")
-    if out is not None:
-        console.print(f"written: {', '.join(f'{out}/{name}' for name in ('report.md', 'result.json', *study.files))}")
-    return 0

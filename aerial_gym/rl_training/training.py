@@ -24,6 +24,7 @@ from aerial_gym.rl_training.ranks import Ranks, join_ranks, process_device
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption, checkpoint_steps, interruptible
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
 from aerial_gym.rl_training.trainers.summaries import require_wandb, send_scalars
@@ -184,7 +185,7 @@ def _run_trainer(
         keeper = CheckpointKeeper(cfg, folder, task, resumed=resumed, ranks=ranks)
         if watch:
             task.watch()
-        interrupted = trainer.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, ranks=ranks)
+        interrupted = trainer.run(TrainingRun(cfg, task, folder, progress, keeper, interruption, ranks))
         non_finite = torch.tensor(task.num_non_finite)
         progress.non_finite = int(ranks.sum_(non_finite))
         if watch and progress.non_finite:

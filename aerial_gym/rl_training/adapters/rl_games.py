@@ -21,8 +21,8 @@ from torch import Tensor, distributed
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
-from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
+from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard_writer
 from aerial_gym.task import Task
@@ -114,7 +114,7 @@ class KeeperAgent(A2CAgent):
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the agent to end."""
 
-    def __init__(self, run: LibraryRun) -> None:
+    def __init__(self, run: TrainingRun) -> None:
         self._run = run
         self.algo: KeeperAgent | None = None
 
@@ -141,7 +141,7 @@ class _Observer(AlgoObserver):
         algo.model.a2c_network.sigma.data.clamp_(min=lowest_log_std)
 
 
-def train(run: LibraryRun) -> bool:
+def train(run: TrainingRun) -> bool:
     """Train as ``Trainer.run`` states; return whether it was interrupted."""
     task, observer = run.task, _Observer(run)
     runner = Runner(observer)

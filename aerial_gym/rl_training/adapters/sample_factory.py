@@ -38,8 +38,8 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
-from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
+from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard_writer
 from aerial_gym.task import Task
@@ -139,7 +139,7 @@ class _Runner(SerialRunner):
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the runner to end."""
 
-    def __init__(self, run: LibraryRun) -> None:
+    def __init__(self, run: TrainingRun) -> None:
         self._run = run
 
     def on_training_step(self, runner: _Runner, training_iteration_since_resume: int) -> None:
@@ -158,7 +158,7 @@ class _Observer(AlgoObserver):
         learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=lowest_log_std)
 
 
-def train(run: LibraryRun) -> bool:
+def train(run: TrainingRun) -> bool:
     """Train as ``Trainer.run`` states, in one process; return whether it was interrupted.
 
     Raises:

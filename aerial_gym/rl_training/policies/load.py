@@ -78,11 +78,12 @@ def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: 
     model = payload.get("model")
     if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
         raise ConfigError(f"checkpoint {where}: holds no network")
-    return TRAINERS.get(cfg.trainer).policy(model, payload, cfg, where=where)
+    return TRAINERS.get(cfg.trainer).policy(payload, cfg, where=where)
 
 
-def native_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, where: str) -> Policy:
+def native_policy(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> Policy:
     """Return the policy in a checkpoint of a learner of this package."""
+    model, network = payload["model"], payload.get("network") or {}
     state = {name.removeprefix("actor."): value for name, value in model.items() if name.startswith("actor.")}
     _check_finite(state.items(), where)
     try:

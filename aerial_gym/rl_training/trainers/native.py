@@ -13,9 +13,8 @@ from aerial_gym.interop import record_graph
 from aerial_gym.registry.state import check_state, copy_tensors, restore_tensors
 from aerial_gym.rl_training.learning.learner import SUMS, Learner
 from aerial_gym.rl_training.policies.load import find_checkpoint, load_initial_weights
-from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
-from aerial_gym.rl_training.run.progress import Progress, Report
-from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.run.progress import Report
+from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import TensorboardScalars
 from aerial_gym.task import Task
@@ -101,11 +100,10 @@ class NativeTraining(Generic[AnyLearner]):
         self._numbers = _HostNumbers(self.learner)
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 
-    def run(
-        self, folder: RunFolder, progress: Progress, *, keeper: CheckpointKeeper, interruption: Interruption
-    ) -> bool:
+    def run(self, run: TrainingRun) -> bool:
         """Train as ``Trainer.run`` states; TensorBoard files need ``tensorboardX``."""
-        scalars = TensorboardScalars(folder.path / self.cfg.trainer / "summaries")
+        keeper, progress = run.keeper, run.progress
+        scalars = TensorboardScalars(run.folder.path / self.cfg.trainer / "summaries")
         if keeper.resumes:
             keeper.restore(self.load, own=OWN_STATE)
         else:
@@ -115,7 +113,7 @@ class NativeTraining(Generic[AnyLearner]):
         interrupted = ended = False
         try:
             while not ended:
-                with interruption.defer():
+                with run.interruption.defer():
                     report = self.advance()
                 scalars.add(lambda: self.known | asdict(report) | self.task.episode_means(), self.env_steps)  # noqa: B023
                 ended = progress.update(report)

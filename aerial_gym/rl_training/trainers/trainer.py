@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.policies.load import Weights
     from aerial_gym.rl_training.policies.policy import Policy
     from aerial_gym.rl_training.ranks import Ranks
-    from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption
-    from aerial_gym.rl_training.run.progress import Progress
-    from aerial_gym.rl_training.run.run_folder import RunFolder
+    from aerial_gym.rl_training.run.training_run import TrainingRun
     from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import Task
 
@@ -64,41 +62,28 @@ class Trainer(ABC):
         """Import the library and compile kernels, before the task is built."""
 
     @abstractmethod
-    def run(
-        self, cfg: TrainingCfg, task: "Task", folder: "RunFolder", progress: "Progress", *,
-        keeper: "CheckpointKeeper", interruption: "Interruption", ranks: "Ranks",
-    ) -> bool:  # fmt: skip
-        """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
-
-        Args:
-            cfg: Settings.
-            task: Built task, reset by the trainer.
-            folder: Receives TensorBoard files.
-            progress: Updated after every update of the policy.
-            keeper: Writes checkpoints, and holds the one to resume from.
-            interruption: Whether the user asked to end.
-            ranks: The processes that learn together.
+    def run(self, run: "TrainingRun") -> bool:
+        """Train until a limit of the settings is reached or the user interrupts; return whether it was interrupted.
 
         Raises:
             StorageError: If the disk is full.
             TrainingError: If the training diverged.
         """
 
-    @abstractmethod
-    def policy(
-        self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
-    ) -> "Policy":
-        """Return the policy in a checkpoint.
+    def policy(self, payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> "Policy":
+        """Return the policy in a checkpoint, by default the networks under ``actor.`` in its ``model``.
 
         Args:
-            model: State of the networks, ``payload["model"]``.
-            payload: The whole checkpoint.
+            payload: The checkpoint; its ``model`` is the state of the networks.
             cfg: Settings of its run.
             where: Named in errors.
 
         Raises:
             ConfigError: If it does not hold the network of the settings.
         """
+        from aerial_gym.rl_training.policies.load import native_policy
+
+        return native_policy(payload, cfg, where=where)
 
 
 class NativeTrainer(Trainer):
@@ -111,49 +96,35 @@ class NativeTrainer(Trainer):
     def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining":
         """Return a new training."""
 
-    def run(
-        self, cfg: TrainingCfg, task: "Task", folder: "RunFolder", progress: "Progress", *, ranks: "Ranks", **named: Any
-    ) -> bool:
+    def run(self, run: "TrainingRun") -> bool:
         """Repeat the learner until the end; return whether it was interrupted."""
-        return self.make_training(cfg, task, ranks).run(folder, progress, **named)
-
-    def policy(
-        self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
-    ) -> "Policy":
-        """Return the policy with the networks under ``actor.`` in the checkpoint."""
-        from aerial_gym.rl_training.policies.load import native_policy
-
-        return native_policy(model, payload.get("network"), cfg, where=where)
+        return self.make_training(run.cfg, run.task, run.ranks).run(run)
 
 
 class LibraryTrainer(Trainer):
     """A trainer of another library, with policies of linear layers."""
 
-    adapter: ClassVar[str]  # Module with `train`, which takes a `LibraryRun`; the only one that imports the library
+    adapter: ClassVar[str]  # Module with `train`, which takes a `TrainingRun`; the only one that imports the library
 
     def prepare(self, device: "torch.device") -> None:
         """Import the library."""
         import_module(self.adapter)
 
-    def run(self, *arguments: Any, **named: Any) -> bool:
+    def run(self, run: "TrainingRun") -> bool:
         """Train with the runner of the library; return whether it was interrupted."""
-        from aerial_gym.rl_training.run.library_run import LibraryRun
-
-        return import_module(self.adapter).train(LibraryRun(*arguments, **named))
+        return import_module(self.adapter).train(run)
 
     @abstractmethod
     def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":
         """Return layers, mean and variance of the observation; raise ``KeyError`` if ``model`` lacks one of them."""
 
-    def policy(
-        self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
-    ) -> "Policy":
+    def policy(self, payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> "Policy":
         """Return the policy with the weights in the library's network."""
         from aerial_gym.rl_training.policies.load import policy_from_weights
 
         layers = cfg.learner.hidden_layers
         try:
-            weights = self.weights(model, len(layers))
+            weights = self.weights(payload["model"], len(layers))
         except KeyError as error:
             raise ConfigError(f"{where}: no {error} in it; it is no {self.name} checkpoint of {layers}") from None
         return policy_from_weights(weights, cfg, where=where)

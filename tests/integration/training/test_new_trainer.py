@@ -12,7 +12,7 @@ from aerial_gym.config.checks import require_positive
 from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.rl_training import TRAINERS, Policy, Trainer, load_policy, load_settings, train
 from aerial_gym.rl_training.learner_settings import LearnerCfg
-from aerial_gym.rl_training.policies.load import body_cfg, native_policy
+from aerial_gym.rl_training.policies.load import body_cfg
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from tests.refusals import assert_refused
@@ -46,7 +46,8 @@ class RandomSearch(Trainer):
     summary = "a random search over the weights"
     section, settings = "numbers", SearchCfg
 
-    def run(self, cfg, task, folder, progress, *, keeper, interruption, ranks):
+    def run(self, run):
+        cfg, task, keeper = run.cfg, run.task, run.keeper
         search = cfg.section(SearchCfg)
         policy = Policy(body_cfg(cfg, {"observations": (13,)}), 4)
         self.env_steps, best = 0, -torch.inf
@@ -60,14 +61,14 @@ class RandomSearch(Trainer):
                 weights.data += search.sigma * torch.randn_like(weights)
             total = 0.0
             for _ in range(search.horizon):
-                interruption.check()
+                run.interruption.check()
                 observation, reward, *_ = task.step(policy(observation))
                 total += float(reward.mean())
             if total < best:
                 policy.load_state_dict(kept)
             best = max(best, total)
             self.env_steps += search.horizon * task.num_envs
-            done = progress.update(Report(env_steps=self.env_steps, episode_return=total, episode_length=None))
+            done = run.progress.update(Report(env_steps=self.env_steps, episode_return=total, episode_length=None))
         model = {f"actor.{name}": weights for name, weights in policy.state_dict().items()}
         network = {"shapes": {"observations": [13]}, "num_actions": 4}
         keeper.save({"model": model, "network": network, "env_steps": self.env_steps}, env_steps=self.env_steps)
@@ -76,9 +77,6 @@ class RandomSearch(Trainer):
     def _load(self, policy, state):
         policy.load_state_dict({name.removeprefix("actor."): weights for name, weights in state["model"].items()})
         self.env_steps = state["env_steps"]
-
-    def policy(self, model, payload, cfg, *, where):
-        return native_policy(model, payload["network"], cfg, where=where)
 
 
 @pytest.fixture(autouse=True)

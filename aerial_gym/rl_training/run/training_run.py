@@ -1,7 +1,7 @@
-"""Common part of the libraries that train by themselves: arguments of a training, and its report after each update."""
+"""Arguments of one session of a training, which every trainer takes."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from math import log
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
@@ -15,17 +15,16 @@ from aerial_gym.task import Task
 
 
 @dataclass(frozen=True)
-class LibraryRun:
+class TrainingRun:
     """Arguments of ``Trainer.run``."""
 
-    cfg: TrainingCfg
-    task: Task
-    folder: RunFolder
-    progress: Progress
-    _: KW_ONLY
-    keeper: CheckpointKeeper
-    interruption: Interruption
-    ranks: Ranks
+    cfg: TrainingCfg  # Settings
+    task: Task  # Built task, reset by the trainer
+    folder: RunFolder  # Receives TensorBoard files
+    progress: Progress  # Updated after every update of the policy
+    keeper: CheckpointKeeper  # Writes checkpoints, and holds the one to resume from
+    interruption: Interruption  # Whether the user asked to end
+    ranks: Ranks  # The processes that learn together
 
     def report_update(self, report: Report, summaries: Iterable[SafeEvents], save: Callable[[], object]) -> bool:
         """Record an update, and save if a checkpoint is due; return whether the training must end."""
