@@ -18,30 +18,35 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InspectLogCmd:
+class LogCmd:
+    """Base of the commands: a log and the meaning of its columns."""
+
+    log: Annotated[Path, tyro.conf.Positional]  # Log file of any format; FILE#2 selects its second flight
+    mapping: str | None = None  # Mapping of a CSV file, or of further topics: a name or a file (.yaml)
+
+    def find_mapping(self) -> "LogMapping | None":
+        """Return the mapping, None if none was given."""
+        from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+
+        return None if self.mapping is None else find_mapping(self.mapping)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectLogCmd(LogCmd):
     """Show what a log holds: topics, rates, flights, delays, messages, and what its rates do not allow."""
-
-    log: Annotated[Path, tyro.conf.Positional]
-    """Log file of any format; its content tells the format. FILE#2 shows only its second flight."""
-
-    mapping: str | None = None
-    """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
 
     draft_mapping: Path | None = None
     """File (.yaml) for the draft of a mapping: columns by their names, units and frames by the motion. Check it, then give
     it as --mapping. For CSV files with other columns than this package's."""
 
-    json: bool = False
-    """Print one JSON object instead of tables."""
+    json: bool = False  # Print one JSON object instead of tables
 
     def run(self) -> int:
         """Print the content; return 1 if no flight of the log can be used."""
         from aerial_gym.sim2real.logs.inspection import inspect_log
         from aerial_gym.sim2real.wording import render_findings
 
-        mapping = _find_mapping(self.mapping)
-        if self.draft_mapping is not None:
-            mapping = self._write_draft(self.draft_mapping)
+        mapping = self.find_mapping() if self.draft_mapping is None else self._write_draft(self.draft_mapping)
         inspection = inspect_log(self.log, mapping)
         if self.json:
             print(json_line(render_findings(inspection.as_mapping()), allow_nan=False))
@@ -62,42 +67,26 @@ class InspectLogCmd:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConvertLogCmd:
+class ConvertLogCmd(LogCmd):
     """Write a log as CSV (one file for each flight), Parquet (lossless, one file for each topic) or MCAP."""
 
-    log: Annotated[Path, tyro.conf.Positional]
-    """Log file of any format; FILE#2 selects its second flight for CSV."""
-
-    to: Literal["csv", "parquet", "mcap"]
-    """Form of the result."""
-
-    out: Path
-    """Folder of the results; it is made if it does not exist."""
-
-    mapping: str | None = None
-    """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
+    to: Literal["csv", "parquet", "mcap"]  # Form of the result
+    out: Path  # Folder of the results; it is made if it does not exist
 
     def run(self) -> int:
         """Write the files and print their names."""
         from aerial_gym.sim2real.logs.conversion import convert_log
 
-        for path in convert_log(self.log, self.to, self.out, _find_mapping(self.mapping)):
+        for path in convert_log(self.log, self.to, self.out, self.find_mapping()):
             print(path)
         return 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlotLogCmd:
+class PlotLogCmd(LogCmd):
     """Draw all flights of a log over time into one HTML file."""
 
-    log: Annotated[Path, tyro.conf.Positional]
-    """Log file of any format; FILE#2 selects its second flight."""
-
-    out: Path
-    """HTML file to write."""
-
-    mapping: str | None = None
-    """Mapping of a CSV file, or of further topics: a name or a file (.yaml)."""
+    out: Path  # HTML file to write
 
     def run(self) -> int:
         """Write the page."""
@@ -105,17 +94,11 @@ class PlotLogCmd:
         from aerial_gym.sim2real.report.log_plot import write_log_page
         from aerial_gym.sim2real.wording import text
 
-        flights = list(open_log(self.log, _find_mapping(self.mapping)).flights())
+        flights = list(open_log(self.log, self.find_mapping()).flights())
         notes = dict.fromkeys(text(note) for flight in flights for note in flight.notes)
         write_log_page(self.out, self.log.name, flights, list(notes))
         print(self.out)
         return 0
-
-
-def _find_mapping(name: str | None) -> "LogMapping | None":
-    from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-
-    return None if name is None else find_mapping(name)
 
 
 def _print_inspection(log: "LogInspection") -> None:
@@ -126,11 +109,7 @@ def _print_inspection(log: "LogInspection") -> None:
     for name, value in log.raw.metadata.items():
         console.print(f"  {name}: {value}")
     rows = [
-        (
-            f"{t.name}[{t.instance}]",
-            str(t.samples),
-            *(_number_text(value) for value in (t.rate, t.start, t.end, t.longest_gap)),
-        )
+        (f"{t.name}[{t.instance}]", str(t.samples), *map(_number_text, (t.rate, t.start, t.end, t.longest_gap)))
         for t in log.topics
     ]
     print_table(rows, ("topic", "samples", "rate [Hz]", "first [s]", "last [s]", "longest gap [s]"), title="topics")
@@ -158,12 +137,9 @@ def _print_flight(flight: "FlightSummary") -> None:
         voltage += f", mean vertical specific force {flight.vertical_force:.2f} m/s² (9.81 for a sound accelerometer)"
     span = f"{flight.start:.2f} to {flight.end:.2f} s, ended by {flight.ended_by.replace('_', ' ')}"
     rows = [
-        (
-            name, stream.source, _number_text(stream.rate), _number_text(stream.latency, 1e3),
-            _delay_text(stream),
-        )
-        for name, stream in flight.streams.items()
-    ]  # fmt: skip
+        (name, each.source, _number_text(each.rate), _number_text(each.latency, 1e3), _delay_text(each))
+        for name, each in flight.streams.items()
+    ]
     head = ("quantity", "topic", "rate [Hz]", "latency [ms]", "delay [ms]")
     print_table(rows, head, title=f"{flight.path}: {span}{voltage}")
     for note in flight.notes:

@@ -59,7 +59,8 @@ def _load_gpu(index: int) -> None:
     driver, handle, context = ctypes.CDLL("libcuda.so.1"), ctypes.c_int(), ctypes.c_void_p()
     if driver.cuInit(0) == 0 and driver.cuDeviceGet(ctypes.byref(handle), index) == 0:
         driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), handle)
-        _open(_library("warp", "bin/warp.so"))
+        for library in ("warp.so", "warp-clang.so"):
+            _open(_library("warp", f"bin/{library}"))
 
 
 def _library(package: str, file: str) -> str:
