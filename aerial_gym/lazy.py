@@ -24,7 +24,7 @@ def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[],
         package: ``__name__`` of the package.
         path: ``__file__`` of its ``__init__.py``.
     """
-    homes = _homes(ast.parse(Path(path).read_text(encoding="utf-8")))
+    homes = _modules_of_names(ast.parse(Path(path).read_text(encoding="utf-8")))
 
     def load(name: str) -> Any:
         if name not in homes:
@@ -36,7 +36,7 @@ def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[],
     return load, lambda: sorted({*vars(sys.modules[package]), *homes})
 
 
-def _homes(tree: ast.Module) -> dict[str, str]:
+def _modules_of_names(tree: ast.Module) -> dict[str, str]:
     """Return the module of every name that is imported under ``if TYPE_CHECKING:``."""
     branches = (n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
     imports = (n for branch in branches for n in branch.body if isinstance(n, ast.ImportFrom))

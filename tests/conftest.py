@@ -45,7 +45,7 @@ level_of_rays: int | None = None
 level_of_adjoints: int | None = 0
 """Optimisation level of differentiable fused kernels: level 0 compiles in 7 s, the level of users in 22 s."""
 
-_own_flags: WeakKeyDictionary[wp.Module, str | None] = WeakKeyDictionary()
+_compiler_flags_of_long_kernel: WeakKeyDictionary[wp.Module, str | None] = WeakKeyDictionary()
 """The flags of each module as users have them."""
 
 
@@ -69,7 +69,7 @@ def set_level(module: wp.Module) -> None:
     Ray kernels are optimised without Warp's eager inlining: they run 10 % faster, but would compile three times longer
     for each combination of images. Unoptimised kernels keep their loops and suit any CPU; this saves a third of the
     compilation."""
-    flags = _own_flags.setdefault(module, module.options["cpu_compiler_flags"])
+    flags = _compiler_flags_of_long_kernel.setdefault(module, module.options["cpu_compiler_flags"])
     rays, long = "cast_by_tile" in module.name, is_long_run(module)
     chosen = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if long else level
     if chosen == 0:

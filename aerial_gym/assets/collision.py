@@ -78,10 +78,10 @@ class CollisionTest:
         self._now: list[list[ReusableLaunch]] = []
         if self.has_solids:
             poses = [(own.link.position.unsqueeze(0), own.link.attitude.unsqueeze(0)) for own in self._links]
-            self._now = self._record_launches(poses, dt=0.0, crashes=self._nothing)
+            self._now = self._record_launches_of_links(poses, dt=0.0, crashes=self._nothing)
         self._step: list[list[ReusableLaunch]] | None = None
 
-    def follow(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
+    def record_launches(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
         """Record the launches of ``step``.
 
         Args:
@@ -97,9 +97,9 @@ class CollisionTest:
         poses = [(position, attitude)]
         if position.dim() == 4:
             poses = [(position[:, :, own.link.number], attitude[:, :, own.link.number]) for own in self._links]
-        self._step = self._record_launches(poses, dt=dt, crashes=crashes_out, is_step=True)
+        self._step = self._record_launches_of_links(poses, dt=dt, crashes=crashes_out, is_step=True)
 
-    def _record_launches(
+    def _record_launches_of_links(
         self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False
     ) -> list[list[ReusableLaunch]]:
         """Record the launches link by link."""

@@ -82,7 +82,7 @@ def capsule_interval(origin: wp.vec3, direction: wp.vec3, radius: float, half_he
 
 
 @wp.func
-def first_surface(inside: wp.vec2, limit: float) -> float:
+def distance_to_first_surface(inside: wp.vec2, limit: float) -> float:
     """Return t at the first surface of an interval, at most ``limit``; a ray from inside a solid ends at its exit."""
     first = wp.where(inside[0] >= 0.0, inside[0], inside[1])
     return wp.where(inside[0] <= inside[1] and first >= 0.0, wp.min(first, limit), limit)
@@ -92,10 +92,10 @@ def first_surface(inside: wp.vec2, limit: float) -> float:
 def ray_distance_to_unit_shape(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
     """Return t at the first surface of a BOX, SPHERE or CYLINDER in the frame of its bounding box, at most ``limit``."""
     if kind == SPHERE:
-        return first_surface(sphere_interval(origin, direction, 1.0), limit)
+        return distance_to_first_surface(sphere_interval(origin, direction, 1.0), limit)
     if kind == CYLINDER:
-        return first_surface(cylinder_interval(origin, direction, 1.0, 1.0), limit)
-    return first_surface(box_interval(origin, direction, wp.vec3(1.0, 1.0, 1.0)), limit)
+        return distance_to_first_surface(cylinder_interval(origin, direction, 1.0, 1.0), limit)
+    return distance_to_first_surface(box_interval(origin, direction, wp.vec3(1.0, 1.0, 1.0)), limit)
 
 
 @wp.func
@@ -107,7 +107,7 @@ def ray_distance_to_other_shape(shape: Shape, origin: wp.vec3, direction: wp.vec
         return wp.where(t >= 0.0 and t < limit, t, limit)
     own, along = wp.cw_mul(origin, shape.half) + shape.center, wp.cw_mul(direction, shape.half)
     if shape.kind == CAPSULE:
-        return first_surface(capsule_interval(own, along, shape.size[0], shape.size[1]), limit)
+        return distance_to_first_surface(capsule_interval(own, along, shape.size[0], shape.size[1]), limit)
     bounds = box_interval(origin, direction, wp.vec3(1.0, 1.0, 1.0))
     if bounds[0] > bounds[1] or bounds[1] < 0.0 or bounds[0] >= limit:
         return limit

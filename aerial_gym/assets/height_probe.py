@@ -75,6 +75,6 @@ class HeightProbe:
             device=scene.device,
         )
 
-    def find(self) -> None:
+    def measure_heights(self) -> None:
         """Launch the measurement of heights on torch's current stream."""
         self._launch.launch(self._out)

@@ -127,7 +127,7 @@ class SelfCollisionTest:
         self._now = self._record_launch(now[..., :3], now[..., 3:7], is_step=False, crashes=no_crashes)
         self._step: ReusableLaunch | None = None
 
-    def follow(self, position: Tensor, attitude: Tensor, *, crashes_out: Tensor) -> None:
+    def record_launches(self, position: Tensor, attitude: Tensor, *, crashes_out: Tensor) -> None:
         """Record the launches of ``step``.
 
         Args:

@@ -179,14 +179,14 @@ class ControllerCfg:
             raise ConfigError(f"ControllerCfg.{own[0]}: has its own gains and rate loop. Leave gains and rate_loop out")
         if len(own) > 1:
             raise ConfigError(f"ControllerCfg: {' and '.join(own)} are {len(own)} autopilots. Leave all but one out")
-        holds = self.delay == 0.0 or self.inner is not None
+        holds = self.delay == 0.0 or self.rate_settings is not None
         require(self, "delay", holds, "there is no rate loop to reach. Give rate_loop, or action_delay")
         require_choice(self, "if_unstable", ("refuse", "warn"))
         require_choice(self, "allocation", ("prioritised", "clamp"))
 
     @property
-    def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | CrazyfliePidCfg | BrescianiniCfg | None:
-        """The loop of body rates, if there is one."""
+    def rate_settings(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | CrazyfliePidCfg | BrescianiniCfg | None:
+        """Settings of the body-rate loop: of an autopilot, else ``rate_loop``; None without one."""
         return self.px4 or self.betaflight or self.crazyflie_pid or self.brescianini or self.rate_loop
 
     @property

@@ -62,7 +62,7 @@ class ContactCfg:
         return 2.0 * self.damping_ratio * self.stiffness**0.5
 
     @property
-    def least_approach(self) -> float:
+    def crash_approach_speed(self) -> float:
         """Approach speed from which a touch is a crash [m/s]; -inf if every touch is one, even when separating."""
         return self.crash_speed if self.crash_speed > 0.0 else -inf
 

@@ -36,7 +36,7 @@ DEPENDENT = 1e-12  # Relative singular value of directions in which every state 
 
 
 @dataclass(frozen=True, kw_only=True)
-class RestState:
+class HoverEquilibria:
     """Equilibria of closed loops, and the loops linearised there."""
 
     start: Tensor  # First states, (B, X): the rest of a vehicle that flies as its law expects
@@ -55,7 +55,7 @@ class RestState:
         return self.state[:, 6:9]
 
 
-def find_rest(loop: DiscreteLoop, start: Tensor, action: Tensor, kept: Sequence[int]) -> RestState:
+def find_equilibrium(loop: DiscreteLoop, start: Tensor, action: Tensor, kept: Sequence[int]) -> HoverEquilibria:
     """Find the equilibrium of loops from starts (B, X) under an action (U,), by Newton's method.
 
     Args:
@@ -69,10 +69,10 @@ def find_rest(loop: DiscreteLoop, start: Tensor, action: Tensor, kept: Sequence[
         step = step * (LARGEST_TURN / step[:, 3:6].abs().amax(-1, keepdim=True).clamp_min(LARGEST_TURN))
         state = torch.where(step.isfinite().all(-1, keepdim=True), state + step, state)
         if bool(converged.all()):
-            return RestState(start=start, state=state, converged=converged, loop=about)
+            return HoverEquilibria(start=start, state=state, converged=converged, loop=about)
         about = loop.linearise(state, action)
     state = torch.where(converged.unsqueeze(-1), state, start)
-    return RestState(start=start, state=state, converged=converged, loop=loop.linearise(state, action))
+    return HoverEquilibria(start=start, state=state, converged=converged, loop=loop.linearise(state, action))
 
 
 def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
@@ -86,7 +86,7 @@ def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
     return step
 
 
-def distances_from_start(rest: RestState, *, rotors: Tensor, dt: float) -> Tensor:
+def distances_from_start(rest: HoverEquilibria, *, rotors: Tensor, dt: float) -> Tensor:
     """Return the distances [m] of the body origins from their starts over ``HOVER_SPAN``, (SAMPLES, B), in the linear loop.
 
     Args:
@@ -104,7 +104,7 @@ def distances_from_start(rest: RestState, *, rotors: Tensor, dt: float) -> Tenso
 
 
 def largest_final_distance(
-    loop: DiscreteLoop, rest: RestState, action: Tensor, *, returns: bool, decays: bool
+    loop: DiscreteLoop, rest: HoverEquilibria, action: Tensor, *, returns: bool, decays: bool
 ) -> float:
     """Return the largest final distance [m] from rest of ``NUM_STARTS`` nonlinear flights of ``HOVER_SPAN``.
 

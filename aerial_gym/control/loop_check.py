@@ -15,7 +15,7 @@ from aerial_gym.control.gains import GAINS, has_explicit_gains, select_explicit_
 from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES
-from aerial_gym.control.stability import TURNS, ClosedLoop, HoverResult, stable
+from aerial_gym.control.stability import TURNS, ClosedLoop, HoverResult, are_stable
 from aerial_gym.control.trim import trim_axes
 from aerial_gym.errors import ConfigError
 
@@ -91,18 +91,18 @@ def check_closed_loop(
             )
     elif not loop.is_stable(dt):
         ends = ", ".join(f"gains.{name}" for name in loop.drawn)
-        growth, span = max(loop.radii(dt)), _largest_dt(loop, dt)
+        growth, span = max(loop.spectral_radii(dt)), _sentence_on_stable_dt(loop, dt)
         refuse_or_warn(
             controller,
             f"{subject} is unstable with gains at the ends of what is drawn of {ends}: a disturbance grows by a factor of "
             f"{growth:.3g} in each step. {span}Narrow these ranges (randomize:)",
         )
-    elif not hover.holds:
+    elif not hover.is_within_range:
         effects = ", ".join(robot.effects) or "none"
         _log.warning(
             f"{subject} {hover_error_text(hover)}, as its law does not know of its effects ({effects}). {hover_remedy(hover)}"
         )
-    elif _log.isEnabledFor(logging.INFO) and not loop.is_firm(dt):
+    elif _log.isEnabledFor(logging.INFO) and not loop.is_stable_with_margin(dt):
         _log.info(
             f"{subject} has a gain margin of less than 6 dB. {_remedy_of_instability(loop, controller, robot, dt)}"
         )
@@ -140,7 +140,7 @@ def fault_of_unstable_loop(hover: HoverResult, dt: float) -> str:
     """Return the fault of an unstable loop at a time step [s], as the predicate of a sentence."""
     if hover.stable:
         return f"is nearly unstable: from starts with {DISTURBANCE[2]:g} m/s and {DISTURBANCE[3]:g} rad/s it does not come back"
-    if stable([hover.growth]):
+    if are_stable([hover.growth]):
         return "comes to no rest: its law asks for more thrust or tilt than there is"
     span = dt * log(10.0) / log(hover.growth)
     return f"is unstable: a disturbance at hover grows by a factor of {hover.growth:.6g} in each step, tenfold in {span:.2g} s"
@@ -164,19 +164,21 @@ def _remedy_of_instability(loop: ClosedLoop, controller: ControllerCfg, robot: R
     """Return the remedies of an unstable loop as sentences: the largest stable time step, and changes of gains."""
     late = "shorten the dead time (effects: actuation_delay), " if loop.delay else ""
     if controller.law not in LAWS:
-        return f"{_largest_dt(loop, dt)}To fly it, {late}lower the gains in the code of law {controller.law!r}"
+        return (
+            f"{_sentence_on_stable_dt(loop, dt)}To fly it, {late}lower the gains in the code of law {controller.law!r}"
+        )
     if not has_explicit_gains(controller, robot.control):
-        return f"{_largest_dt(loop, dt)}To fly it, {late}lower the frequencies (control:)"
+        return f"{_sentence_on_stable_dt(loop, dt)}To fly it, {late}lower the frequencies (control:)"
     return (
-        f"{_largest_dt(loop, dt)}To fly it, {late}lower them, or leave them out to have them derived (lee_*, pid_*); "
-        'dataclasses.replace(controller, if_unstable="warn") flies them as they are'
+        f"{_sentence_on_stable_dt(loop, dt)}To fly it, {late}lower them, or leave them out to have them "
+        'derived (lee_*, pid_*); dataclasses.replace(controller, if_unstable="warn") flies them as they are'
     )
 
 
-def _largest_dt(loop: ClosedLoop, dt: float) -> str:
+def _sentence_on_stable_dt(loop: ClosedLoop, dt: float) -> str:
     """Return a sentence about the largest stable time step; empty for a controller with fixed rates."""
     try:
-        best = loop.largest_firm_dt(dt)
+        best = loop.largest_dt_with_margin(dt)
     except ConfigError:
         return ""
     if best is None:

@@ -26,9 +26,9 @@ from aerial_gym.control.hover import (
     DISTURBANCE,
     HOVER_RANGE,
     HOVER_SPAN,
-    RestState,
+    HoverEquilibria,
     distances_from_start,
-    find_rest,
+    find_equilibrium,
     largest_final_distance,
 )
 from aerial_gym.control.linear_loop import AXES, BODY, DiscreteLoop
@@ -87,7 +87,7 @@ def largest_stable_dt(
     return low
 
 
-def stable(radii: Sequence[float]) -> bool:
+def are_stable(radii: Sequence[float]) -> bool:
     """Return whether no spectral radius is above 1, up to round-off."""
     return max(radii) <= 1.0 + ROUND_OFF
 
@@ -113,7 +113,7 @@ class HoverResult:
         return not self.stable if self.flown is None else self.flown > HOVER_RANGE
 
     @property
-    def holds(self) -> bool:
+    def is_within_range(self) -> bool:
         """Whether it stays within ``HOVER_RANGE``."""
         return not self.is_lost and self.distance <= HOVER_RANGE
 
@@ -151,7 +151,7 @@ class ClosedLoop:
         self._drifting = [place.memory.start + number for place in places for number in place.effect.drifting]
         self.delay = max((float(effect.delay(p).max()) for effect, p in self._model.effects[DelayEffect]), default=0.0)
         """Longest dead time [s]."""
-        self._rests: dict[tuple[float, Corner], RestState] = {}
+        self._rests: dict[tuple[float, Corner], HoverEquilibria] = {}
         self._modes: dict[tuple[float, Corner, float], Tensor] = {}
         allocation = Allocation(self._vehicle, gravity)
         self._felt = apparent_gravity(robot.control, robot.body.mass, gravity)
@@ -172,32 +172,33 @@ class ClosedLoop:
         self.idle = [name for name in TURNS if name in idle and name in held]
         """Of ``TURNS``, what the law holds and the rotors cannot."""
 
-    def radius(self, dt: float) -> float:
-        """Return the largest spectral radius of ``radii`` at a time step [s]."""
-        return max(self.radii(dt))
+    def spectral_radius(self, dt: float) -> float:
+        """Return the largest spectral radius of ``spectral_radii`` at a time step [s]."""
+        return max(self.spectral_radii(dt))
 
-    def radii(self, dt: float) -> list[float]:
+    def spectral_radii(self, dt: float) -> list[float]:
         """Return the spectral radii with the declared gains and with each combination of ends of the drawn ones."""
         return [self._corner_radius(corner, 1.0, dt) for corner in self._corners]
 
-    def radii_at_loop_gains(self, dt: float) -> list[float]:
+    def spectral_radii_at_loop_gains(self, dt: float) -> list[float]:
         """Return the spectral radii with the declared gains at each of ``LOOP_GAINS``."""
         return [self._corner_radius(None, gain, dt) for gain in LOOP_GAINS]
 
     def is_stable(self, dt: float) -> bool:
         """Return whether the loop is stable at a time step [s], also at the ends of drawn gains."""
-        return all(bool(self.rest(dt, corner).converged.all()) for corner in self._corners) and stable(self.radii(dt))
+        at_rest = all(bool(self.equilibrium(dt, corner).converged.all()) for corner in self._corners)
+        return at_rest and are_stable(self.spectral_radii(dt))
 
-    def is_firm(self, dt: float) -> bool:
+    def is_stable_with_margin(self, dt: float) -> bool:
         """Return whether the loop is stable at a time step [s] with the margin of ``LOOP_GAINS``."""
-        return self.is_stable(dt) and stable(self.radii_at_loop_gains(dt))
+        return self.is_stable(dt) and are_stable(self.spectral_radii_at_loop_gains(dt))
 
-    def largest_firm_dt(self, unfirm: float) -> float | None:
+    def largest_dt_with_margin(self, unfirm: float) -> float | None:
         """Return the largest time step [s] below an infirm one with the margin of ``LOOP_GAINS``; None if there is none."""
         cases = [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)]
         best: float | None = unfirm
         lowest = max(DT_RANGE[0], self.delay / FINEST_DELAY)
-        while best is not None and not stable(radii := [self._corner_radius(*case, best) for case in cases]):
+        while best is not None and not are_stable(radii := [self._corner_radius(*case, best) for case in cases]):
             best = largest_stable_dt(partial(self._corner_radius, *cases[radii.index(max(radii))]), best, lowest=lowest)
         return best
 
@@ -206,26 +207,28 @@ class ClosedLoop:
 
     def _corner_modes(self, corner: Corner, loop_gain: float, dt: float) -> Tensor:
         if (dt, corner, loop_gain) not in self._modes:
-            self._modes[dt, corner, loop_gain] = self._eigenvalues(self.rest(dt, corner), loop_gain)
+            self._modes[dt, corner, loop_gain] = self._eigenvalues(self.equilibrium(dt, corner), loop_gain)
         return self._modes[dt, corner, loop_gain]
 
-    def _eigenvalues(self, rest: RestState, loop_gain: float) -> Tensor:
+    def _eigenvalues(self, rest: HoverEquilibria, loop_gain: float) -> Tensor:
         mapped, width = rest.loop.period_map(gain=loop_gain), rest.state.shape[1]
         rows = [*self._indices_of_controlled_states(width), *range(width, mapped.shape[1] - 1)]
         return torch.linalg.eigvals(mapped[:, rows][:, :, rows]) ** (1.0 / len(rest.loop.steps))
 
-    def radius_of_each_vehicle(self, dt: float) -> Tensor:
+    def spectral_radius_of_each_vehicle(self, dt: float) -> Tensor:
         """Return the spectral radius of each vehicle at a time step [s], (B,)."""
         return self._corner_modes(None, 1.0, dt).abs().amax(-1)
 
     def hover(self, dt: float) -> HoverResult:
         """Return the hover of the first vehicle at a time step [s], with flights if rotor limits may matter."""
         result = self.hover_of_each_vehicle(dt)[0]
-        tight = not (result.stable and stable([self._corner_radius(None, gain, dt) for gain in TIGHT_GAINS]))
+        tight = not (result.stable and are_stable([self._corner_radius(None, gain, dt) for gain in TIGHT_GAINS]))
         if not self.holds_place or not (tight or self._reaches_slew_limit(dt)):
             return result
         loop, returns = self._make_loop(dt, None), "x" in self.axes.split()
-        flown = largest_final_distance(loop, self.rest(dt), self._action(dt), returns=returns, decays=result.stable)
+        flown = largest_final_distance(
+            loop, self.equilibrium(dt), self._action(dt), returns=returns, decays=result.stable
+        )
         return replace(result, flown=flown)
 
     def _reaches_slew_limit(self, dt: float) -> bool:
@@ -233,7 +236,7 @@ class ClosedLoop:
         vehicle, size = self._model.vehicle, torch.tensor(DISTURBANCE, dtype=torch.float64).repeat_interleave(3)
         if "slew" not in vehicle.traits:
             return False
-        change = self.rest(dt).loop.steps[0].command[0, :, :BODY].abs() @ size
+        change = self.equilibrium(dt).loop.steps[0].command[0, :, :BODY].abs() @ size
         slowest = (vehicle.time_constant_up * vehicle.slew_rate).minimum(
             vehicle.time_constant_down * vehicle.slew_rate_down
         )
@@ -241,7 +244,7 @@ class ClosedLoop:
 
     def hover_of_each_vehicle(self, dt: float) -> list[HoverResult]:
         """Return the hover of each vehicle at a time step [s], without flights."""
-        rest, growth = self.rest(dt), self.radius_of_each_vehicle(dt)
+        rest, growth = self.equilibrium(dt), self.spectral_radius_of_each_vehicle(dt)
         rests, way = rest.converged & (growth <= 1.0 + ROUND_OFF), torch.zeros_like(growth)
         if self.holds_place:
             away = rest.offset_from_start.norm(dim=-1) + HOVER_SPAN * rest.drift_velocity.norm(dim=-1)
@@ -259,25 +262,25 @@ class ClosedLoop:
         """Whether the law controls position, or velocity, which is 0 at hover."""
         return "vx" in self.axes.split()
 
-    def rest(self, dt: float, corner: Corner = None) -> RestState:
+    def equilibrium(self, dt: float, corner: Corner = None) -> HoverEquilibria:
         """Return the equilibrium of the loop at a time step [s]."""
         if (dt, corner) not in self._rests:
             loop = self._make_loop(dt, corner)
             start = loop.start(HEIGHT, self._hover)
-            self._rests[dt, corner] = find_rest(
+            self._rests[dt, corner] = find_equilibrium(
                 loop, start, self._action(dt), self._indices_of_controlled_states(start.shape[1])
             )
         return self._rests[dt, corner]
 
     def deviation_bound(self, dt: float, steps: int, size: Tensor) -> Tensor:
         """Return bounds of the deviations on ``AXES``, (12,), after some steps from deviations up to a size on each axis."""
-        loop = self.rest(dt).loop
+        loop = self.equilibrium(dt).loop
         mapped = torch.linalg.matrix_power(loop.period_map()[0], steps // len(loop.steps))
         return mapped[:BODY, :BODY].abs() @ size.to(mapped)
 
     def largest_distance_of_each_vehicle(self, dt: float) -> Tensor:
         """Return the largest distance [m] of each vehicle from its start within ``HOVER_SPAN`` of hover, (B,)."""
-        rest = self.rest(dt)
+        rest = self.equilibrium(dt)
         return distances_from_start(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
 
     def _indices_of_controlled_states(self, width: int) -> list[int]:

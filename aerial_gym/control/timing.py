@@ -13,7 +13,7 @@ def make_timing(cfg: ControllerCfg, dt: float) -> Timing:
     Raises:
         ConfigError: If a period or delay is not a whole number of steps, or the law's period not one of its loop's.
     """
-    inner = cfg.inner
+    inner = cfg.rate_settings
     loop_hz = None if inner is None else inner.rate_hz
     loop = 1 if loop_hz is None else _whole_steps(f"{type(inner).__name__}.rate_hz", loop_hz, "Hz", 1.0 / loop_hz, dt)
     law = (
@@ -34,7 +34,9 @@ def make_timing(cfg: ControllerCfg, dt: float) -> Timing:
 
 def has_memory(cfg: ControllerCfg) -> bool:
     """Return whether a controller needs memory."""
-    return cfg.inner is not None or cfg.autopilot is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
+    return (
+        cfg.rate_settings is not None or cfg.autopilot is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
+    )
 
 
 def _whole_steps(name: str, value: float, unit: str, span: float, dt: float) -> int:

@@ -68,7 +68,7 @@ class CollisionTests:
             followed, dt = (places.trajectory.position, places.trajectory.attitude), dt / places.trajectory.pieces
         self._follows = followed is not None
         if followed is not None and self._collision is not None:
-            self._collision.follow(*followed, dt=dt, crashes_out=crashes)
+            self._collision.record_launches(*followed, dt=dt, crashes_out=crashes)
         if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
             from aerial_gym.assets.self_collision import SelfCollisionTest
 
@@ -83,7 +83,7 @@ class CollisionTests:
                     meaning="signed distance of the robot's links to each other, without those that always touch",
                 )),
             )  # fmt: skip
-            self._between.follow(*followed, crashes_out=crashes)
+            self._between.record_launches(*followed, crashes_out=crashes)
         self.measure()
 
     def step(self) -> None:

@@ -53,7 +53,7 @@ def _registry_name(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> 
     return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
 
 
-def _own_code(robot: RobotCfg, controller: ControllerCfg, random: Randomize) -> dict[str, object]:
+def _description_of_user_code(robot: RobotCfg, controller: ControllerCfg, random: Randomize) -> dict[str, object]:
     """Return the description of a user's effects, rotor map and law, ``own_code``; empty without any."""
     effects = {*robot.effects, *(name.split(".")[1] for name in random if name.startswith("effects."))}
     entries: dict[str, object] = {f"effect {name}": EFFECTS.get(name) for name in sorted(effects)}
@@ -166,7 +166,7 @@ class EnvManager:
         )
         self._identity = config_digests(
             sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {}),
-            **_own_code(robot, controller, random),
+            **_description_of_user_code(robot, controller, random),
         )  # fmt: skip
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
@@ -257,7 +257,7 @@ class EnvManager:
         substeps. Others move in ``collide``.
         """
         if self._below is not None:
-            self._below.find()
+            self._below.measure_heights()
         self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
         self._move_links()
         if self._links is not None and self._links.trajectory is not None:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.export import c99
 from aerial_gym.export.agreement import Comparison, inputs_not_finite
-from aerial_gym.export.module import finite_rows, nan_unless, onnx_bytes, onnx_session, torchscript_bytes
+from aerial_gym.export.module import finite_rows, nan_where_not_finite, onnx_bytes, onnx_session, torchscript_bytes
 from aerial_gym.export.pilot import compile_library
 from aerial_gym.sensors.encoder.file import Encoder, load_encoder
 
@@ -32,7 +32,7 @@ class DeployableEncoder(nn.Module):
     def forward(self, shares: Tensor) -> Tensor:
         """Return latents (B, L) of images (B, H, W) of shares of the largest distance."""
         latents = self.encoder(shares)
-        return nan_unless(finite_rows(shares, latents), latents)
+        return nan_where_not_finite(finite_rows(shares, latents), latents)
 
 
 def write_encoder(encoder: str, file: Path) -> Path:

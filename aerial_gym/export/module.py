@@ -28,7 +28,7 @@ def finite_rows(*parts: Tensor) -> Tensor:
     return torch.stack([part.float().flatten(1).isfinite().all(-1) for part in floats]).all(0).unsqueeze(-1)
 
 
-def nan_unless(finite: Tensor, numbers: Tensor) -> Tensor:
+def nan_where_not_finite(finite: Tensor, numbers: Tensor) -> Tensor:
     """Return numbers (B, N), NaN in the rows that are not ``finite``, (B, 1)."""
     return torch.where(finite, numbers, nan)
 
@@ -86,7 +86,7 @@ class DeployablePolicy(nn.Module):
         action = mean.clamp(-1.0, 1.0)
         outputs = (self._transform(action, **self._params), action, *(() if memory is None else (after,)))
         finite = finite_rows(observation, *more, mean)
-        return tuple(nan_unless(finite, output) for output in outputs)
+        return tuple(nan_where_not_finite(finite, output) for output in outputs)
 
     def normalization(self) -> tuple[Tensor, Tensor, float | None]:
         """Return mean and standard deviation of the normaliser for scaled vectors, (O,), and its output limit. Without a

@@ -50,7 +50,7 @@ def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOC
         device.is_cpu and wp.config.cpu_compiler_flags is not None
     ):  # one set of flags for nearly all, because headers are precompiled for each set
         kernel.module.options["cpu_compiler_flags"] = " ".join(
-            (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_own_flags(kernel))
+            (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_compiler_flags_of_long_kernel(kernel))
         )
     _begun[key] = _workers().submit(
         wp.force_load, device=device, modules=[kernel.module], block_dim=key[2], max_workers=0
@@ -61,7 +61,7 @@ def _key(kernel: wp.Kernel, device: wp.Device, block_dim: int) -> tuple[wp.Modul
     return kernel.module, device.alias, None if device.is_cpu else block_dim
 
 
-def _own_flags(kernel: wp.Kernel) -> tuple[str, ...]:
+def _compiler_flags_of_long_kernel(kernel: wp.Kernel) -> tuple[str, ...]:
     """Return the compiler flags of a kernel with very many lines."""
     return ("-fno-slp-vectorize",) if kernel.adj.source.count("\n") > LONGEST_SEARCHED else ()
 

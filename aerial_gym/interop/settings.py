@@ -63,7 +63,7 @@ def usual_settings(function: Callable[P, T]) -> Callable[P, T]:
         if getattr(_thread, "inside", False):
             return function(*args, **kwargs)
         with ExitStack() as settings:
-            _take_usual(torch.empty(0), settings)
+            _restore_default_settings(torch.empty(0), settings)
             _thread.inside = True
             settings.callback(setattr, _thread, "inside", False)
             return function(*args, **kwargs)
@@ -71,7 +71,7 @@ def usual_settings(function: Callable[P, T]) -> Callable[P, T]:
     return run
 
 
-def _take_usual(made: Tensor, settings: ExitStack) -> None:
+def _restore_default_settings(made: Tensor, settings: ExitStack) -> None:
     """Restore the default settings where a default tensor shows others, until the stack closes."""
     if made.dtype is not torch.float32:
         settings.callback(torch.set_default_dtype, made.dtype)

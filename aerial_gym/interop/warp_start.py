@@ -70,13 +70,13 @@ def start_warp() -> None:
         with nullcontext() if _has_gpu_driver() else _silent_stderr():
             wp.init()
     except OSError as error:
-        raise StorageError(_no_cache(error.filename, error.strerror or str(error))) from None
+        raise StorageError(_message_of_unwritable_cache(error.filename, error.strerror or str(error))) from None
     cache = wp.config.kernel_cache_dir
     if cache is not None and not os.access(cache, os.W_OK) and not os.listdir(cache):
-        raise StorageError(_no_cache(cache, "it is empty and read-only"))
+        raise StorageError(_message_of_unwritable_cache(cache, "it is empty and read-only"))
 
 
-def _no_cache(folder: str | None, reason: str) -> str:
+def _message_of_unwritable_cache(folder: str | None, reason: str) -> str:
     """Return the message for a cache folder that cannot be written."""
     return f"{folder}: Warp cannot keep compiled kernels there ({reason.lower()}). {CHOOSE_CACHE}"
 

@@ -146,7 +146,7 @@ def euler_angles(q: wp.quat) -> wp.vec3:
 
 
 @wp.func(inline=False)
-def large_turn(rotation: wp.vec3, square: float) -> wp.quat:
+def rotation_quat_of_large_angle(rotation: wp.vec3, square: float) -> wp.quat:
     """Return the quaternion of any rotation vector [rad], as a separate call to save registers."""
     half = wp.sqrt(square)
     sine = 0.5 * wp.sin(half) / half
@@ -162,14 +162,14 @@ def rotation_matrix(q: wp.quat) -> wp.mat33:
 
 
 @wp.func
-def small_turn(rotation: wp.vec3) -> wp.quat:
+def rotation_quat(rotation: wp.vec3) -> wp.quat:
     """Return the quaternion of a rotation vector [rad], ``(sin(x/2)/x r, cos(x/2))``.
 
-    Up to 1 rad the series are exact in float32 (next terms 1e-8); beyond it ``large_turn`` is called.
+    Up to 1 rad the series are exact in float32 (next terms 1e-8); beyond it ``rotation_quat_of_large_angle`` is called.
     """
     square = 0.25 * wp.dot(rotation, rotation)
     if square > 0.25:
-        return large_turn(rotation, square)
+        return rotation_quat_of_large_angle(rotation, square)
     sine = 0.5 - square * (0.5 / 6.0 - square * (0.5 / 120.0 - square * (0.5 / 5040.0)))
     cosine = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square * (1.0 / 40320.0))))
     return wp.quat(sine * rotation[0], sine * rotation[1], sine * rotation[2], cosine)

@@ -59,7 +59,7 @@ class Contacts:
     normal: Tensor  # Unit normal of the touched surface, towards the body, world, (E, C, 3)
 
 
-def push(
+def apply_contact_impulses(
     contacts: Contacts, cfg: ContactCfg, model: Model, state: MassState, *, dt: float, share: float
 ) -> tuple[MassState, Tensor]:
     """Return the motion after the impulses of all contacts, and their sum [N s], world, (E, 3). Differentiable.
@@ -107,8 +107,8 @@ def _velocity_change(
     )
     across = normal.unsqueeze(-1) * normal.unsqueeze(-2)
     along = torch.eye(3, dtype=lever.dtype, device=lever.device) - across
-    start = _times(to_point, torch.cat(velocity, dim=-1).unsqueeze(1))
-    slip_at_start, touch = _times(along, start), gap < 0.0
+    start = _multiply(to_point, torch.cat(velocity, dim=-1).unsqueeze(1))
+    slip_at_start, touch = _multiply(along, start), gap < 0.0
     load = dt * mass * (-cfg.stiffness * gap - cfg.damping * (normal * start).sum(-1))
     hardness = dt * mass * (share * dt * cfg.stiffness + cfg.damping)
     penalty = PENALTY * mass.unsqueeze(-1)
@@ -118,18 +118,20 @@ def _velocity_change(
     gains = torch.zeros_like(gap[:, :1, None], dtype=torch.bool)
     for k in range(ITERATIONS + CAUTIOUS_ITERATIONS):
         if k > 0:
-            change = _times(to_point, delta.unsqueeze(1))
+            change = _multiply(to_point, delta.unsqueeze(1))
             press = load - hardness * (normal * change).sum(-1)
             pushed = touch & (press > 0.0)
             limit = cfg.friction * (pushed * press).unsqueeze(-1)
-            slip = slip_at_start + _times(along, change)
-            rub = base - grip * _times(_remove_component(along, heading), slip)
+            slip = slip_at_start + _multiply(along, change)
+            rub = base - grip * _multiply(_remove_component(along, heading), slip)
             cautious = torch.minimum(limit / _length(slip), penalty)
             if k < ITERATIONS:
                 pushes = pushed
                 sticks = torch.where(sticks, _length(rub) <= limit, _dot(slip, heading) > 0.0) & pushes.unsqueeze(-1)
                 backwards = torch.where(heading.any(-1, keepdim=True), -slip, rub)
-                backwards = _times(along, backwards)  # again, because of rounding along the normal at very small slip
+                backwards = _multiply(
+                    along, backwards
+                )  # again, because of rounding along the normal at very small slip
                 heading = torch.where(sticks, 0.0, backwards / _length(backwards))
                 base = torch.where(sticks, rub, limit * heading)
                 grip = torch.where(sticks, penalty, cautious)
@@ -140,10 +142,10 @@ def _velocity_change(
                 heading, base = torch.where(gains, 0.0, heading), torch.where(gains, 0.0, base)
                 grip = torch.where(gains, cautious, grip)
         held = _remove_component(along, heading)
-        impulse = (pushes * load).unsqueeze(-1) * normal + base - grip * _times(held, slip_at_start)
+        impulse = (pushes * load).unsqueeze(-1) * normal + base - grip * _multiply(held, slip_at_start)
         give = (pushes * hardness)[..., None, None] * across + grip.unsqueeze(-1) * held
         system = inertia + (to_point.mT @ give @ to_point).sum(1)
-        delta = torch.linalg.solve_ex(system, _times(to_point.mT, impulse).sum(1)).result
+        delta = torch.linalg.solve_ex(system, _multiply(to_point.mT, impulse).sum(1)).result
     return delta
 
 
@@ -162,7 +164,7 @@ def _dot(a: Tensor, b: Tensor) -> Tensor:
     return (a * b).sum(-1, keepdim=True)
 
 
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+def _multiply(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
 
 

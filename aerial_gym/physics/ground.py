@@ -14,7 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_inverse
-from aerial_gym.physics.contact import Contacts, push
+from aerial_gym.physics.contact import Contacts, apply_contact_impulses
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
@@ -125,7 +125,7 @@ def push_off_ground(
     """
     contacts = ground_contacts(ground, model, after)
     crashes = detect_crash(contacts, cfg, before, after)
-    state, impulse = push(contacts, cfg, model, after, dt=dt, share=share)
+    state, impulse = apply_contact_impulses(contacts, cfg, model, after, dt=dt, share=share)
     return state, impulse, crashes
 
 
@@ -150,4 +150,4 @@ def detect_crash(contacts: Contacts, cfg: ContactCfg, before: MassState, after: 
 
 def is_crash(gap: Tensor, approach: Tensor, cfg: ContactCfg) -> Tensor:
     """Return whether any contact with gap [m] and approach speed [m/s], (E, C) each, is a crash, bool (E,)."""
-    return ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)
+    return ((gap < 0.0) & (approach >= cfg.crash_approach_speed)).any(dim=1)

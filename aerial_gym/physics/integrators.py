@@ -40,7 +40,7 @@ ITERATIONS = 5  # Newton steps for the mean angular velocity. Each squares the e
 cross = torch.linalg.cross
 
 
-def coast_change(
+def force_free_motion_change(
     mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return the changes of motion in a step without force; as small numbers they conserve the invariants in float32.
@@ -224,7 +224,7 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
     attitude, load = state.attitude, state.load
     through = air_velocity(model, state.position, attitude, state.lin_vel)
     mass = model.vehicle.mass.unsqueeze(-1) + effect.added_mass(params)
-    move, gain, turn, ang_vel = coast_change(mass, model.vehicle.inertia, through, state.ang_vel, dt)
+    move, gain, turn, ang_vel = force_free_motion_change(mass, model.vehicle.inertia, through, state.ang_vel, dt)
     return replace(
         state,
         position=state.position + dt * state.lin_vel + quat_rotate(attitude, move),

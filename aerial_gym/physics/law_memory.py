@@ -120,7 +120,7 @@ def fresh_law_memory(needs: LawNeeds, num_envs: int, like: Tensor) -> LawMemory:
     )
 
 
-def forget_law(memory: LawMemory, mask: Tensor) -> LawMemory:
+def reset_law_memory(memory: LawMemory, mask: Tensor) -> LawMemory:
     """Return the memory (E, ...) with the environments in ``mask``, bool (E,), reset; others stay bit for bit."""
     return replace(
         memory,

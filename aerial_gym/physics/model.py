@@ -129,7 +129,7 @@ def build_model(
 
 def add_steady_wind(model: Model, velocity: Tensor) -> Model:
     """Return the model with a steady wind [m/s], world, (E, 3), in addition to its own."""
-    return replace(model, effects=model.effects.plus(EFFECTS.get("constant_wind"), velocity))
+    return replace(model, effects=model.effects.with_effect(EFFECTS.get("constant_wind"), velocity))
 
 
 def check_effect_on_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:

@@ -27,7 +27,7 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
-from aerial_gym.physics.effects.kinds.wrench import linear_wrench
+from aerial_gym.physics.effects.kinds import linear_wrench
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.physics.state import BodyState

@@ -23,9 +23,9 @@ from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_b
 from aerial_gym.physics.law_memory import (
     LawMemory,
     check_law_step,
-    forget_law,
     fresh_law_memory,
     law_needs,
+    reset_law_memory,
     rotor_command_and_memory,
 )
 from aerial_gym.physics.memory import (
@@ -129,7 +129,7 @@ def _store_memory(old: AnyMemory | None, new: AnyMemory | None) -> AnyMemory | N
     return old
 
 
-def _cut(memory: AnyMemory) -> AnyMemory:
+def _memory_without_gradients(memory: AnyMemory) -> AnyMemory:
     """Return the memory detached from gradients."""
     return replace(memory, **{name: tensor.detach() for name, tensor in memory.tensors().items()})
 
@@ -228,7 +228,7 @@ class TorchBackend:
         self._get_memory(dt)
         self._get_law_memory(self._model.vehicle.mass, dt)
         if self._model.articulation is not None and self._model.articulation.num_creep and self._crept is None:
-            self._crept = self._model.articulation.fresh_creep(self._model.vehicle.num_envs)
+            self._crept = self._model.articulation.unset_dashpots(self._model.vehicle.num_envs)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint, by name."""
@@ -290,7 +290,7 @@ class TorchBackend:
         bends = self._model.articulation
         if bends is None or not bends.num_creep:
             return step()
-        before = bends.fresh_creep(state.num_envs) if self._crept is None else self._crept
+        before = bends.unset_dashpots(state.num_envs) if self._crept is None else self._crept
         crept = bends.initialise_creep(before, state.joint_pos)
         after = step(crept=crept)
         crept = bends.advance_creep(crept, after.joint_pos, dt)
@@ -388,9 +388,9 @@ class TorchBackend:
     def detach(self) -> None:
         """Detach the memory of effects, law and dashpots from gradients."""
         if self._memory is not None:
-            self._memory = _cut(self._memory)
+            self._memory = _memory_without_gradients(self._memory)
         if self.law_memory is not None:
-            self.law_memory = _cut(self.law_memory)
+            self.law_memory = _memory_without_gradients(self.law_memory)
         if self._crept is not None:
             self._crept = self._crept.detach()
 
@@ -412,7 +412,7 @@ class TorchBackend:
         if self._memory is not None:
             self._memory = forget(self._memory, mask)
         if self.law_memory is not None:
-            self.law_memory = forget_law(self.law_memory, mask)
+            self.law_memory = reset_law_memory(self.law_memory, mask)
         if self._crept is not None:
             self._crept = torch.where(mask[:, None, None], nan, self._crept)
 
@@ -423,6 +423,6 @@ class TorchBackend:
         if self._memory is not None:
             self._memory = _store_memory(self._memory, forget(self._memory, mask))
         if self.law_memory is not None:
-            self.law_memory = _store_memory(self.law_memory, forget_law(self.law_memory, mask))
+            self.law_memory = _store_memory(self.law_memory, reset_law_memory(self.law_memory, mask))
         if self._crept is not None:
             self._crept.masked_fill_(mask[:, None, None], nan)

@@ -38,9 +38,9 @@ from aerial_gym.physics.fused.memory import MemoryArrays, memory_type
 from aerial_gym.physics.fused.packing import (
     Numbers,
     Packing,
-    arrange,
     collect_numbers,
     law_rows,
+    make_packing,
     make_structs,
     pack_rows,
     parameter_rows,
@@ -172,7 +172,7 @@ class WarpBackend:
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._num_actions = law.num_actions + (0 if model.articulation is None else model.articulation.num_driven)
         self._dt, self._memory, self.law_memory = 0.0, None, None
-        self._packing: Packing = arrange(self._numbers(1.0), all_packed=self._differentiable)
+        self._packing: Packing = make_packing(self._numbers(1.0), all_packed=self._differentiable)
         rows = torch.zeros(max(self._packing.total, 1), self._num_envs + ROW_GAP, device=self._device)
         self._packed = rows[:, : self._num_envs]
         self._ground = self._ground_arrays(ground)

@@ -216,7 +216,7 @@ def find_pairs(
 
 
 @wp.func
-def has_fast_approach(pairs: ContactPairs, lin_vel: wp.vec3, turn: wp.vec3, least_approach: float) -> wp.bool:
+def has_fast_approach(pairs: ContactPairs, lin_vel: wp.vec3, turn: wp.vec3, crash_approach_speed: float) -> wp.bool:
     """Return whether any pair overlaps that comes together at a speed [m/s] or faster.
 
     ``lin_vel`` is the velocity of the origin of levers, ``turn`` the angular velocity, both world.
@@ -224,5 +224,5 @@ def has_fast_approach(pairs: ContactPairs, lin_vel: wp.vec3, turn: wp.vec3, leas
     fast = wp.bool(False)
     for i in range(MAX_CONTACTS):
         approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(lin_vel, turn, pairs.levers[i]))
-        fast = fast or (pairs.gaps[i] < 0.0 and approach >= least_approach)
+        fast = fast or (pairs.gaps[i] < 0.0 and approach >= crash_approach_speed)
     return fast

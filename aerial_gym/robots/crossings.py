@@ -180,7 +180,12 @@ def _make_earlier_crossing(*, cores: bool) -> wp.Function:
 
     @wp.func
     def earlier_crossing(
-        solid: Shape, sweep: ShapeSweep, done: Substep, least_approach: float, known: NormalsOfSubstep, hit: Crossing
+        solid: Shape,
+        sweep: ShapeSweep,
+        done: Substep,
+        crash_approach_speed: float,
+        known: NormalsOfSubstep,
+        hit: Crossing,
     ):
         """Return the earlier of the given crossing and that of a part or face, and the known normals.
 
@@ -207,7 +212,7 @@ def _make_earlier_crossing(*, cores: bool) -> wp.Function:
         surface_vel = sweep.lin_vel + wp.cross(sweep.spin, from_carrier)
         arm = sweep.other.start + t * sweep.other.shift + from_carrier - sweep.path.start - t * sweep.path.shift
         own_vel = point_velocity(done.first_lin_vel, rotate(done.first_attitude, done.first_ang_vel), arm)
-        hit.crashes = hit.crashes or wp.dot(normal, surface_vel - own_vel) >= least_approach
+        hit.crashes = hit.crashes or wp.dot(normal, surface_vel - own_vel) >= crash_approach_speed
         reach = radius + core_extent(core, local)
         surface = extent_in_direction(solid, local)
         if overlaps:
@@ -239,7 +244,7 @@ def _make_earlier_part_crossing(*, cores: bool, meshes: bool) -> wp.Function:
     earlier_crossing = _make_earlier_crossing(cores=cores)
 
     @wp.func
-    def earlier_part_crossing(sweep: ShapeSweep, done: Substep, least_approach: float, hit: Crossing) -> Crossing:
+    def earlier_part_crossing(sweep: ShapeSweep, done: Substep, crash_approach_speed: float, hit: Crossing) -> Crossing:
         """Return the earlier of the given crossing and that of a part; of a mesh, over all its faces."""
         shape = sweep.shape
         solid = shape
@@ -258,7 +263,7 @@ def _make_earlier_part_crossing(*, cores: bool, meshes: bool) -> wp.Function:
                     if more:
                         solid = face_shape(shape, face)
             if more:
-                hit, known = earlier_crossing(solid, sweep, done, least_approach, known, hit)
+                hit, known = earlier_crossing(solid, sweep, done, crash_approach_speed, known, hit)
             more = more and is_mesh
         return hit
 
@@ -273,9 +278,14 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
 
     @wp.func
     def first_crossing(
-        around: ContactScene, obstacles: obstacles_type, least_approach: float, env: int, done: Substep, path: Path
+        around: ContactScene,
+        obstacles: obstacles_type,
+        crash_approach_speed: float,
+        env: int,
+        done: Substep,
+        path: Path,
     ) -> Crossing:
-        """Return the first crossing of a path; touches at ``least_approach`` [m/s] or faster are crashes."""
+        """Return the first crossing of a path; touches at ``crash_approach_speed`` [m/s] or faster are crashes."""
         scene = around.scene
         hit = Crossing()
         hit.time = wp.inf
@@ -314,13 +324,13 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                     c = wp.int32(0)
                     while c < around.sphere.shape[0]:
                         sweep.own = as_body_shape(around.sphere[c])
-                        hit = earlier_part_crossing(sweep, done, least_approach, hit)
+                        hit = earlier_part_crossing(sweep, done, crash_approach_speed, hit)
                         c += 1
                     if wp.static(cores):
                         c = wp.int32(0)
                         while c < around.body.shape[0]:
                             sweep.own = around.body[c]
-                            hit = earlier_part_crossing(sweep, done, least_approach, hit)
+                            hit = earlier_part_crossing(sweep, done, crash_approach_speed, hit)
                             c += 1
             part += 1
         return hit
@@ -336,7 +346,7 @@ def make_stop_search(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
 
     @wp.func
     def find_stop(
-        around: ContactScene, obstacles: obstacles_type, least_approach: float, env: int, done: Substep
+        around: ContactScene, obstacles: obstacles_type, crash_approach_speed: float, env: int, done: Substep
     ) -> CrossingStop:
         """Return the pose at which obstacles stop the robot; they stand as before the substep."""
         stop = CrossingStop()
@@ -350,7 +360,7 @@ def make_stop_search(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         clear = wp.bool(False)
         while count < ROUNDS and not clear:
             path.shift = whole + shift
-            hit = first_crossing(around, obstacles, least_approach, env, done, path)
+            hit = first_crossing(around, obstacles, crash_approach_speed, env, done, path)
             stop.crashes = stop.crashes or hit.crashes
             clear = hit.time == wp.inf
             if not clear:

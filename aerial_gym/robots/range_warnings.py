@@ -41,7 +41,7 @@ def report_range_faults(
     ends = hovers_at_range_ends(
         robot, controller, randomize, gravity=gravity, dt=dt, integrator=integrator, names=names
     )
-    faults = [each for each in ends if not each[2].holds]
+    faults = [each for each in ends if not each[2].is_within_range]
     if faults:
         texts = [hover_error_text(one) if one.stable else fault_of_unstable_loop(one, dt) for _, _, one in faults]
         said = "; ".join(f"{name} = {end}: {text}" for (name, end, _), text in zip(faults, texts, strict=True))

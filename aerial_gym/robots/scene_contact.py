@@ -77,7 +77,7 @@ def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Functi
         """
         v = done.lin_vel
         w = done.ang_vel
-        stop = find_stop(around.near, obstacles, around.law.least_approach, env, done)
+        stop = find_stop(around.near, obstacles, around.law.crash_approach_speed, env, done)
         if wp.static(moves):
             for a in range(obstacles.asset.shape[1]):
                 move_instance(obstacles, env, a, done.dt, 1)
@@ -89,7 +89,7 @@ def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Functi
         if stop.crosses:
             pairs = deepest_of_both(pairs, stop.pairs)
         turn = rotate(q, done.first_ang_vel)
-        if stop.crashes or has_fast_approach(pairs, done.first_lin_vel, turn, around.law.least_approach):
+        if stop.crashes or has_fast_approach(pairs, done.first_lin_vel, turn, around.law.crash_approach_speed):
             around.crashes[env] = True
         if wp.min(pairs.gaps) >= 0.0:
             return x, q, v, w

@@ -68,4 +68,4 @@ def tune_robot(
         names=(name, "lee_position_control"),
     )  # fmt: skip
     lag = float(torch.maximum(vehicle.time_constant_up, vehicle.time_constant_down).max())
-    return TuningResult(control=control, lag=lag, delay=delay, yaw_limited=limited, radius=loop.radius(dt))
+    return TuningResult(control=control, lag=lag, delay=delay, yaw_limited=limited, radius=loop.spectral_radius(dt))

@@ -31,7 +31,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct, start_warp, with_usual_settings
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, copy_mask
-from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, rotation_quat
 from aerial_gym.physics.effects.sensor_errors import WIDTH
 from aerial_gym.sensors.images import CLOCK_MARGIN, latency_steps
 from aerial_gym.sensors.mounts import Carrier, Pose, file_pose
@@ -183,7 +183,7 @@ def _measure(motion: ImuMotion, unit: ImuParameters, random: RandomArrays, numbe
     velocity = _point_velocity(motion, out.mount_position[e], e)
     acceleration = (velocity - out.point_vel[e]) / unit.dt
     out.point_vel[e] = velocity
-    middle = motion.attitude[e] * small_turn(-0.5 * unit.dt * ang_vel)
+    middle = motion.attitude[e] * rotation_quat(-0.5 * unit.dt * ang_vel)
     force = out.force_sum[e] + rotate_inverse(middle, acceleration + wp.vec3(0.0, 0.0, unit.gravity))
     clock = out.clock[e] + unit.dt
     steps = out.steps[e] + 1
@@ -215,9 +215,9 @@ def _reset(
     out.sample[e] = 0
     state = _next_sample_state(random, number, e, out)
     turn = _uniform_vector(state, 4, unit.misalignment)
-    yaw_pitch = small_turn(wp.vec3(0.0, 0.0, turn[2])) * small_turn(wp.vec3(0.0, turn[1], 0.0))
+    yaw_pitch = rotation_quat(wp.vec3(0.0, 0.0, turn[2])) * rotation_quat(wp.vec3(0.0, turn[1], 0.0))
     position, nominal = draw_pose(unit.mount, substream(state, 7))
-    mount = wp.normalize(nominal * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
+    mount = wp.normalize(nominal * yaw_pitch * rotation_quat(wp.vec3(turn[0], 0.0, 0.0)))
     accel_bias = _uniform_vector(state, 5, unit.accel_initial_bias)
     gyro_bias = _uniform_vector(state, 6, unit.gyro_initial_bias)
     force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))

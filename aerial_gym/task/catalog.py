@@ -72,7 +72,7 @@ class TaskRegistry(Registry[TaskCfg]):
         changes = {"num_envs": num_envs, "robot": robot, "controller": controller, "sim": sim, "env": env}
         cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
         if encoder is not None:
-            cfg = with_encoder(cfg, encoder)
+            cfg = task_with_encoder(cfg, encoder)
         if level is not None:
             if cfg.curriculum is None:
                 raise ConfigError(f"level = {level}: task {name} has no curriculum")
@@ -175,7 +175,7 @@ def _load_module(path: Path) -> ModuleType:
 CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")  # Terms with 64 numbers by default, which latents can replace
 
 
-def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
+def task_with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
     """Return a task with an encoder's latents in place of the nearest distances of 8 x 8 cells."""
 
     def use_latents(entry: ObservationCfg) -> ObservationCfg:

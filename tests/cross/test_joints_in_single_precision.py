@@ -161,7 +161,7 @@ def step_bound(start: Start, first: int) -> Bound:
 
     model, num_rotors = start.model, start.model.vehicle.num_rotors
     bends = model.articulation
-    crept = bends.initialise_creep(bends.fresh_creep(NUM_ENVS), start.state.joint_pos) if bends.num_creep else None
+    crept = bends.initialise_creep(bends.unset_dashpots(NUM_ENVS), start.state.joint_pos) if bends.num_creep else None
     speeds = state_for_thrust(model.vehicle, start.action[:, :num_rotors])
     articulated_step(model, start.state, speeds, start.action[:, num_rotors:], DT, crept=crept, stepper=stepper)
     return seen[0]

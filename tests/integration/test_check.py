@@ -31,8 +31,8 @@ def test_the_time_step_that_is_named_has_the_gain_margin(monkeypatch: pytest.Mon
     result = flights.largest_stable_step(robot, controller, name="mellinger")
     loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("it", "mellinger"))
     assert not result.little_margin
-    assert loop.is_firm(result.largest_s)
-    assert not loop.is_firm(1.02 * result.largest_s)
+    assert loop.is_stable_with_margin(result.largest_s)
+    assert not loop.is_stable_with_margin(1.02 * result.largest_s)
 
 
 def test_a_file_with_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

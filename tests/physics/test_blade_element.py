@@ -16,7 +16,13 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects.blade_element import REFERENCE_SLOPE, _inflow, lift_slope, reynolds_number
-from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, DESCENT_FIT, WINDMILL, axial_induced, induced
+from aerial_gym.physics.effects.induced_flow import (
+    AIR_DENSITY,
+    DESCENT_FIT,
+    WINDMILL,
+    axial_induced_velocity,
+    induced_velocity,
+)
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import F64, make_effects, random_state
@@ -128,16 +134,16 @@ def test_the_search_for_the_inflow_ends_at_the_root(lift: float, thrust: float) 
     low, high = torch.zeros_like(mu), torch.ones_like(mu)
     for _ in range(80):
         middle = 0.5 * (low + high)
-        value = induced(middle.clamp_min(1e-9), climb, mu)[0]
+        value = induced_velocity(middle.clamp_min(1e-9), climb, mu)[0]
         above = 2.0 * middle.square() >= 0.5 * lift * (lifted - 0.5 * (climb + value))
         low, high = torch.where(above, low, middle), torch.where(above, middle, high)
-    exact = induced(high.clamp_min(1e-9), climb, mu)[0]
+    exact = induced_velocity(high.clamp_min(1e-9), climb, mu)[0]
     assert ((_inflow(torch.tensor(lift, dtype=F64), lifted, climb, mu) - exact).abs() < 1e-4 * hover).all()
 
 
 def test_induced_velocities_join_without_a_jump() -> None:
     at = torch.tensor([WINDMILL - 1e-9, WINDMILL + 1e-9, -1e-9, 1e-9, 3.0, -6.0], dtype=F64)
-    value, _ = axial_induced(at)
+    value, _ = axial_induced_velocity(at)
     assert abs(value[0] - value[1]) < 1e-6
     torch.testing.assert_close(value[2:4], torch.ones(2, dtype=F64), atol=1e-8, rtol=0.0)
     assert value[4] == pytest.approx(-1.5 + sqrt(1.5**2 + 1.0))
@@ -147,22 +153,24 @@ def test_induced_velocities_join_without_a_jump() -> None:
 def test_slopes_of_the_induced_velocity_are_its_differences() -> None:
     x = torch.cat((torch.linspace(-4.0, -2.05, 9), torch.linspace(-2.0, -0.1, 9), torch.linspace(0.1, 3.0, 9))).to(F64)
     step = 1e-6
-    slope = (axial_induced(x + step)[0] - axial_induced(x - step)[0]) / (2.0 * step)
-    torch.testing.assert_close(axial_induced(x)[1], slope, atol=1e-7, rtol=1e-7)
+    slope = (axial_induced_velocity(x + step)[0] - axial_induced_velocity(x - step)[0]) / (2.0 * step)
+    torch.testing.assert_close(axial_induced_velocity(x)[1], slope, atol=1e-7, rtol=1e-7)
     hover, edge = torch.full_like(x, 0.8), torch.full_like(x, 0.7)
-    slope = (induced(hover + step, 0.8 * x, edge)[0] - induced(hover - step, 0.8 * x, edge)[0]) / (2.0 * step)
-    torch.testing.assert_close(induced(hover, 0.8 * x, edge)[1], slope, atol=1e-7, rtol=1e-7)
+    slope = (induced_velocity(hover + step, 0.8 * x, edge)[0] - induced_velocity(hover - step, 0.8 * x, edge)[0]) / (
+        2.0 * step
+    )
+    torch.testing.assert_close(induced_velocity(hover, 0.8 * x, edge)[1], slope, atol=1e-7, rtol=1e-7)
 
 
 def test_sideways_flow_is_glauerts() -> None:
     """``f² (y² + f²) = 1`` at x = 0, and f near 1 / y at high speed; in climb within 10 % of momentum theory."""
     y = torch.linspace(0.0, 8.0, 33, dtype=F64)
     one, zero = torch.ones_like(y), torch.zeros_like(y)
-    f = induced(one, zero, y)[0]
+    f = induced_velocity(one, zero, y)[0]
     torch.testing.assert_close(f.square() * (y.square() + f.square()), one)
     assert f[-1] * y[-1] == pytest.approx(1.0, abs=1e-3)
     for x in (0.5, 1.0, 2.0):
-        f = induced(one, x * one, y)[0]
+        f = induced_velocity(one, x * one, y)[0]
         exact = f.clone()
         for _ in range(200):
             exact = 0.5 * (exact + 1.0 / (y.square() + (x + exact).square()).sqrt())

@@ -209,4 +209,4 @@ def test_wrong_outputs_are_refused(device: torch.device) -> None:
     with pytest.raises(ShapeError, match=r"Call follow\(\)"):
         test.step()
     with pytest.raises(ShapeError, match=r"crashes_out is \(2,\) torch.float32.*expected \(2,\) torch.bool"):
-        test.follow(position[None], attitude[None], dt=0.01, crashes_out=distance)
+        test.record_launches(position[None], attitude[None], dt=0.01, crashes_out=distance)

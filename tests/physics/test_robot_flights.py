@@ -78,7 +78,11 @@ def coarsest_sim(law: ControllerCfg, cfg: RobotCfg) -> SimCfg:
     return next((sim for sim in sims if not misfit_reason(cfg, law, sim)), sims[0])
 
 
-FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is None or cfg.law in ("position", "rates")]
+FAST = [
+    name
+    for name, cfg in geometric_controllers().items()
+    if cfg.rate_settings is None or cfg.law in ("position", "rates")
+]
 
 
 def select_flights() -> list[tuple[str, str]]:

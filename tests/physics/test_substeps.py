@@ -194,7 +194,7 @@ class SphereFlight:
             (SphereCfg(center=(0.0, 0.0, 0.0), radius=0.1),), position=position[-1],
             attitude=upright.repeat(num_envs, 1), distance_out=self.distance,
         )  # fmt: skip
-        self.test.follow(position, upright.repeat(len(position), num_envs, 1), dt=DT, crashes_out=self.crashes)
+        self.test.record_launches(position, upright.repeat(len(position), num_envs, 1), dt=DT, crashes_out=self.crashes)
         self.test.step()
 
 

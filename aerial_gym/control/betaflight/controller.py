@@ -34,7 +34,7 @@ RATE_LIMIT = radians(1998.0)  # Largest rate setpoint of the sticks [rad/s]. Sou
 THROTTLE_STEP = 0.001  # Least throttle, its resolution [-]. Source: Betaflight 4.5, `rc.c`, 1000 to 2000 us
 
 
-def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:
+def rate_setpoint_of_stick(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:
     """Return the rate setpoint of a stick: ``c x + max(m - c, 0) |x| (e x⁵ + (1 - e) x)``, at most ``RATE_LIMIT``.
 
     Args:
@@ -136,7 +136,7 @@ class BetaflightController(StatefulController):
         """Return thrust per weight and body-rate setpoint [rad/s], (E, 4), of an action."""
         wanted, gains = action[:, 1:], self.gains
         if self._own.rates_type == "ACTUAL":
-            wanted = actual_rate(wanted.clamp(-1.0, 1.0), gains.center, gains.largest, gains.expo)
+            wanted = rate_setpoint_of_stick(wanted.clamp(-1.0, 1.0), gains.center, gains.largest, gains.expo)
         return torch.cat((action[:, :1] + 1.0, wanted), dim=-1), memory
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:

@@ -94,12 +94,12 @@ CODE = {
 """Warp code of each scalar operation."""
 
 
-def _cross(a: Tensor, b: Tensor, *, dim: int = -1) -> Tensor:
+def _cross_product(a: Tensor, b: Tensor, *, dim: int = -1) -> Tensor:
     (ax, ay, az), (bx, by, bz) = a.unbind(dim), b.unbind(dim)
     return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), dim=dim)
 
 
-def _product(a: Tensor, b: Tensor) -> Tensor:
+def _matrix_product(a: Tensor, b: Tensor) -> Tensor:
     return (a.unsqueeze(-1) * b.unsqueeze(-3)).sum(-2)
 
 
@@ -113,7 +113,9 @@ def _cumulative_product(a: Tensor, dim: int) -> Tensor:
     return torch.stack(list(accumulate(a.unbind(dim), torch.mul)), dim=dim)
 
 
-def _finite(a: Tensor, nan: float | None = None, high: float | None = None, low: float | None = None) -> Tensor:
+def _replace_non_finite(
+    a: Tensor, nan: float | None = None, high: float | None = None, low: float | None = None
+) -> Tensor:
     largest = torch.finfo(a.dtype).max
     a = torch.where(a.isnan(), nan or 0.0, a)
     return torch.where(
@@ -128,13 +130,13 @@ def _exponential_less_one(a: Tensor) -> Tensor:
 
 
 COMPOSED: dict[str, Callable[..., Tensor]] = {
-    "linalg_cross": _cross,
+    "linalg_cross": _cross_product,
     "expm1": _exponential_less_one,
-    "mm": _product,
-    "bmm": _product,
+    "mm": _matrix_product,
+    "bmm": _matrix_product,
     "diag_embed": _diagonal_matrix,
     "cumprod": _cumulative_product,
-    "nan_to_num": _finite,
+    "nan_to_num": _replace_non_finite,
     "tanh_backward": lambda slope, result: slope * (1.0 - result * result),
     "sigmoid_backward": lambda slope, result: slope * (1.0 - result) * result,
     "threshold_backward": lambda slope, a, limit: torch.where(a <= limit, 0.0, slope),
@@ -176,7 +178,7 @@ class Pointwise:
 _OF_TRUTHS = {"mul": "and", "add": "or"}
 
 
-def _plain(kind: str) -> Callable[["Trace", tuple[int, ...], torch.dtype], int]:
+def _operation_of_kind(kind: str) -> Callable[["Trace", tuple[int, ...], torch.dtype], int]:
     return lambda into, row, dtype: into.number(_OF_TRUTHS.get(kind, kind) if dtype == torch.bool else kind, row, dtype)
 
 
@@ -191,12 +193,12 @@ def _alpha_operation(kind: str) -> Pointwise:
         a, b, alpha = row
         if into.scalars[alpha].args != (1,):
             b = into.number("mul", (b, alpha), dtype)
-        return _plain(kind)(into, (a, b), dtype)
+        return _operation_of_kind(kind)(into, (a, b), dtype)
 
     return Pointwise(make=make, arguments=arguments, known=frozenset({"alpha"}))
 
 
-def _bits(kind: str) -> Pointwise:
+def _logical_or_bitwise(kind: str) -> Pointwise:
     """Return a logical operation on truths, or on the bits of integers."""
     return Pointwise(
         make=lambda into, row, dtype: into.number(kind if dtype == torch.bool else f"bit_{kind}", row, dtype)
@@ -230,7 +232,7 @@ def _clamp_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any
     return value, -inf if low is None else low, inf if high is None else high
 
 
-def _limit(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
+def _clamp_scalar(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     value, low, high = row
     for kind, limit in (("maximum", low), ("minimum", high)):
         scalar = into.scalars[limit]
@@ -239,11 +241,11 @@ def _limit(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     return value
 
 
-def _same(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
+def _first_argument(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     return row[0]
 
 
-def _fill(value: float) -> Arguments:
+def _fill_arguments(value: float) -> Arguments:
     return lambda args, kwargs: (value,)
 
 
@@ -253,7 +255,7 @@ def _select_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[An
     return args
 
 
-def _choice(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
+def _select_scalar(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     condition, yes, no = row
     return into.number("where", (condition, into.cast(yes, dtype), into.cast(no, dtype)), dtype)
 
@@ -267,39 +269,39 @@ _ONE_FLOAT = "sqrt rsqrt reciprocal exp log sin cos tan asin acos atan sinh cosh
 _BOOL = torch.bool
 
 POINTWISE: dict[str, Pointwise] = {
-    **{name: Pointwise(make=_plain(name), floats=True) for name in _ONE_FLOAT.split()},
-    **{name: Pointwise(make=_plain(name)) for name in ("neg", "abs", "mul", "minimum", "maximum")},
-    **{name: Pointwise(make=_plain(name), floats=True) for name in ("div", "atan2", "remainder")},
-    **{name: Pointwise(make=_plain(name), compares=True) for name in ("lt", "le", "gt", "ge", "eq", "ne")},
-    **{f"logical_{name}": Pointwise(make=_plain(name), inside=_BOOL) for name in ("and", "or", "not")},
-    **{f"bitwise_{name}": Pointwise(make=_plain(name), inside=_BOOL) for name in ("or", "not")},
-    "bitwise_and": _bits("and"),
+    **{name: Pointwise(make=_operation_of_kind(name), floats=True) for name in _ONE_FLOAT.split()},
+    **{name: Pointwise(make=_operation_of_kind(name)) for name in ("neg", "abs", "mul", "minimum", "maximum")},
+    **{name: Pointwise(make=_operation_of_kind(name), floats=True) for name in ("div", "atan2", "remainder")},
+    **{name: Pointwise(make=_operation_of_kind(name), compares=True) for name in ("lt", "le", "gt", "ge", "eq", "ne")},
+    **{f"logical_{name}": Pointwise(make=_operation_of_kind(name), inside=_BOOL) for name in ("and", "or", "not")},
+    **{f"bitwise_{name}": Pointwise(make=_operation_of_kind(name), inside=_BOOL) for name in ("or", "not")},
+    "bitwise_and": _logical_or_bitwise("and"),
     **dict.fromkeys(
         ("__rshift__", "bitwise_right_shift"),
         Pointwise(make=lambda into, row, dtype: into.number("shift_right", row, dtype)),
     ),
-    "logical_xor": Pointwise(make=_plain("ne"), inside=_BOOL),
+    "logical_xor": Pointwise(make=_operation_of_kind("ne"), inside=_BOOL),
     "bitwise_xor": Pointwise(
         make=lambda into, row, dtype: into.number("ne" if dtype == torch.bool else "bit_xor", row, dtype)
     ),
-    "isnan": Pointwise(make=_plain("isnan"), types=(None,)),
-    "isfinite": Pointwise(make=_plain("isfinite"), types=(None,)),
+    "isnan": Pointwise(make=_operation_of_kind("isnan"), types=(None,)),
+    "isfinite": Pointwise(make=_operation_of_kind("isfinite"), types=(None,)),
     "add": _alpha_operation("add"),
     "sub": _alpha_operation("sub"),
     "rsub": _right_subtraction(),
     "pow": Pointwise(make=_power),
     "square": Pointwise(make=lambda into, row, dtype: into.number("mul", (row[0], row[0]), dtype)),
-    "clamp": Pointwise(make=_limit, arguments=_clamp_arguments, known=frozenset({"min", "max"})),
-    "clamp_min": Pointwise(make=_limit, arguments=lambda args, kwargs: (*args[:2], inf)),
-    "clamp_max": Pointwise(make=_limit, arguments=lambda args, kwargs: (args[0], -inf, args[1])),
-    "sgn": Pointwise(make=_plain("sign"), floats=True),
-    "relu": Pointwise(make=_limit, arguments=lambda args, kwargs: (args[0], 0.0, inf)),
-    "where": Pointwise(make=_choice, arguments=_select_arguments, types=(_BOOL, None, None)),
-    "masked_fill": Pointwise(make=_choice, arguments=_mask_arguments, types=(_BOOL, None, None)),
-    "_to_copy": Pointwise(make=_same, arguments=lambda args, kwargs: args[:1], known=_LIKE),
-    "full_like": Pointwise(make=_same, arguments=lambda args, kwargs: (args[1],), known=_LIKE),
+    "clamp": Pointwise(make=_clamp_scalar, arguments=_clamp_arguments, known=frozenset({"min", "max"})),
+    "clamp_min": Pointwise(make=_clamp_scalar, arguments=lambda args, kwargs: (*args[:2], inf)),
+    "clamp_max": Pointwise(make=_clamp_scalar, arguments=lambda args, kwargs: (args[0], -inf, args[1])),
+    "sgn": Pointwise(make=_operation_of_kind("sign"), floats=True),
+    "relu": Pointwise(make=_clamp_scalar, arguments=lambda args, kwargs: (args[0], 0.0, inf)),
+    "where": Pointwise(make=_select_scalar, arguments=_select_arguments, types=(_BOOL, None, None)),
+    "masked_fill": Pointwise(make=_select_scalar, arguments=_mask_arguments, types=(_BOOL, None, None)),
+    "_to_copy": Pointwise(make=_first_argument, arguments=lambda args, kwargs: args[:1], known=_LIKE),
+    "full_like": Pointwise(make=_first_argument, arguments=lambda args, kwargs: (args[1],), known=_LIKE),
     **{
-        name: Pointwise(make=_same, arguments=_fill(value), known=_LIKE)
+        name: Pointwise(make=_first_argument, arguments=_fill_arguments(value), known=_LIKE)
         for name, value in (("zeros_like", 0.0), ("ones_like", 1.0), ("new_zeros", 0.0), ("new_ones", 1.0))
     },
 }

@@ -119,7 +119,8 @@ def trace(
     watch = _Recorder(into, dict(constants or {}))
     num_rows = next((tensor.shape[0] for tensor in inputs if tensor.ndim), 0)
     rows = [
-        watch.input(position, tensor, rows=tensor.shape[:1] == (num_rows,)) for position, tensor in enumerate(inputs)
+        watch.add_input(position, tensor, rows=tensor.shape[:1] == (num_rows,))
+        for position, tensor in enumerate(inputs)
     ]
     try:
         with (
@@ -133,7 +134,7 @@ def trace(
     except Exception as error:
         raise UntraceableError(f"{type(error).__name__}: {(str(error).strip().splitlines() or [''])[0]}") from error
     for result in results if isinstance(results, tuple) else (results,):
-        if not isinstance(result, Tensor) or result.shape[:1] != (ROWS,) or not watch.follows(result):
+        if not isinstance(result, Tensor) or result.shape[:1] != (ROWS,) or not watch.depends_on_input(result):
             raise UntraceableError("a result does not have a row for each environment")
         numbers = watch.find_scalars(result, result.dtype).one
         into.outputs.append((numbers.ravel().tolist(), tuple(result.shape[1:]), result.dtype))
@@ -181,7 +182,7 @@ class _Scalars:
         """Dimensions of the tensor."""
         return self.one.ndim + self.rows
 
-    def each(self, change: Callable[[int], int]) -> "_Scalars":
+    def map_numbers(self, change: Callable[[int], int]) -> "_Scalars":
         """Apply a function to each number."""
         changed = [change(number) for number in self.one.ravel().tolist()]
         return _Scalars(np.array(changed, dtype=np.int64).reshape(self.one.shape), rows=self.rows)
@@ -233,7 +234,7 @@ class _Recorder(TorchDispatchMode):
     def _should_skip_dynamo(cls) -> bool:
         return False  # else torch imports its whole compiler
 
-    def input(self, position: int, tensor: Tensor, *, rows: bool) -> Tensor:
+    def add_input(self, position: int, tensor: Tensor, *, rows: bool) -> Tensor:
         """Return zeros as the placeholder of an input."""
         kind, shape = ("input", tensor.shape[1:]) if rows else ("shared", tensor.shape)
         first = (ROWS,) if rows else ()
@@ -251,11 +252,11 @@ class _Recorder(TorchDispatchMode):
         scalars = _Scalars(np.array(numbers, dtype=np.int64).reshape(tuple(shape)), rows=rows)
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
 
-    def knows(self, tensor: Tensor) -> bool:
+    def is_traced(self, tensor: Tensor) -> bool:
         """Return whether the tensor is an input or results from inputs and constants."""
         return id(tensor) in self._scalars or id(tensor) in self._large
 
-    def follows(self, tensor: Tensor) -> bool:
+    def depends_on_input(self, tensor: Tensor) -> bool:
         """Return whether the tensor depends on an input."""
         return self._scalars.get(id(tensor), (None, None))[1] is not None
 
@@ -352,7 +353,7 @@ class _Recorder(TorchDispatchMode):
         self.into, self.constants, self._literals = Trace(simplifies=True), constants, {}
         try:
             inputs = [
-                self.input(i, torch.zeros(2, *shape, dtype=dtype), rows=True)
+                self.add_input(i, torch.zeros(2, *shape, dtype=dtype), rows=True)
                 for i, (shape, dtype) in enumerate(zip(shapes, dtypes, strict=True))
             ]
             results = function(*inputs)
@@ -383,7 +384,9 @@ class _Recorder(TorchDispatchMode):
                 self._literals[key] = self._constant(plain), plain.dtype
             scalars, given = self._literals[key]
         return (
-            scalars if dtype is None or given == dtype else scalars.each(lambda number: self.into.cast(number, dtype))
+            scalars
+            if dtype is None or given == dtype
+            else scalars.map_numbers(lambda number: self.into.cast(number, dtype))
         )
 
     def _constant(self, plain: Tensor) -> _Scalars:
@@ -406,7 +409,7 @@ class _Recorder(TorchDispatchMode):
         for leaf in tensors:
             if id(leaf) in self._large:
                 raise UntraceableError(self._large[id(leaf)][1])
-        follows = any(map(self.follows, tensors))
+        follows = any(map(self.depends_on_input, tensors))
         if follows and name in COMPOSED:
             with self:
                 return COMPOSED[name](*args, **kwargs)
@@ -512,14 +515,14 @@ class _ExternalTensors(TorchFunctionMode):
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         """Run the function with placeholders for external tensors."""
-        if func in _BRANCHES and self._watch.follows(args[0]):
+        if func in _BRANCHES and self._watch.depends_on_input(args[0]):
             raise UntraceableError(_VALUE)
         args = _map_leaves(args, self._substitute)
         return func(*args, **{name: _map_leaves(value, self._substitute) for name, value in (kwargs or {}).items()})
 
     def _substitute(self, leaf: Any) -> Any:
         """Return the placeholder of an external tensor; other values unchanged."""
-        if not isinstance(leaf, Tensor) or self._watch.knows(leaf):
+        if not isinstance(leaf, Tensor) or self._watch.is_traced(leaf):
             return leaf
         if id(leaf) not in self._lifted:
             self._lifted[id(leaf)] = (leaf, self._lift(leaf))
@@ -537,7 +540,7 @@ class _ExternalTensors(TorchFunctionMode):
         kept = tensor if own else tensor[0]
         if self._known is not None:
             self._watch.constants.update({(self._next, i): value for i, value in self._known(tensor).items()})
-        placeholder = self._watch.input(self._next, kept, rows=own)
+        placeholder = self._watch.add_input(self._next, kept, rows=own)
         self._watch.into.lifted.append(kept)
         self._watch.into.sources.append(tensor)
         self._next += 1

@@ -14,7 +14,7 @@ from aerial_gym.config.joint import DRIVE_MODES, JointCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, JointLimits, Spring, dry_friction
 from aerial_gym.physics.articulated.motion import LinkPoses
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
@@ -36,8 +36,8 @@ def check_motion_inertias(tree: Tree, links: Links, reference: Tensor, held: Ten
     """
     state = TreeState.at_rest(1, tree.num_joints, like=reference)
     state.joint_pos.copy_(reference)
-    system = equations(tree, links, state, gravity=0.0)
-    moved = links.mass[0] @ torch.tensor(tree.moves, dtype=reference.dtype)
+    system = equations_of_motion(tree, links, state, gravity=0.0)
+    moved = links.mass[0] @ torch.tensor(tree.joint_moves_link, dtype=reference.dtype)
     turns = torch.tensor([joint.kind == "revolute" for joint in tree.joints])
     size = _square_of_size(links, system.places)
     base = links.total_mass[0] * torch.stack((torch.ones_like(size),) * 3 + (size,) * 3)
@@ -161,7 +161,7 @@ class Articulation:
             result.append(Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept))
         return tuple(result)
 
-    def fresh_creep(self, num_envs: int) -> Tensor:
+    def unset_dashpots(self, num_envs: int) -> Tensor:
         """Return unset dashpots (NaN), which start at the joints' positions, (E, N, D)."""
         return self.creep_time.new_full((num_envs, *self.creep_time.shape), nan)
 

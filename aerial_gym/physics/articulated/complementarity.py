@@ -38,7 +38,7 @@ class EffortLimits:
     limit: Tensor  # Largest effort, (E, K, D)
 
     @classmethod
-    def at_end(cls, laws: Sequence[Drive], position: Tensor, dt: Tensor | float) -> "EffortLimits":
+    def at_end_of_step(cls, laws: Sequence[Drive], position: Tensor, dt: Tensor | float) -> "EffortLimits":
         """Return the laws at the end of a step of ``dt`` [s] from positions (E, D), by the position at the end."""
         still, each = torch.zeros_like(position), [(law, law.damping + dt * law.stiffness) for law in laws]
         rows = (
@@ -116,7 +116,7 @@ class DriveLimitAndFrictionProblem:
     state: TreeState  # Motion at the start of the step
     rounds: int = ROUNDS  # Rounds of Newton's method, at most
 
-    def total(self, bounded: LimitState) -> Effort:
+    def total_effort(self, bounded: LimitState) -> Effort:
         """Return the total effort of all joint laws, bounded and unbounded."""
         value, slope = (own.sum(1) for own in self._lines(bounded))
         return self.acts + Effort(
@@ -167,7 +167,7 @@ class DriveLimitAndFrictionProblem:
     def _tangent_step(self, step: EffortStep, side: Tensor) -> _StepEnd:
         """Return the end of a step in which each law is at its limit or unlimited, by ``side``."""
         bounded = self._make_state(side)
-        end = step(self.total(bounded))
+        end = step(self.total_effort(bounded))
         return _StepEnd(rate=end.joint_vel, effort=self.law_efforts(bounded, end).sum(1))
 
     def _is_solved(self, side: Tensor, end: _StepEnd) -> Tensor:
@@ -196,7 +196,7 @@ class DriveLimitAndFrictionProblem:
             return result
         misses = self.laws.contradicts(result.side, self._tangent_step(step, result.side).rate)
         result = replace(result, effort=self.laws.evaluate_effort(rate), is_held=misses[:, None, None])
-        after = step(self.total(result))
+        after = step(self.total_effort(result))
         effort = [
             torch.where(has_driving_friction(own, after.joint_vel).unsqueeze(1), 0.0, own) if rubs else own
             for own, rubs in zip(result.effort.unbind(1), self.friction, strict=True)

@@ -28,7 +28,7 @@ from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 
 @dataclass(frozen=True, kw_only=True)
-class Equations:
+class EquationsOfMotion:
     """``mass a = force`` for the accelerations ``a`` of the coordinates of motion."""
 
     mass: Tensor  # M, symmetric and positive definite, (E, N, N)
@@ -46,7 +46,7 @@ class TreeAccelerations:
     joint_acc: Tensor  # Accelerations of the joints [rad/s²] or [m/s²], (E, D)
 
 
-def equations(
+def equations_of_motion(
     tree: Tree,
     links: Links,
     state: TreeState,
@@ -54,7 +54,7 @@ def equations(
     gravity: float,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
-) -> Equations:
+) -> EquationsOfMotion:
     """Return the equations of motion.
 
     Args:
@@ -71,20 +71,20 @@ def equations(
     down = quat_rotate_inverse(state.attitude, state.lin_vel.new_tensor((0.0, 0.0, -gravity)).expand_as(state.lin_vel))
     momentum = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
     bend = (places.inertia @ motion.ang_acc.unsqueeze(-1)).squeeze(-1) + cross(motion.ang_vel, momentum)
-    force = along_coordinates(moves, mass * (down.unsqueeze(1) - motion.com_acc))
-    force = force - along_coordinates(turns, bend)
+    force = forces_along_coordinates(moves, mass * (down.unsqueeze(1) - motion.com_acc))
+    force = force - forces_along_coordinates(turns, bend)
     if wrench is not None:
         push, twist = (
             (places.rotation @ part.unsqueeze(-1)).squeeze(-1) for part in (wrench[..., :3], wrench[..., 3:])
         )
-        force = force + along_coordinates(point_jacobian(tree, places, places.origin), push)
-        force = force + along_coordinates(turns, twist)
+        force = force + forces_along_coordinates(point_jacobian(tree, places, places.origin), push)
+        force = force + forces_along_coordinates(turns, twist)
     if effort is not None:
         force = torch.cat((force[:, :6], force[:, 6:] + effort), dim=-1)
-    return Equations(mass=matrix, force=force, places=places, motion=motion)
+    return EquationsOfMotion(mass=matrix, force=force, places=places, motion=motion)
 
 
-def along_coordinates(rates: Tensor, vectors: Tensor) -> Tensor:
+def forces_along_coordinates(rates: Tensor, vectors: Tensor) -> Tensor:
     """Return the generalised forces (E, N) of link vectors (E, L, 3), by their Jacobian (E, L, 3, N).
 
     Matrix products of each environment, because ``einsum`` changes the order of sums for a single one.
@@ -97,7 +97,7 @@ def sum_of_products(one: Tensor, other: Tensor) -> Tensor:
     return torch.bmm(one.flatten(1, 2).transpose(1, 2), other.flatten(1, 2))
 
 
-def add_at_centers(tree: Tree, system: Equations, mass: Tensor, wrench: Tensor) -> Equations:
+def add_at_centers(tree: Tree, system: EquationsOfMotion, mass: Tensor, wrench: Tensor) -> EquationsOfMotion:
     """Return the equations of motion with further masses and constant wrenches at the centres of mass of links.
 
     Args:
@@ -109,11 +109,11 @@ def add_at_centers(tree: Tree, system: Equations, mass: Tensor, wrench: Tensor) 
     for jacobian, own, push in zip(jacobians, mass.split(3, dim=-1), wrench.split(3, dim=-1), strict=True):
         rates = places.rotation.mT @ jacobian  # (E, L, 3, N), axes of the link
         matrix = matrix + sum_of_products(rates, own.unsqueeze(-1) * rates)
-        force = force + along_coordinates(rates, push)
+        force = force + forces_along_coordinates(rates, push)
     return replace(system, mass=matrix, force=force)
 
 
-def center_change(system: Equations, turned_wind: Tensor) -> Tensor:
+def velocity_rates_of_centers(system: EquationsOfMotion, turned_wind: Tensor) -> Tensor:
     """Return the rates of ``(u, w)`` in axes of each link at zero acceleration of all coordinates, (E, L, 6).
 
     Here u is the velocity of the centre of mass through the air, and w the angular velocity: ``u' = a - w x v + w x wind``.
@@ -150,6 +150,6 @@ def accelerations(
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
 ) -> TreeAccelerations:
-    """Return the accelerations of a tree; arguments as for ``equations``."""
-    system = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
+    """Return the accelerations of a tree; arguments as for ``equations_of_motion``."""
+    system = equations_of_motion(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
     return solve(tree, state, system.mass, system.force)

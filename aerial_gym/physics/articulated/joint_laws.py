@@ -33,7 +33,7 @@ class Effort:
             damping=self.damping + other.damping,
         )
 
-    def at_end(self, rate: Tensor, dt: Tensor | float) -> tuple[Tensor, Tensor]:
+    def at_end_of_step(self, rate: Tensor, dt: Tensor | float) -> tuple[Tensor, Tensor]:
         """Return the effort at the end of a step without acceleration, ``f - K q' dt``, and its decrease ``C dt + K dt²``
         per acceleration, (E, D) each.
 

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.physics.articulated.dynamics import Equations, add_at_centers, center_change
+from aerial_gym.physics.articulated.dynamics import EquationsOfMotion, add_at_centers, velocity_rates_of_centers
 from aerial_gym.physics.articulated.motion import cross, move_links, place_links
 from aerial_gym.physics.articulated.tree import Links, Tree
 
@@ -70,17 +70,17 @@ def damping_at_end(damping: Tensor, velocity: Tensor, change: Tensor, dt: Tensor
     Args:
         damping: D, (..., 6).
         velocity: u and angular velocity at the start of the step, (..., 6).
-        change: Their rates without acceleration (``dynamics.center_change``), (..., 6).
+        change: Their rates without acceleration (``dynamics.velocity_rates_of_centers``), (..., 6).
     """
     return dt * damping, -damping * (velocity + dt * change)
 
 
-def add_damping(tree: Tree, system: Equations, acts: LinkDamping, dt: float) -> Equations:
+def add_damping(tree: Tree, system: EquationsOfMotion, acts: LinkDamping, dt: float) -> EquationsOfMotion:
     """Add damping at the end of a step of ``dt`` [s] to equations of motion.
 
     The velocity terms of ``u'`` use the rates of the equations.
     """
-    mass, wrench = damping_at_end(acts.damping, acts.velocity, center_change(system, acts.turned_wind), dt)
+    mass, wrench = damping_at_end(acts.damping, acts.velocity, velocity_rates_of_centers(system, acts.turned_wind), dt)
     return add_at_centers(tree, system, mass, wrench)
 
 
@@ -98,7 +98,7 @@ def fluid_wrench(added: Tensor, velocity: Tensor, change: Tensor) -> Tensor:
     Args:
         added: Diagonals of A and B, (..., 6).
         velocity: Of the centre of mass through the fluid, u, and angular velocity, w, (..., 6).
-        change: Their rates without acceleration (``dynamics.center_change``), (..., 6).
+        change: Their rates without acceleration (``dynamics.velocity_rates_of_centers``), (..., 6).
     """
     (push, twist), (impulse, spin) = ((added * rows).split(3, dim=-1) for rows in (change, velocity))
     through, turn = velocity.split(3, dim=-1)
@@ -106,7 +106,7 @@ def fluid_wrench(added: Tensor, velocity: Tensor, change: Tensor) -> Tensor:
     return -torch.cat((force, twist + cross(turn, spin) + cross(through, impulse)), dim=-1)
 
 
-def add_fluid(tree: Tree, system: Equations, attitude: Tensor, fluid: LinkFluid) -> Equations:
+def add_fluid(tree: Tree, system: EquationsOfMotion, attitude: Tensor, fluid: LinkFluid) -> EquationsOfMotion:
     """Add the fluid to equations of motion; its velocity terms use the motion of the equations.
 
     Args:
@@ -116,5 +116,5 @@ def add_fluid(tree: Tree, system: Equations, attitude: Tensor, fluid: LinkFluid)
     wind = quat_rotate_inverse(attitude, fluid.wind).unsqueeze(1)
     through = motion.lin_vel + cross(turn, places.com - places.origin) - wind
     velocity = torch.cat((places.to_link(through), places.to_link(turn)), dim=-1)
-    change = center_change(system, places.to_link(cross(turn, wind.expand_as(turn))))
+    change = velocity_rates_of_centers(system, places.to_link(cross(turn, wind.expand_as(turn))))
     return add_at_centers(tree, system, fluid.added, fluid_wrench(fluid.added, velocity, change))

@@ -147,7 +147,7 @@ def _mask_of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
     """Return a mask with 1 for each joint of a kind that moves a link, (1, L, D)."""
     rows = [
         [float(moves and joint.kind == kind) for moves, joint in zip(row, tree.joints, strict=True)]
-        for row in tree.moves
+        for row in tree.joint_moves_link
     ]
     return like.new_tensor(rows).reshape(1, tree.num_links, tree.num_joints)
 

@@ -28,7 +28,7 @@ from aerial_gym.physics.articulated.complementarity import (
     EffortLimits,
     LimitState,
 )
-from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
+from aerial_gym.physics.articulated.dynamics import EquationsOfMotion, equations_of_motion, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
 from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid, add_damping, add_fluid
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
@@ -59,7 +59,7 @@ def implicit_euler(
     Args:
         drive: Drives of joints; other joints have zero gains.
         friction: Result of ``joint_laws.dry_friction``; None without friction.
-        wrench: Constant wrenches as for ``equations``, (E, L, 6).
+        wrench: Constant wrenches as for ``equations_of_motion``, (E, L, 6).
         effort: Further constant efforts of joints, (E, D).
         damping: Damping of links, at the end of the step; None without damping.
         fluid: Added mass of links; None without any.
@@ -69,9 +69,9 @@ def implicit_euler(
     traces = torch.is_grad_enabled()
 
     @cache  # by identity: all rounds of a solution share the equations of a motion
-    def build_equations(swings: TreeState) -> Equations:
+    def build_equations(swings: TreeState) -> EquationsOfMotion:
         with torch.set_grad_enabled(traces):  # the first of these rounds is without gradients
-            system = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
+            system = equations_of_motion(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
             if fluid is not None:
                 system = add_fluid(tree, system, state.attitude, fluid)
             return system if damping is None else add_damping(tree, system, damping, dt)
@@ -110,12 +110,12 @@ def step_within_limits(
         end = step(acts, state)
         return step(acts, state_with_middle_rates(state, end)) if centered else end
     own, rubs = zip(*bounded, strict=True)
-    ends = EffortLimits.at_end(own, state.joint_pos, dt)
+    ends = EffortLimits.at_end_of_step(own, state.joint_pos, dt)
     problem = DriveLimitAndFrictionProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
 
     def solve_step(swings: TreeState, guess: TreeState) -> tuple[LimitState, TreeState]:
         solution = problem.solve(lambda effort: step(effort, swings), guess)
-        return solution, step(problem.total(solution), swings)
+        return solution, step(problem.total_effort(solution), swings)
 
     _, first = solve_step(state, state)
     solution, end = solve_step(state_with_middle_rates(state, first), first)
@@ -136,9 +136,9 @@ def state_with_middle_rates(state: TreeState, end: TreeState) -> TreeState:
     )
 
 
-def _implicit_step(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt: float) -> TreeState:
+def _implicit_step(tree: Tree, state: TreeState, system: EquationsOfMotion, acts: Effort, dt: float) -> TreeState:
     """Return the state after a step under equations of motion and implicit efforts of joints."""
-    effort, stiff = (torch.nn.functional.pad(rows, (6, 0)) for rows in acts.at_end(state.joint_vel, dt))
+    effort, stiff = (torch.nn.functional.pad(rows, (6, 0)) for rows in acts.at_end_of_step(state.joint_vel, dt))
     now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + effort)
     return advance_state(
         state,
@@ -177,7 +177,7 @@ def rk4(
 
     def slope(at: TreeState) -> tuple[Tensor, ...]:
         acts = joint_effort(laws, at.joint_pos, at.joint_vel).value
-        system = equations(
+        system = equations_of_motion(
             tree, links, at, gravity=gravity, wrench=wrench, effort=acts if effort is None else acts + effort
         )
         if fluid is not None:

@@ -72,7 +72,7 @@ class Tree:
         return tuple(k for k, joint in enumerate(self.joints) if joint.parent == link)
 
     @cached_property
-    def moves(self) -> tuple[tuple[bool, ...], ...]:
+    def joint_moves_link(self) -> tuple[tuple[bool, ...], ...]:
         """Return whether each joint moves each link: L rows of D."""
         rows = [(False,) * self.num_joints]
         for k, joint in enumerate(self.joints):

@@ -9,15 +9,23 @@ if TYPE_CHECKING:
     from aerial_gym.physics.effects.by_kind import EffectParams, EffectsByKind
     from aerial_gym.physics.effects.catalog import EFFECTS
     from aerial_gym.physics.effects.condition import Condition
-    from aerial_gym.physics.effects.kinds.command import CommandEffect, DelayEffect
-    from aerial_gym.physics.effects.kinds.fluid import FluidEffect
-    from aerial_gym.physics.effects.kinds.link import LinkEffect, LinkFluidEffect, LinkWrenchEffect
-    from aerial_gym.physics.effects.kinds.load import LoadEffect, SuspensionMotion
-    from aerial_gym.physics.effects.kinds.rotor import RotorEffect
-    from aerial_gym.physics.effects.kinds.sensor import ImuEffect, RotorSensorEffect
-    from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
-    from aerial_gym.physics.effects.kinds.wind import WindEffect
-    from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect, WrenchEffect
+    from aerial_gym.physics.effects.kinds import (
+        CommandEffect,
+        DelayEffect,
+        FluidEffect,
+        ImuEffect,
+        LinearWrenchEffect,
+        LinkEffect,
+        LinkFluidEffect,
+        LinkWrenchEffect,
+        LoadEffect,
+        RotorEffect,
+        RotorSensorEffect,
+        SuspensionMotion,
+        VehicleEffect,
+        WindEffect,
+        WrenchEffect,
+    )
     from aerial_gym.physics.effects.learned_residual import LearnedResidual
 
 __all__ = [

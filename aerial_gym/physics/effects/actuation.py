@@ -6,7 +6,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
-from aerial_gym.physics.effects.kinds.command import CommandEffect, DelayEffect
+from aerial_gym.physics.effects.kinds import CommandEffect, DelayEffect
 from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 

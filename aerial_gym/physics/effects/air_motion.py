@@ -7,8 +7,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.random import normal_draws, uniform_draws
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.kinds.wind import WindEffect
-from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.kinds import WindEffect, WrenchEffect
 
 
 class ConstantWind(WindEffect):

@@ -31,7 +31,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, RotorSpeedsOfFlight, SubstepStart, relax
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.kinds import WrenchEffect
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 

@@ -11,8 +11,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.rows import by_element, choose, dot, sum_slices
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced
-from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced_velocity
+from aerial_gym.physics.effects.kinds import WrenchEffect
 from aerial_gym.physics.rotor_maps import rotor_loads, rotor_state_for_thrust
 
 HALVINGS, NEWTON = 6, 3
@@ -240,6 +240,6 @@ def _inflow_residual(
     hover_induced: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return the residual of momentum and blades, ``2 v² - C_T``, its slope in v, and the induced velocity f(v) and slope."""
-    value, slope = induced(hover_induced, climb, mu)
+    value, slope = induced_velocity(hover_induced, climb, mu)
     missing = 2.0 * hover_induced.square() - 0.5 * lift * (lifted - 0.5 * (climb + value))
     return missing, 4.0 * hover_induced + 0.25 * lift * slope, value, slope

@@ -65,7 +65,7 @@ class EffectsByKind:
         """Names of the effects with memory of their own."""
         return tuple(effect.name for effect, _ in self.step_effects if effect.remembers)
 
-    def plus(self, effect: Effect, params: Tensor) -> "EffectsByKind":
+    def with_effect(self, effect: Effect, params: Tensor) -> "EffectsByKind":
         """Return these effects and one more."""
         return EffectsByKind((*self._all, (effect, params)))
 

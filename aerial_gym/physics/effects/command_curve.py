@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.kinds.command import CommandEffect
+from aerial_gym.physics.effects.kinds import CommandEffect
 from aerial_gym.physics.vehicle import Vehicle, rotor_state_for_thrust
 
 

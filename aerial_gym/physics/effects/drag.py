@@ -6,7 +6,7 @@ from torch import Tensor
 from aerial_gym.math.rows import length_of_vectors
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
+from aerial_gym.physics.effects.kinds import LinearWrenchEffect
 
 
 class RotorDrag(LinearWrenchEffect):

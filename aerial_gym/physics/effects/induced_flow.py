@@ -25,7 +25,7 @@ DESCENT_FIT = (-1.125, -1.372, -1.718, -0.655)  # k1 to k4
 WINDMILL = -2.042327301921998  # X_w
 
 
-def axial_induced(climb: Tensor) -> tuple[Tensor, Tensor]:
+def axial_induced_velocity(climb: Tensor) -> tuple[Tensor, Tensor]:
     """Return the induced velocity p(x) and its slope in x, in units of that of hover, for climb rates x likewise."""
     k1, k2, k3, k4 = DESCENT_FIT
     fit = 1.0 + climb * (k1 + climb * (k2 + climb * (k3 + climb * k4)))
@@ -37,7 +37,7 @@ def axial_induced(climb: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(measured, fit, theory), torch.where(measured, fit_slope, -0.5 * sign * theory / root)
 
 
-def induced(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Tensor]:
+def induced_velocity(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Tensor]:
     """Return the induced velocity and its slope in that of hover; all velocities in one unit, > 0 for ``hover``.
 
     Args:
@@ -46,7 +46,7 @@ def induced(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Ten
         edgewise: Its size in the plane of the rotor.
     """
     ratio = climb / hover
-    axial, slope = axial_induced(ratio)
+    axial, slope = axial_induced_velocity(ratio)
     square = edgewise.square()
     fourth = 4.0 * (hover / axial).square().square()
     root = (square.square() + fourth).sqrt()

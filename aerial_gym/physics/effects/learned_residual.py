@@ -16,7 +16,7 @@ from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.math.rows import times
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
+from aerial_gym.physics.effects.kinds import WrenchEffect
 
 Layer = tuple[Tensor, Tensor]  # Weights (out, in) and bias (out,)
 

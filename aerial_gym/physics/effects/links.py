@@ -15,7 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.rows import length_of_vectors
 from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.kinds.link import LinkEffect, LinkFluidEffect, LinkWrenchEffect
+from aerial_gym.physics.effects.kinds import LinkEffect, LinkFluidEffect, LinkWrenchEffect
 from aerial_gym.physics.effects.water import buoyancy_wrench
 
 

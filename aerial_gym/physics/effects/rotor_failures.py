@@ -11,8 +11,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
-from aerial_gym.physics.effects.kinds.command import CommandEffect
-from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
+from aerial_gym.physics.effects.kinds import CommandEffect, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 MOST_ROTORS = 64

@@ -12,9 +12,8 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.rows import dot, sum_slices
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter
 from aerial_gym.physics.effects.condition import Condition, sum_of_crosses
-from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced
-from aerial_gym.physics.effects.kinds.rotor import RotorEffect
-from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced_velocity
+from aerial_gym.physics.effects.kinds import LinearWrenchEffect, RotorEffect
 
 
 class RotorInertia(LinearWrenchEffect):
@@ -323,6 +322,6 @@ class VortexRing(RotorEffect):
         thrust, radius = condition.rotor_thrust, condition.vehicle.rotor_radius
         square = thrust.abs() / (2.0 * AIR_DENSITY * pi * radius.square()) + LEAST_SQUARE
         climb = torch.where(thrust < 0.0, -condition.axial_velocity, condition.axial_velocity) / square.sqrt()
-        excess = (axial_induced(climb.clamp(LEAST, 0.0))[0] - 1.0).clamp_min(0.0)
+        excess = (axial_induced_velocity(climb.clamp(LEAST, 0.0))[0] - 1.0).clamp_min(0.0)
         across = dot(condition.edgewise_velocity, condition.edgewise_velocity) / square
         return -params[:, :1] * thrust * excess * (1.0 - across).clamp_min(0.0).square()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
 from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.kinds.sensor import ImuEffect, RotorSensorEffect
+from aerial_gym.physics.effects.kinds import ImuEffect, RotorSensorEffect
 
 
 class ImuBias(ImuEffect):

@@ -6,7 +6,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import dot
 from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.kinds.load import LoadEffect, SuspensionMotion
+from aerial_gym.physics.effects.kinds import LoadEffect, SuspensionMotion
 
 FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)  # Initial lengths of links in fits [m]; frequencies 1.3 times apart
 LIGHTEST = 1e-3  # Lightest payload in fits, as a share of the vehicle's mass

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter
-from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
+from aerial_gym.physics.effects.kinds import VehicleEffect
 from aerial_gym.physics.effects.rotor_failures import nominal_lag
 from aerial_gym.physics.vehicle import Vehicle
 

@@ -10,9 +10,7 @@ from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.kinds.fluid import FluidEffect
-from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
-from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect, WrenchEffect
+from aerial_gym.physics.effects.kinds import FluidEffect, LinearWrenchEffect, VehicleEffect, WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 

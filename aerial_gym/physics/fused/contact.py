@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.config.environment import ContactCfg
-from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, vector_type
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, rotation_quat, solve_motion, vector_type
 from aerial_gym.physics.contact import CAUTIOUS_ITERATIONS, ITERATIONS, PENALTY
 from aerial_gym.physics.fused.types import rotor_types
 
@@ -21,7 +21,7 @@ class ContactParameters:
     stiffness: float  # per mass [1/s²]
     damping: float  # per mass [1/s]
     friction: float
-    least_approach: float  # least approach speed of a crash [m/s]
+    crash_approach_speed: float  # least approach speed of a crash [m/s]
     share: float  # displacement at the end of a step per dt times the change of velocity
     iterations: int  # an argument, not a constant, so that the loop is not unrolled
 
@@ -32,7 +32,7 @@ def contact_parameters(cfg: ContactCfg | None, share: float) -> ContactParameter
     struct.iterations = ITERATIONS + CAUTIOUS_ITERATIONS
     if cfg is not None:
         struct.stiffness, struct.damping, struct.friction = cfg.stiffness, cfg.damping, cfg.friction
-        struct.least_approach, struct.share = cfg.least_approach, share
+        struct.crash_approach_speed, struct.share = cfg.crash_approach_speed, share
     return struct
 
 
@@ -87,7 +87,7 @@ def displace(
     delta_turn: wp.vec3,
 ):
     """Return position [m], attitude, velocity [m/s] and angular velocity [rad/s, body] after changes in world axes."""
-    turned = small_turn(law.share * dt * delta_turn) * attitude
+    turned = rotation_quat(law.share * dt * delta_turn) * attitude
     return (
         position + law.share * dt * delta,
         wp.normalize(turned),
@@ -230,7 +230,7 @@ def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp
             lever[2] = lever[2] - spheres[i][3]
             gap = position[2] + lever[2] - height
             approach = -point_velocity(first_lin_vel, first_turn, lever)[2]
-            if gap < 0.0 and approach >= law.least_approach:
+            if gap < 0.0 and approach >= law.crash_approach_speed:
                 crashes = True
             lowest = wp.min(lowest, gap)
             gaps[i] = gap

@@ -11,9 +11,9 @@ from typing import Any, cast
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import attitude_rate, small_turn, unit_quat
+from aerial_gym.math.warp_functions import attitude_rate, rotation_quat, unit_quat
 from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect
-from aerial_gym.physics.fused.formulas import Constants, VehicleRows, make_accelerations, make_coast
+from aerial_gym.physics.fused.formulas import Constants, VehicleRows, make_accelerations, make_force_free_motion
 from aerial_gym.physics.fused.packing import effect_values_type
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.fused.types import compile_source, rotor_types
@@ -35,7 +35,7 @@ DECAYS = "decay_up", "decay_down"  # Fields of the vehicle that are the fields o
 
 
 @cache
-def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: int = 1) -> wp.Function:
+def make_rotor_lag(num_rotors: int, general: bool, late: bool = False, *, stages: int = 1) -> wp.Function:
     """Return the function of the states after one or two stages, (vehicle, states, commands, span [s]) -> states.
 
     Two stages in one call are rounded once. A state near its command stops once its change in a stage is below half a unit in
@@ -147,15 +147,15 @@ def make_stepper(model: Model, integrator: str, constants: Constants) -> wp.Func
         make_accelerations(model, constants),
         bool(model.effects[LoadEffect]),
     )
-    follow = make_follow(num_rotors, general, late)
+    follow = make_rotor_lag(num_rotors, general, late)
     if integrator == "euler" and model.effects[FluidEffect]:
-        return _make_euler_in_fluid(*parts, follow, *make_coast(model, constants))
+        return _make_euler_in_fluid(*parts, follow, *make_force_free_motion(model, constants))
     if integrator == "euler":
         return _make_euler(*parts, follow)
     return _make_rk4(
         *parts,
         follow,
-        make_follow(num_rotors, general, late, stages=2),
+        make_rotor_lag(num_rotors, general, late, stages=2),
         make_stage_rates(num_rotors, general, late),
     )
 
@@ -194,7 +194,7 @@ def _make_euler(
         if wp.static(any_load):
             rate = wp.spatial_bottom(load) + dt * wp.spatial_bottom(swing)
             hung = settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
-        return position + dt * v, unit_quat(attitude * small_turn(dt * w)), v, w, rotors, hung
+        return position + dt * v, unit_quat(attitude * rotation_quat(dt * w)), v, w, rotors, hung
 
     return euler
 

@@ -268,7 +268,7 @@ def make_wind(model: Model, acts: Acts = None) -> wp.Function:
     )
 
 
-def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Function]:
+def make_force_free_motion(model: Model, constants: Constants) -> tuple[wp.Function, wp.Function]:
     """Return ``integrators.coast`` without a load, and the accelerations [m/s², world, rad/s², body] of that motion.
 
     Arguments: plant, values, motion; of the first also the time [s].
@@ -299,7 +299,7 @@ def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Func
     return moved, trace_to_warp("free_accelerations", arguments, free, [wp.vec3, wp.vec3], constants=constants)
 
 
-def make_remember(model: Model) -> wp.Function:
+def make_memory_update(model: Model) -> wp.Function:
     """Return all ``Effect.remember`` as one function (plant, moment, values) -> values with the new memory."""
     types, kind = rotor_types_of_model(model), effect_values_type(model)
 
@@ -313,7 +313,7 @@ def make_remember(model: Model) -> wp.Function:
     return trace_to_warp("remember", arguments, remember, [kind], constants={}, shared=["now.dt"])
 
 
-def make_lead(model: Model) -> wp.Function:
+def make_command_effects(model: Model) -> wp.Function:
     """Return all ``CommandEffect.command`` as one function (plant, values, command) -> command."""
     types = rotor_types_of_model(model)
 

@@ -15,7 +15,7 @@ from aerial_gym.physics.fused.dynamics import make_dead_band, make_stepper
 from aerial_gym.physics.fused.formulas import constant_entries_of_vehicle
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
-from aerial_gym.physics.fused.memory import make_begin, memory_type
+from aerial_gym.physics.fused.memory import make_substep_start, memory_type
 from aerial_gym.physics.fused.packing import (
     Packing,
     collect_numbers,
@@ -72,7 +72,7 @@ def make_kernel(
     prepare, prepared_type = preparation(law), vector_type(law.num_prepared)
     remembers, num_loads = bool(model.effects.names_with_memory), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
-    begin = make_begin(model) if remembers else None
+    begin = make_substep_start(model) if remembers else None
     law_remembers, command_of, law_type = law.needs is not None, law.command, law.struct
     memories_type = memory_type(effects=remembers, law=law_remembers)
     vehicle_type = types.vehicle

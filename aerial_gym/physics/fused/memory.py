@@ -10,7 +10,7 @@ import warp as wp
 from aerial_gym.math.draws import RandomArrays, episode_stream, substream
 from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import DelayEffect
-from aerial_gym.physics.fused.formulas import make_delay, make_lead, make_remember
+from aerial_gym.physics.fused.formulas import make_command_effects, make_delay, make_memory_update
 from aerial_gym.physics.fused.packing import effect_values_type, rotor_types_of_model
 from aerial_gym.physics.fused.types import LawArrays, RotorTypes
 from aerial_gym.physics.model import Model
@@ -56,11 +56,11 @@ def memory_type(*, effects: bool, law: bool) -> Any:
     return MemoryArrays if effects else NoMemory
 
 
-def make_begin(model: Model) -> wp.Function:
+def make_substep_start(model: Model) -> wp.Function:
     """Return the function from values and command to those of a substep; with a delay, to two commands."""
     types, values, num_rotors = rotor_types_of_model(model), effect_values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
-    remember, lead, any_delay = make_remember(model), make_lead(model), bool(model.effects[DelayEffect])
+    remember, lead, any_delay = make_memory_update(model), make_command_effects(model), bool(model.effects[DelayEffect])
     delayed = _make_delayed(model, lead) if any_delay else None
 
     @wp.func
@@ -94,7 +94,7 @@ def make_begin(model: Model) -> wp.Function:
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     """Return the function to the delayed commands of the substep."""
     types, values, num_rotors = rotor_types_of_model(model), effect_values_type(model), model.vehicle.num_rotors
-    delay_of, arrive = make_delay(model), _make_arrive(types, num_rotors, lead, values)
+    delay_of, arrive = make_delay(model), _make_delayed_commands(types, num_rotors, lead, values)
     moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 
     @wp.func
@@ -112,7 +112,7 @@ def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     return delay_command
 
 
-def _make_arrive(types: RotorTypes, num_rotors: int, lead: wp.Function, values: Any) -> wp.Function:
+def _make_delayed_commands(types: RotorTypes, num_rotors: int, lead: wp.Function, values: Any) -> wp.Function:
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
 
     @wp.func

@@ -156,7 +156,7 @@ class Packing:
         )
 
 
-def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
+def make_packing(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return the rows of all numbers that differ between environments, or of all numbers with ``all_packed``."""
     first, few = 0, {} if all_packed else find_independent_entries(numbers.vehicle)
     twins = {} if all_packed else find_equal_fields(numbers.vehicle)

@@ -167,7 +167,7 @@ class MujocoTrees(ABC):
         if self._touches:
             swings = state
         dt = self.dt
-        held, stiff = acts.at_end(state.joint_vel, dt)
+        held, stiff = acts.at_end_of_step(state.joint_vel, dt)
         armature = stiff.double()
         start, places = self._initial_state(state, swings)
         control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)

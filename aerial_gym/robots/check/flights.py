@@ -190,7 +190,7 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
         def converges(dt: float) -> bool:
             return _comes_to_rest(robot, controller, dt, loop, gravity)
 
-        largest = _largest_passing_step(lambda dt: loop.is_firm(dt) and converges(dt))
+        largest = _largest_passing_step(lambda dt: loop.is_stable_with_margin(dt) and converges(dt))
         little_margin = largest is None
         if largest is None:
             largest = _largest_passing_step(lambda dt: loop.is_stable(dt) and converges(dt))

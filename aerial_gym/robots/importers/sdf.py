@@ -41,9 +41,9 @@ from aerial_gym.robots.importers.motors import motor_assumptions as motors_assum
 from aerial_gym.robots.importers.sdf_inertia import (
     SIZES,
     collision_shape,
-    data_without_use,
     link_assumptions,
     link_weight,
+    list_ignored_numbers,
     load_collision_mesh,
     shape_lengths,
 )
@@ -220,7 +220,7 @@ class _SdfReader:
         if self._unread:
             yield f"collision meshes: {', '.join(self._unread)}"
         yield from group_lines_by_kind(
-            (label, name) for name in self.tree.links for label in data_without_use(self.tree, name)
+            (label, name) for name in self.tree.links for label in list_ignored_numbers(self.tree, name)
         )
 
     def loose_links(self) -> Iterator[str]:

@@ -62,7 +62,7 @@ def link_weight(tree: SdfTree, link: str) -> LinkMass:
     return LinkMass(mass=mass, pose=tree.pose_in_link(inertial, link), inertia=_file_inertia(inertial, at))
 
 
-def data_without_use(tree: SdfTree, link: str) -> Iterator[str]:
+def list_ignored_numbers(tree: SdfTree, link: str) -> Iterator[str]:
     """Yield the numbers of a link that SDF ignores."""
     element = tree.links[link]
     inertial = element.find("inertial")

@@ -34,7 +34,7 @@ from aerial_gym.robots.joints.links import LinkPlaces
 def _flag_fast_contacts(
     around: ContactScene,  # with the shapes of one link
     # params
-    least_approach: float,  # [m/s]
+    crash_approach_speed: float,  # [m/s]
     # state
     position: wp.array[wp.vec3],  # (E,) of the link's frame, world [m]
     attitude: wp.array[wp.quat],  # (E,) link to world, xyzw
@@ -49,7 +49,7 @@ def _flag_fast_contacts(
     q = attitude[e]
     pairs = find_pairs(around, wp.vec3(), e, x, q)
     pairs = add_core_pairs(pairs, around, wp.vec3(), e, x, q)
-    if has_fast_approach(pairs, lin_vel[e], ang_vel[e], least_approach):
+    if has_fast_approach(pairs, lin_vel[e], ang_vel[e], crash_approach_speed):
         crashes_out[e] = True
 
 
@@ -65,7 +65,7 @@ def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
         obstacles: obstacles_type,  # before they move
         # params
         pivot: wp.vec3,  # its hinge, in its frame [m]
-        least_approach: float,  # [m/s]
+        crash_approach_speed: float,  # [m/s]
         dt: float,  # [s]
         # state
         first_position: wp.array[wp.vec3],  # (E,) of the link's frame at the start of the substep, world [m]
@@ -90,7 +90,7 @@ def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
         done.first_ang_vel = wp.quat_rotate_inv(q0, first_ang_vel[e])
         done.position = position[e] + wp.quat_rotate(attitude[e], pivot)
         done.attitude = attitude[e]
-        if first_crossing(around, obstacles, least_approach, e, done, substep_path(done)).crashes:
+        if first_crossing(around, obstacles, crash_approach_speed, e, done, substep_path(done)).crashes:
             crashes_out[e] = True
 
     return sweep
@@ -129,9 +129,9 @@ class LinkObstacleSweep:
             around = contact_scene(scene, points, shapes)
             first, last = (state[:, number].split((3, 4, 3, 3), dim=-1) for state in (self._first, self._links))
             place = {"dim": scene.num_envs, "outputs": [crashes_out], "device": scene.device}
-            tested = [around, cfg.least_approach, *last]
+            tested = [around, cfg.crash_approach_speed, *last]
             self._overlap_tests.append(ReusableLaunch(_flag_fast_contacts, inputs=tested, **place))
-            inputs = [around, obstacles, wp.vec3(*links.pivots[number]), cfg.least_approach, dt, *first]
+            inputs = [around, obstacles, wp.vec3(*links.pivots[number]), cfg.crash_approach_speed, dt, *first]
             kernel = _make_sweep(moves=moving is not None, meshes=scene.has_meshes)
             self._sweeps.append(ReusableLaunch(kernel, inputs=[*inputs, *last[:2]], **place))
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY as G
 from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.model import Model, build_model
@@ -61,7 +61,7 @@ class SnakeHover:
         still = TreeState.at_rest(1, self.articulation.num_joints, like=thrust)
         turning = still.ang_vel + thrust.new_tensor((0.0, 0.0, spin))
         state, at_rest = replace(still, joint_pos=joint_pos[None], ang_vel=turning), torch.zeros_like(thrust)[None]
-        result = equations(
+        result = equations_of_motion(
             self.articulation.tree, self.articulation.links(self.model.vehicle), state, gravity=G,
             wrench=link_wrenches(self.model, self.articulation, state, thrust[None], at_rest),
         )  # fmt: skip

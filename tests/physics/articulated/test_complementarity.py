@@ -9,7 +9,7 @@ import torch
 
 from aerial_gym.physics.articulated import steppers
 from aerial_gym.physics.articulated.complementarity import EffortLimits
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort
 from aerial_gym.physics.articulated.steppers import step_within_limits
 from aerial_gym.physics.articulated.tree import TreeState
@@ -77,7 +77,7 @@ def test_no_limit_is_exceeded_however_few_rounds_a_solution_has(rounds: int, ste
 
         def stepper(tree, links, laws, state, dt, *, gravity, drive, friction, wrench, applied):
             def own(acts: Effort, swings: TreeState) -> TreeState:
-                result = equations(tree, links, swings, gravity=gravity, wrench=wrench)
+                result = equations_of_motion(tree, links, swings, gravity=gravity, wrench=wrench)
                 return steppers._implicit_step(tree, state, result, acts, dt)
 
             return step_within_limits(own, laws, drive, friction, state, dt, rounds=rounds, applied=applied)
@@ -116,7 +116,7 @@ def test_two_drives_whose_limits_depend_on_each_other_are_solved_in_closed_form(
     end, cycled, at = step_within_limits(own, (), drive, None, start, DT), start.joint_vel, start.joint_vel
     residual = free + (matrix @ lawful(end.joint_vel).unsqueeze(-1)).squeeze(-1) - end.joint_vel
     assert residual.abs().max() < 1e-10
-    ends = EffortLimits.at_end((drive,), none, DT)
+    ends = EffortLimits.at_end_of_step((drive,), none, DT)
     for _ in range(30):
         value, slope = (rows[:, 0] for rows in ends.tangent(ends.side(cycled)))
         at, cycled = cycled, own(Effort(value=value, stiffness=none, damping=slope), start).joint_vel

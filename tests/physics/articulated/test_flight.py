@@ -15,7 +15,7 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.articulated.tree import Tree, TreeState
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
@@ -101,9 +101,9 @@ def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
     model = make_model(robot, num_envs=1)
     state = at_rest(model)
     tree = TreeState(**{n: v for n, v in vars(state).items() if n != "rotor_speed"})
-    mass = equations(model.articulation.tree, model.articulation.links(model.vehicle), tree, gravity=0.0).mass[
-        0, :6, :6
-    ]
+    mass = equations_of_motion(
+        model.articulation.tree, model.articulation.links(model.vehicle), tree, gravity=0.0
+    ).mass[0, :6, :6]
     m, c = robot.body.mass, torch.tensor(robot.body.com, dtype=F64)
     inertia = torch.tensor(robot.body.inertia, dtype=F64) + m * (c @ c * torch.eye(3, dtype=F64) - torch.outer(c, c))
     torch.testing.assert_close(mass[:3, :3], m * torch.eye(3, dtype=F64))
@@ -273,7 +273,11 @@ def let_go(dt: float, num_steps: int) -> Tensor:
     model = replace(make_model(creep_arm(CREEP), num_envs=1), gravity=0.0)
     bends = model.articulation
     state = replace(at_rest(model), joint_pos=torch.tensor([[0.4, 0.0] * 4], dtype=F64))
-    crept, off, seen = bends.initialise_creep(bends.fresh_creep(1), state.joint_pos), torch.zeros(1, 4, dtype=F64), []
+    crept, off, seen = (
+        bends.initialise_creep(bends.unset_dashpots(1), state.joint_pos),
+        torch.zeros(1, 4, dtype=F64),
+        [],
+    )
     for _ in range(num_steps):
         state = articulated_step(model, state, off, off[:, :0], dt, crept=crept)
         crept = bends.advance_creep(crept, state.joint_pos, dt)

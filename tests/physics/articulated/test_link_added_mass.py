@@ -12,7 +12,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import TreeAccelerations, equations, solve
+from aerial_gym.physics.articulated.dynamics import TreeAccelerations, equations_of_motion, solve
 from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.articulated.link_loads import LinkFluid, add_fluid
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
@@ -43,7 +43,7 @@ def water(tree: Tree, num_envs: int, seed: int, wind: Tensor | None = None) -> L
 
 
 def accelerations(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid, *, gravity: float) -> TreeAccelerations:
-    result = add_fluid(tree, equations(tree, links, state, gravity=gravity), state.attitude, fluid)
+    result = add_fluid(tree, equations_of_motion(tree, links, state, gravity=gravity), state.attitude, fluid)
     return solve(tree, state, result.mass, result.force)
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from aerial_gym.config.joint import JointCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.flight import link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.model import Model, build_model
@@ -70,7 +70,7 @@ def test_forces_along_coordinates_are_what_heights_of_centres_of_buoyancy_say() 
     state, articulation = draw_state(state), model.articulation
     tree, links, there = articulation.tree, articulation.links(model.vehicle), tree_state(state)
     wrench = link_wrenches(model, articulation, there, state.rotor_speed, state.rotor_speed)
-    result = [equations(tree, links, there, gravity=0.0, wrench=rows).force for rows in (wrench, None)]
+    result = [equations_of_motion(tree, links, there, gravity=0.0, wrench=rows).force for rows in (wrench, None)]
     push, lever = torch.tensor([8.0, 3.5, 2.0, 2.0], dtype=F64).numpy(), torch.zeros(4, 3, dtype=F64).numpy()
     lever[:, 0], lever[1, 1], lever[1, 2], lever[0, 2] = 0.01, -0.03, 0.05, 0.1
     for env in range(3):

@@ -166,7 +166,7 @@ def test_what_is_no_tree_is_refused(make, said: str) -> None:
 def test_a_joint_moves_what_hangs_on_it() -> None:
     """A fork: link 1 carries 2 and 3; each joint moves its own branch alone."""
     tree = Tree(joints=(Joint(parent=0), Joint(parent=1), Joint(parent=1)))
-    assert tree.moves == ((False,) * 3, (True, False, False), (True, True, False), (True, False, True))
+    assert tree.joint_moves_link == ((False,) * 3, (True, False, False), (True, True, False), (True, False, True))
 
 
 def test_a_top_gains_what_the_method_gives() -> None:

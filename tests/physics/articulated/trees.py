@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.motion import cross, place_links
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 
@@ -64,7 +64,7 @@ def pendulum(length: float, mass: float) -> tuple[Tree, Links]:
 
 def kinetic_energy(tree: Tree, links: Links, state: TreeState) -> torch.Tensor:
     """Return the kinetic energy [J], (E,)."""
-    system = equations(tree, links, state, gravity=0.0)
+    system = equations_of_motion(tree, links, state, gravity=0.0)
     lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
     rates = torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=-1)
     return 0.5 * torch.einsum("en,enm,em->e", rates, system.mass, rates)
@@ -79,7 +79,7 @@ def com_position(tree: Tree, links: Links, state: TreeState) -> torch.Tensor:
 
 def momenta(tree: Tree, links: Links, state: TreeState) -> tuple[torch.Tensor, torch.Tensor]:
     """Return momentum [kg m/s] and angular momentum about the world's origin [kg m²/s], world, (E, 3) each."""
-    system = equations(tree, links, state, gravity=0.0)
+    system = equations_of_motion(tree, links, state, gravity=0.0)
     places, motion, mass = system.places, system.motion, links.mass.unsqueeze(-1)
     velocity = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
     push = mass * velocity

@@ -66,7 +66,7 @@ def late_rate_radius(gain: float, steps: float) -> float:
 def test_the_radius_of_a_late_rate_loop_is_that_of_its_delay_states(steps: float) -> None:
     late = with_effects(TUNED, actuation_delay={"delay": steps * DT})
     expected = max(late_rate_radius(2.0 * FREQUENCY, steps), late_rate_radius(2.0, steps))
-    assert make_loop(late, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
+    assert make_loop(late, "lee_rates_control").spectral_radius(DT) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_lag_that_differs_up_and_down_counts_as_the_mean_of_its_decays() -> None:
@@ -80,13 +80,13 @@ def test_a_lag_that_differs_up_and_down_counts_as_the_mean_of_its_decays() -> No
         return float(abs(np.linalg.eigvals(matrix)).max())
 
     expected = max(radius(2.0 * FREQUENCY), radius(2.0))
-    assert make_loop(robot, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
+    assert make_loop(robot, "lee_rates_control").spectral_radius(DT) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) -> None:
     """``s m (g + k e) = m g`` of thrust that is s times the declared: ``e = g (1 / s - 1) / k`` below the setpoint."""
-    rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": factor})).rest(DT)
+    rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": factor})).equilibrium(DT)
     expected = -GRAVITY * (1.0 / factor - 1.0) / position_gain(QUAD)
     assert rest.converged.all()
     assert rest.offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, expected], abs=1e-6)
@@ -95,8 +95,8 @@ def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) ->
 def test_a_law_that_knows_the_actual_thrust_rests_at_its_setpoint() -> None:
     robot = replace(QUAD, control=replace(QUAD.control, effectiveness="actual"))
     loop = make_loop(with_effects(robot, thrust_coefficient={"scale": 0.8}))
-    assert loop.rest(DT).offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
-    assert loop.hover(DT).holds
+    assert loop.equilibrium(DT).offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert loop.hover(DT).is_within_range
 
 
 def test_a_velocity_law_drifts() -> None:
@@ -111,19 +111,19 @@ def test_a_velocity_law_drifts() -> None:
 
 
 def test_an_integrator_brings_the_rest_to_the_setpoint() -> None:
-    rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").rest(DT)
+    rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").equilibrium(DT)
     assert rest.converged.all()
     assert rest.offset_from_start[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
 
 
 def test_random_wind_and_later_failures_are_left_out_and_failures_from_the_start_are_not() -> None:
-    calm = make_loop(QUAD).radius(DT)
+    calm = make_loop(QUAD).spectral_radius(DT)
     gusts = with_effects(QUAD, gusts={"std": 3.0, "corr_time": 1.0}, rotor_drag={"dx": 0.0, "dy": 0.0, "dz": 0.0})
     later = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.9, "time": 5.0})
     for robot in (gusts, later):
-        assert make_loop(robot).radius(DT) == pytest.approx(calm, abs=1e-9)
+        assert make_loop(robot).spectral_radius(DT) == pytest.approx(calm, abs=1e-9)
     failed = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.98, "time": 0.0})
-    assert float(make_loop(failed).rest(DT).offset_from_start[0].norm()) > 0.01
+    assert float(make_loop(failed).equilibrium(DT).offset_from_start[0].norm()) > 0.01
 
 
 def test_slew_limited_rotors_are_flown() -> None:

@@ -93,8 +93,8 @@ def test_robot_check_finds_the_largest_time_step_of_an_own_law(own_law: str, mon
     assert step.refused is None
     assert step.largest_s is not None
     loop = ClosedLoop(ROBOT, controller, gravity=9.81, integrator="euler", names=("quad", own_law))
-    assert loop.is_firm(step.largest_s)
-    assert loop.radius(4.0 * step.largest_s) > 1.0
+    assert loop.is_stable_with_margin(step.largest_s)
+    assert loop.spectral_radius(4.0 * step.largest_s) > 1.0
     report_module = "aerial_gym.robots.check.report.largest_stable_step"
     monkeypatch.setattr(report_module, lambda robot, controller, *, name, gravity: StableStep(controller=name))
     assert own_law in {each.controller for each in check_robot(ROBOT, name="quad").stable_steps}
@@ -144,7 +144,7 @@ def test_an_own_law_states_its_action_at_hover(own_law: str, caplog: pytest.LogC
 def hover_height(law: str) -> float:
     """Return the height [m] at which the vehicle rests above its setpoint."""
     loop = ClosedLoop(ROBOT, CONTROLLERS.get(law), gravity=9.81, integrator="rk4", names=("quad", law))
-    return float(loop.rest(DT).offset_from_start[0, 2])
+    return float(loop.equilibrium(DT).offset_from_start[0, 2])
 
 
 def test_an_unknown_law_is_refused_with_the_known_ones(own_law: str) -> None:

@@ -15,7 +15,7 @@ class Inertia:
 
 
 @wp.func
-def symmetric(of: wp.mat33) -> wp.mat33:
+def symmetric_matrix(of: wp.mat33) -> wp.mat33:
     """Return a symmetric matrix from its upper half, to avoid duplicate computations."""
     return wp.mat33(of[0, 0], of[0, 1], of[0, 2], of[0, 1], of[1, 1], of[1, 2], of[0, 2], of[1, 2], of[2, 2])
 
@@ -31,7 +31,7 @@ def skew_product(lever: wp.vec3, of: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def plus(a: Inertia, b: Inertia) -> Inertia:
+def sum_of_inertias(a: Inertia, b: Inertia) -> Inertia:
     """Return the sum of two inertias."""
     both = Inertia()
     both.turn = a.turn + b.turn
@@ -54,7 +54,7 @@ def rigid_inertia(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, 
         lin_vel: Of its origin [m/s].
     """
     own = Inertia()
-    own.turn = symmetric(about + mass * (wp.length_sq(com) * wp.identity(n=3, dtype=float) - wp.outer(com, com)))
+    own.turn = symmetric_matrix(about + mass * (wp.length_sq(com) * wp.identity(n=3, dtype=float) - wp.outer(com, com)))
     own.mixed = mass * wp.skew(com)
     own.push = mass * wp.identity(n=3, dtype=float)
     momentum = mass * (lin_vel + wp.cross(ang_vel, com))
@@ -107,12 +107,12 @@ def center_of_mass(own: Inertia) -> wp.vec3:
 
 
 @wp.func
-def carry(of: Inertia, lever: wp.vec3) -> Inertia:
+def shift_inertia(of: Inertia, lever: wp.vec3) -> Inertia:
     """Shift an inertia to another origin, from which the first is at ``lever``."""
     after = Inertia()
     after.mixed = of.mixed + skew_product(lever, of.push)
     turned = of.turn + skew_product(lever, wp.transpose(of.mixed))
-    after.turn = symmetric(turned + wp.transpose(skew_product(lever, wp.transpose(after.mixed))))
+    after.turn = symmetric_matrix(turned + wp.transpose(skew_product(lever, wp.transpose(after.mixed))))
     after.push = of.push
     after.torque = of.torque + wp.cross(lever, of.force)
     after.force = of.force

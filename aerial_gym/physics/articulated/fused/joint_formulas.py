@@ -27,7 +27,7 @@ def dashpots_type(articulation: Articulation) -> Any:
 
 
 def make_passive_efforts(articulation: Articulation) -> list[wp.Function]:
-    """Return ``Effort.at_end`` of springs, dampers, soft ends and creep, one function per joint.
+    """Return ``Effort.at_end_of_step`` of springs, dampers, soft ends and creep, one function per joint.
 
     Arguments: positions, rates, dashpots, dt. The recursion calls them where it needs a joint: results of all joints, computed
     in advance, would take registers over the whole step.
@@ -36,7 +36,7 @@ def make_passive_efforts(articulation: Articulation) -> list[wp.Function]:
 
     def efforts(pos: Tensor, vel: Tensor, crept: Tensor, dt: Tensor) -> tuple[Tensor, Tensor]:
         laws = articulation.laws(_unflatten(articulation, crept) if articulation.num_creep else None)
-        return joint_effort(laws, pos, vel).at_end(vel, dt)
+        return joint_effort(laws, pos, vel).at_end_of_step(vel, dt)
 
     arguments = {"pos": joints, "vel": joints, "crept": dashpots_type(articulation), "dt": float}
     traced = trace_arguments("passive_efforts", arguments, efforts, constants={}, shared=["dt"])
@@ -158,4 +158,4 @@ def _end_laws(articulation: Articulation, asked: Tensor, dt: Any) -> EffortLimit
     drive = articulation.drive(asked.new_zeros(len(asked), articulation.num_driven))
     laws = [law for law in (drive, articulation.dry_friction_law) if law is not None]
     demand = [asked if law is drive else torch.zeros_like(asked) for law in laws]
-    return replace(EffortLimits.at_end(laws, asked, dt), demand=torch.stack(demand, dim=1))
+    return replace(EffortLimits.at_end_of_step(laws, asked, dt), demand=torch.stack(demand, dim=1))

@@ -11,19 +11,31 @@ from types import SimpleNamespace
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_type
-from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, plus, rigid_inertia
+from aerial_gym.math.warp_functions import (
+    rotate,
+    rotate_inverse,
+    rotation_quat,
+    solve_motion,
+    unit_quat,
+    vector_type,
+)
+from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, rigid_inertia, sum_of_inertias
 from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_creep
-from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver, make_plain_solver
-from aerial_gym.physics.articulated.fused.link_effects import effect_links, hub_links, make_hubs, make_on_links
+from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver, make_solver_without_limits
+from aerial_gym.physics.articulated.fused.link_effects import (
+    effect_links,
+    hub_links,
+    make_hub_effects,
+    make_link_effects,
+)
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, LinkFluidEffect, WrenchEffect
 from aerial_gym.physics.fused.contact import ContactParameters
-from aerial_gym.physics.fused.dynamics import make_dead_band, make_follow
+from aerial_gym.physics.fused.dynamics import make_dead_band, make_rotor_lag
 from aerial_gym.physics.fused.formulas import constant_entries_of_vehicle, make_loads, make_wind, vehicle_rows
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, preparation
-from aerial_gym.physics.fused.memory import make_begin, memory_type
+from aerial_gym.physics.fused.memory import make_substep_start, memory_type
 from aerial_gym.physics.fused.packing import (
     Packing,
     collect_numbers,
@@ -106,16 +118,16 @@ def make_jointed_kernel(
     prepare, command_of, law_type = preparation(law), law.command, law.struct
     law_part, drive_part = _make_split(law.num_actions, articulation.num_driven)
     remembers, law_remembers = bool(model.effects.names_with_memory), law.needs is not None
-    begin = make_begin(model) if remembers else None
+    begin = make_substep_start(model) if remembers else None
     memories_type = memory_type(effects=remembers, law=law_remembers)
     vehicle_type = types.vehicle
     stop = make_dead_band(num_rotors) if general else None
     late = bool(model.effects[DelayEffect])
-    follow_rotors = make_follow(num_rotors, general, late)
+    follow_rotors = make_rotor_lag(num_rotors, general, late)
     constants = constant_entries_of_vehicle(collect_numbers(model, law, 1.0).vehicle)
     loads = make_loads(model, constants, lambda effect: not effect.at_hubs)
     any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
-    air, hubs = make_on_links(model, joints), make_hubs(model, joints)
+    air, hubs = make_link_effects(model, joints), make_hub_effects(model, joints)
     ahead, in_fluid = articulation.solves_limits, bool(model.effects[LinkFluidEffect])
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs, centered=ahead or in_fluid)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
@@ -168,13 +180,13 @@ def make_jointed_kernel(
                     given,
                     dt,
                 )
-            turn, rise = solve(plus(carried, own))
+            turn, rise = solve(sum_of_inertias(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise + wp.cross(w, move)
 
     if ahead:
         solve_step = make_limit_solver(find, articulation, types, joints, in_fluid=in_fluid)
     else:
-        solve_step = make_plain_solver(find, articulation, types, joints, in_fluid=in_fluid)
+        solve_step = make_solver_without_limits(find, articulation, types, joints, in_fluid=in_fluid)
 
     @wp.func
     def step_once(
@@ -207,7 +219,7 @@ def make_jointed_kernel(
             ang_vel = w + dt * turn
         return (
             x + dt * lin_vel,
-            unit_quat(q * small_turn(dt * ang_vel)),
+            unit_quat(q * rotation_quat(dt * ang_vel)),
             lin_vel,
             ang_vel,
             pos + dt * rates,

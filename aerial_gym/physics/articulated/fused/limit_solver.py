@@ -19,7 +19,7 @@ SEARCHES = 24  # Most secants of a line search; sticking friction is steep, and 
 FLAT = 1e-6  # Slope at the end of a line search, relative to its start: the resolution of float32
 
 
-def make_plain_solver(
+def make_solver_without_limits(
     find: wp.Function, articulation: Articulation, types: RotorTypes, joints: JointTypes, *, in_fluid: bool
 ) -> Any:
     """Return the same as ``make_limit_solver`` for a vehicle without drives and dry friction."""

@@ -29,17 +29,17 @@ def hub_links(model: Model) -> tuple[int, ...]:
     return tuple(sorted(set(articulation.rotor_links))) if any_at_hubs else ()
 
 
-def make_hubs(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
+def make_hub_effects(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     """Return the Warp function of effects at hubs for each link with rotors.
 
     Arguments: vehicle; constants of the step; static thrusts of all rotors; rotation from link to base; origin of the link from
     that of the base; its angular velocity and the velocity of its origin at the start of the step. Vectors are in axes of the
     base. Result: thrusts including effects on this link, and the further wrench at its origin, axes of the link.
     """
-    return {link: _make_link_hubs(model, joints, link) for link in hub_links(model)}
+    return {link: _make_hub_effects_of_link(model, joints, link) for link in hub_links(model)}
 
 
-def _make_link_hubs(model: Model, joints: JointTypes, link: int) -> wp.Function:
+def _make_hub_effects_of_link(model: Model, joints: JointTypes, link: int) -> wp.Function:
     articulation, types = model.articulation, rotor_types(model.vehicle.num_rotors, not model.vehicle.plain)
     assert articulation is not None
     axis = torch.tensor((0.0, 0.0, 1.0)).expand(model.vehicle.num_rotors, 3)
@@ -140,17 +140,17 @@ def make_link_formula(model: Model, link: int) -> wp.Function:
     return trace_to_warp("link_formula", arguments, formula, [six, six], constants={}, shared=["dt"])
 
 
-def make_on_links(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
+def make_link_effects(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     """Return the Warp function of all effects on each link, by number of the link. Vectors are in axes of the base.
 
     Arguments: inertia of the link; rotation from its axes to those of the base; its centre of mass from its origin; angular
     velocity and velocity of its origin at the start of the step; both at the rates of the velocity terms; angular acceleration
     and acceleration of its origin by these terms alone; quantities constant over the step; dt. Result: the new ``Inertia``.
     """
-    return {link: _make_on_link(model, joints, link) for link in effect_links(model)}
+    return {link: _make_effects_on_link(model, joints, link) for link in effect_links(model)}
 
 
-def _make_on_link(model: Model, joints: JointTypes, link: int) -> Any:
+def _make_effects_on_link(model: Model, joints: JointTypes, link: int) -> Any:
     """Return the function of one link.
 
     The recursion's accelerations are spatial and contain the weight: ``a - w x v`` is their value at the centre without it.

@@ -21,7 +21,13 @@ import warp as wp
 
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.inertia import Inertia, add_acceleration, carry, plus, rigid_inertia
+from aerial_gym.physics.articulated.fused.inertia import (
+    Inertia,
+    add_acceleration,
+    rigid_inertia,
+    shift_inertia,
+    sum_of_inertias,
+)
 from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_passive_efforts
 from aerial_gym.physics.fused.types import RotorTypes
 
@@ -82,9 +88,9 @@ def make_recursion(
 
     Inward: (vehicle, positions of joints, their rates, rates of the velocity terms, constants of the step, thrusts, drag
     torques, angular velocity and velocity of the base at the start of the step, both of the velocity terms, dt) -> ``Inertia``
-    of all links on the base, with the base's rotors, and the kept numbers. ``air`` has the effects on links of
-    ``link_effects.make_on_links``, ``hubs`` those of ``hubs.make_hubs``. ``centered`` states whether the velocity terms have
-    other rates than those of the start.
+    of all links on the base, with the base's rotors, and the kept numbers. ``air`` are the
+    functions of ``make_link_effects``, ``hubs`` those of ``make_hub_effects``. ``centered`` states whether the velocity terms
+    have other rates than those of the start.
     Outward: (kept numbers, angular acceleration and acceleration of the base, gravity included) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
@@ -170,7 +176,7 @@ def _join_inward(rest: wp.Function, one: wp.Function) -> wp.Function:
             vehicle, pos, vel, swing_vel, held, thrusts, drags, rotation, place, ang_vel_0, lin_vel_0, ang_vel,
             lin_vel, bend, swing, dt, kept_first,
         )  # fmt: skip
-        return plus(first, second), kept_both
+        return sum_of_inertias(first, second), kept_both
 
     return join_inward
 
@@ -226,7 +232,7 @@ def _make_link(
         offset = offset + reference * own_axis
     com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
     in_air = air.get(k + 1)
-    damped, felt = in_air is not None, any(articulation.tree.moves[link][k] for link in (*air, *hubs))
+    damped, felt = in_air is not None, any(articulation.tree.joint_moves_link[link][k] for link in (*air, *hubs))
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
     has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
@@ -284,7 +290,7 @@ def _make_link(
                 own = rigid_inertia(wp.static(mass), turned * com, about, turn, move)
                 own = add_acceleration(own, wp.static(mass), turned * com, bent, swung)
                 if wp.static(carries):
-                    own = plus(whole, own)
+                    own = sum_of_inertias(whole, own)
                 whole = own
             whole = rotors(vehicle, held, thrusts, drags, turned, origin, turn_0, move_0, whole)
             if wp.static(damped):
@@ -317,7 +323,7 @@ def _make_link(
                 after.by_push[k, i] = inverse * by_push[i]
                 after.axis[k, i] = axis[i]
                 after.lever[k, i] = lever[i]
-            return carry(beyond, lever), after
+            return shift_inertia(beyond, lever), after
 
         return link_inward
 
@@ -330,7 +336,7 @@ def make_rotor_inertia(
     """Return the function that adds the rotors of a link to its inertia.
 
     Arguments: vehicle; constants of the step; thrusts; drag torques; rotation; position of its origin; its angular velocity and
-    velocity at the start of the step; inertia. ``hubs`` is the function of effects at hubs (``hubs.make_hubs``).
+    velocity at the start of the step; inertia. ``hubs`` is the function of effects at hubs (``hubs.make_hub_effects``).
     """
     vector, vehicle_type, held_type = types.vector, types.vehicle, joints.held
     start, blown = wp.vec3(*articulation.origins[link].tolist()), hubs is not None

@@ -14,9 +14,9 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.betaflight.controller import (
     RELAXED_FROM,
     BetaflightController,
-    actual_rate,
     anti_windup_factor,
     mix_signals,
+    rate_setpoint_of_stick,
     throttle_attenuation,
 )
 from aerial_gym.control.stability import ClosedLoop
@@ -65,7 +65,7 @@ def run(
 
 def test_a_largest_rate_below_that_about_the_centre_has_no_effect() -> None:
     rows = (torch.full((1, 3), value, dtype=F64) for value in (0.5, 4.0, 3.0, 0.5))
-    assert actual_rate(*rows).tolist() == [[2.0, 2.0, 2.0]]
+    assert rate_setpoint_of_stick(*rows).tolist() == [[2.0, 2.0, 2.0]]
 
 
 def test_relax_and_windup_multiply_on_yaw() -> None:
@@ -79,7 +79,7 @@ def test_actual_rates_are_those_of_the_public_calculators() -> None:
 
     def rates(stick: list[float], center: float, largest: float, expo: float = 0.0) -> list[float]:
         numbers = (torch.full((1, 3), value, dtype=F64) for value in (radians(center), radians(largest), expo))
-        return actual_rate(torch.tensor([stick], dtype=F64), *numbers).rad2deg()[0].tolist()
+        return rate_setpoint_of_stick(torch.tensor([stick], dtype=F64), *numbers).rad2deg()[0].tolist()
 
     half = 35.0 + 600.0 * (0.5 * 0.25 + 0.5 * 0.5**6)
     assert rates([0.5, 1.0, -0.5], 70.0, 670.0) == pytest.approx([185.0, 670.0, -185.0])
@@ -272,7 +272,7 @@ def test_yaw_rests_where_routh_says(lag: float, rests: bool) -> None:
     own = BetaflightCfg(p_yaw=45.0, i_yaw=80.0)
     cfg = replace(CONTROLLERS.get(NAME), betaflight=own)
     loop = ClosedLoop(with_rotor_lag(lag), cfg, gravity=9.81, integrator="rk4", names=("racer", NAME))
-    assert (loop.radius(2e-4) < 1.0) is rests
+    assert (loop.spectral_radius(2e-4) < 1.0) is rests
 
 
 def test_what_it_cannot_fly_is_refused_by_name() -> None:

@@ -34,7 +34,7 @@ def test_forces_come_by_kind_and_the_load_last() -> None:
 def test_changes_make_others() -> None:
     effects = some()
     assert effect_names(effects.exclude(LoadEffect)) == ["rotor_drag", "constant_wind", "quadratic_drag"]
-    assert effect_names(effects.plus(EFFECTS.get("gusts"), torch.zeros(2, 2)))[-1] == "gusts"
+    assert effect_names(effects.with_effect(EFFECTS.get("gusts"), torch.zeros(2, 2)))[-1] == "gusts"
     doubled = effects.with_params(lambda effect, params: params * (2.0 if isinstance(effect, WindEffect) else 1.0))
     assert [float(params[0, 0]) for _, params in doubled] == [0.0, 1.0, 4.0, 3.0]
     assert effect_names(effects) == effect_names(doubled)
