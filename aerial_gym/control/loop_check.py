@@ -12,11 +12,10 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.gains import GAINS, has_explicit_gains, select_explicit_gains
-from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN
+from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN, trim_axes
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.linear_loop import AXES
 from aerial_gym.control.stability import TURNS, ClosedLoop, HoverResult, are_stable
-from aerial_gym.control.trim import trim_axes
 from aerial_gym.errors import ConfigError
 
 _log = logging.getLogger(__name__)
@@ -44,7 +43,7 @@ def check_closed_loop(
     """Refuse a robot that does not hover under its controller at this time step, and warn of a poor hover.
 
     The check covers derived gains, gains of robot files and registered controllers, and laws of other packages that state
-    their ``trim`` (``control.trim``). ``ControllerCfg.if_unstable`` turns the refusal into a warning, for example to
+    their ``trim`` (``control.hover``). ``ControllerCfg.if_unstable`` turns the refusal into a warning, for example to
     reproduce published results.
 
     Args:

@@ -29,10 +29,11 @@ from aerial_gym.control.hover import (
     HoverEquilibria,
     distances_from_start,
     find_equilibrium,
+    hover_action,
     largest_final_distance,
+    trim_axes,
 )
 from aerial_gym.control.linear_loop import AXES, BODY, DiscreteLoop
-from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.backend import ControlLaw
 from aerial_gym.physics.effects import DelayEffect, EffectParams

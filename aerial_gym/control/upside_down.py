@@ -16,9 +16,9 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.control.controllers import Controller, make_controller
 from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.control.hover import hover_action, trim_axes
 from aerial_gym.control.loop_check import refuse_or_warn
 from aerial_gym.control.stateful import StatefulController
-from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust

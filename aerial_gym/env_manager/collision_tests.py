@@ -14,7 +14,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.joints.link_tensors import LinkTensors
+from aerial_gym.robots.joints.links import LinkTensors
 
 if TYPE_CHECKING:
     from aerial_gym.assets.collision import CollisionTest

@@ -5,9 +5,19 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.launches import ReusableLaunch, compile_ahead, make_struct, on_torch_stream, wait_for_kernel
+    from aerial_gym.interop.launches import (
+        ReusableLaunch,
+        compile_ahead,
+        launch_side_by_side,
+        make_struct,
+        on_device,
+        on_torch_stream,
+        one_thread,
+        record_graph,
+        split,
+        wait_for_kernel,
+    )
     from aerial_gym.interop.settings import plain_device, resolve_device, usual_settings, with_usual_settings
-    from aerial_gym.interop.streams import launch_side_by_side, on_device, one_thread, record_graph, split
     from aerial_gym.interop.warp_start import start_warp
 
 __all__ = [

@@ -15,10 +15,9 @@ from torch import Tensor
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
+from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN, trim_axes
 from aerial_gym.control.loop_check import fault_of_unstable_loop, hover_error_text, hover_remedy
 from aerial_gym.control.stability import ClosedLoop, HoverResult, hover_model
-from aerial_gym.control.trim import trim_axes
 from aerial_gym.physics.effects import EFFECTS, DelayEffect
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.vehicle import vehicle_from_config

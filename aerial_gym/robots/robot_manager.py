@@ -32,12 +32,19 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.robots.contact_sources import ContactSources, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.effect_scene import declare_effect_scene, make_slung_load, watch_parameter_writes
 from aerial_gym.robots.finite_watch import NonFiniteRows
 from aerial_gym.robots.initial_state import ActionStore, InitialState
 from aerial_gym.robots.parameter_draws import draw_code
 from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise, check_base_draws
-from aerial_gym.robots.state_keys import JointStates, RobotTensors, declare_efforts, declare_robot_tensors
+from aerial_gym.robots.state_keys import (
+    JointStates,
+    RobotTensors,
+    declare_effect_scene,
+    declare_efforts,
+    declare_robot_tensors,
+    make_slung_load,
+    watch_parameter_writes,
+)
 
 
 @with_usual_settings

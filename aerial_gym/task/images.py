@@ -15,8 +15,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SensorManager
-from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.sensors.encoder.file import HOW, Encoder, load_encoder, normalize_image
+from aerial_gym.sensors.images import NearestInCells
 from aerial_gym.task.kernels.frames import make_image_history_kernel
 from aerial_gym.task.terms.observations import CELLS, LARGEST, LATENTS
 from aerial_gym.task.values import Values

@@ -23,8 +23,16 @@ from aerial_gym.errors import UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.registry import Registry
 from aerial_gym.sensors import SensorImages
-from aerial_gym.workloads.measure import WorkloadError, format_value, rate_figures
-from aerial_gym.workloads.process import PeerProgram, RunFailedError, absence_reason, interpreters, run_process
+from aerial_gym.workloads.measure import (
+    PeerProgram,
+    RunFailedError,
+    WorkloadError,
+    absence_reason,
+    format_value,
+    interpreters,
+    rate_figures,
+    run_process,
+)
 from aerial_gym.workloads.scenes import DISTINCT, RenderScene, SceneMeshes
 
 RENDER_PEERS: Registry[PeerProgram] = Registry("render peer")

@@ -9,8 +9,14 @@ import tyro
 
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
-from aerial_gym.workloads.measure import device_name, format_value, provenance
-from aerial_gym.workloads.process import RunFailedError, absence_reason, interpreters
+from aerial_gym.workloads.measure import (
+    RunFailedError,
+    absence_reason,
+    device_name,
+    format_value,
+    interpreters,
+    provenance,
+)
 from benchmarks.markdown import table
 from benchmarks.peers.runs import CASES, PEERS, Measurement, Ratio, measure_case, ratios, schedule
 

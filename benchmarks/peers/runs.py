@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from aerial_gym.registry import Registry
-from aerial_gym.workloads.process import PeerProgram, run_process
+from aerial_gym.workloads.measure import PeerProgram, run_process
 
 ROOT = Path(__file__).parents[2]
 

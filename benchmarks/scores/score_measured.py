@@ -20,7 +20,7 @@ from pathlib import Path
 
 import tyro
 
-from benchmarks.scores.processes import run_in_processes
+from benchmarks.scores.score_undeclared import run_in_processes
 
 Files = Callable[[Path, Path], list[Path]]  # Function from the folder of all data, and a folder to write to, to logs
 

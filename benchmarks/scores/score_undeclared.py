@@ -12,24 +12,48 @@ floor, before and after. The plant shares no code with the package.
 
 import json
 import math
+import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import tyro
 from rich.console import Console
 from rich.progress import track
 
 from benchmarks.markdown import table, table_row
-from benchmarks.scores.processes import run_in_processes
 from benchmarks.scores.score_table import result_tables, right_line
 from benchmarks.undeclared import EFFECTS, LOGGED, TRACKED, UNKNOWN, make_case
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def run_in_processes(
+    call: Callable[[Item], Result], items: Iterable[Item], processes: int, *, cases_of_each: int | None = None
+) -> Iterator[tuple[Item, Result]]:
+    """Yield each item with its result as they come; a process ends after ``cases_of_each`` cases, if given."""
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start
+    context = get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=cases_of_each) as pool:
+        try:
+            futures = {pool.submit(call, item): item for item in items}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
 
 CLASSIC = tuple(EFFECTS)[:6]  # Scored where no --effects are given
 BANDWIDTH_HZ = 10.0  # Residuals are compared below it: the default of `close-loop`, whose page is not drawn here

@@ -6,7 +6,7 @@ import torch
 from aerial_gym.assets.sweep import NEAR
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
-from aerial_gym.interop.streams import one_thread
+from aerial_gym.interop.launches import one_thread
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import BodyState, TorchBackend, WarpBackend
 from tests.physics.contact_rig import FEET, GroundRig, ObstacleRig, obstacle, start

@@ -4,7 +4,7 @@
 import pytest
 from torch import Tensor
 
-from aerial_gym.control.reduced_attitude import canonical_quat, shortest_turn
+from aerial_gym.control.lee import canonical_quat, shortest_turn
 from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate
 from tests.cross.firmware.px4_pairs import (
     attitude_cases,

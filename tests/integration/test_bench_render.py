@@ -13,9 +13,8 @@ import torch
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.workloads import peers
-from aerial_gym.workloads.measure import WorkloadError
+from aerial_gym.workloads.measure import WorkloadError, absence_reason, interpreters
 from aerial_gym.workloads.peers import RENDER_PEERS, mismatch_share, renderer_names, run_peer, scene_arrays
-from aerial_gym.workloads.process import absence_reason, interpreters
 from aerial_gym.workloads.scenes import RenderScene, make_scene
 from tests.integration.commands import run_bench as run
 from tests.refusals import assert_refused

@@ -24,7 +24,7 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.robots import ROBOTS, initial_state, secondary_states
 from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
-from aerial_gym.sensors.cells import LANES, ROWS, make_pooling_kernel
+from aerial_gym.sensors.images import LANES, ROWS, make_pooling_kernel
 from aerial_gym.sensors.pixels import PixelOutputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.commands import gates

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from aerial_gym.interop.streams import one_thread
+from aerial_gym.interop.launches import one_thread
 
 
 @pytest.fixture

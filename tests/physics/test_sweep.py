@@ -22,8 +22,7 @@ from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionS
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.robots.joints.link_tensors import declare_links
-from aerial_gym.robots.joints.links import LinkTrajectory
+from aerial_gym.robots.joints.links import LinkTrajectory, declare_links
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
-from aerial_gym.control.lee import LEAST_LIFT, limit_inclination
-from aerial_gym.control.reduced_attitude import shortest_turn, tilt_first_error, unit_z
+from aerial_gym.control.lee import LEAST_LIFT, limit_inclination, shortest_turn, tilt_first_error, unit_z
 from aerial_gym.math.quaternion import quat_from_yaw, quat_multiply, quat_rotate
 from aerial_gym.physics.state import BodyState
 

@@ -18,19 +18,18 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import apply_filter
 from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.lee import from_vehicle_frame, thrust_wrench
+from aerial_gym.control.lee import from_vehicle_frame, thrust_wrench, unit_x
 from aerial_gym.control.px4.cascade import (
     RATE_NUMBERS,
     attitude_from_thrust,
     limit_velocity,
+    mix,
     rate_setpoint,
     rate_torque,
     update_integral,
     velocity_control,
 )
-from aerial_gym.control.px4.mixer import mix
 from aerial_gym.control.px4.parameters import derive_parameters, make_filters, signal_of_thrust_share
-from aerial_gym.control.reduced_attitude import unit_x
 from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.timing import make_timing
 from aerial_gym.errors import ConfigError

@@ -22,14 +22,17 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
-from aerial_gym.physics.articulated.complementarity import (
-    ROUNDS,
-    DriveLimitAndFrictionProblem,
-    EffortLimits,
-    LimitState,
-)
 from aerial_gym.physics.articulated.dynamics import EquationsOfMotion, equations_of_motion, solve
-from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
+from aerial_gym.physics.articulated.joint_laws import (
+    ROUNDS,
+    Drive,
+    DriveLimitAndFrictionProblem,
+    Effort,
+    EffortLimits,
+    JointLaw,
+    LimitState,
+    joint_effort,
+)
 from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid, add_damping, add_fluid
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.state import JointEfforts

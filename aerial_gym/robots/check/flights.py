@@ -25,8 +25,8 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import apparent_gravity
+from aerial_gym.control.hover import trim_axes
 from aerial_gym.control.stability import AXES, ClosedLoop
-from aerial_gym.control.trim import trim_axes
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics import BodyState, build_model, vehicle_from_config

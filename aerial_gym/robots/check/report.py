@@ -15,7 +15,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.gains import apparent_gravity
-from aerial_gym.control.trim import trim_axes
+from aerial_gym.control.hover import trim_axes
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_maps import rotor_state_for_thrust

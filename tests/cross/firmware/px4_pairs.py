@@ -5,17 +5,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from aerial_gym.control.lee import canonical_quat
 from aerial_gym.control.px4.cascade import (
     PositionGains,
     attitude_from_thrust,
     limit_velocity,
+    mix,
     rate_setpoint,
     rate_torque,
     update_integral,
     velocity_control,
 )
-from aerial_gym.control.px4.mixer import mix
-from aerial_gym.control.reduced_attitude import canonical_quat
 from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made
 from tests.cross.firmware.draws import load_vectors

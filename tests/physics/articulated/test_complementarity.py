@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from aerial_gym.physics.articulated import steppers
-from aerial_gym.physics.articulated.complementarity import EffortLimits
 from aerial_gym.physics.articulated.dynamics import equations_of_motion
-from aerial_gym.physics.articulated.joint_laws import Drive, Effort
+from aerial_gym.physics.articulated.joint_laws import Drive, Effort, EffortLimits
 from aerial_gym.physics.articulated.steppers import step_within_limits
 from aerial_gym.physics.articulated.tree import TreeState
 from tests.physics.articulated.effort_rig import (

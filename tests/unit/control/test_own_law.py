@@ -11,8 +11,8 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop, make_controller
+from aerial_gym.control.hover import hover_action, trim_axes
 from aerial_gym.control.stability import ClosedLoop
-from aerial_gym.control.trim import hover_action, trim_axes
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import (
     BodyState,

@@ -15,8 +15,7 @@ from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images, pixels, ray_kernels
-from aerial_gym.sensors.cells import NearestInCells
-from aerial_gym.sensors.images import POISON, arrays_type, sensor_images
+from aerial_gym.sensors.images import POISON, NearestInCells, arrays_type, sensor_images
 from aerial_gym.sensors.mounts import Carrier
 
 SIZE = {"width": 8, "height": 6, "hfov_deg": 60.0, "min_range": 0.0, "max_range": 5.0, "source": "chosen for the test"}

@@ -1,4 +1,4 @@
-"""Warp functions of the laws of joints, traced from ``articulated.joint_laws`` and ``articulated.complementarity``.
+"""Warp functions of the laws of joints, traced from ``articulated.joint_laws``.
 
 The effort that a drive is asked for is its unlimited effort at the final rate 0.
 Letters: D joints, C joints with a drive, K bounded laws, N creep elements of a joint.
@@ -16,8 +16,7 @@ from torch import Tensor
 from aerial_gym.interop.rows.warp_function import function_lines
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.complementarity import EffortLimits, has_driving_friction
-from aerial_gym.physics.articulated.joint_laws import joint_effort
+from aerial_gym.physics.articulated.joint_laws import EffortLimits, has_driving_friction, joint_effort
 from aerial_gym.physics.fused.torch_trace import compile_traced, trace_arguments, trace_to_warp
 
 

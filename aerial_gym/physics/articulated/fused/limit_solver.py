@@ -1,6 +1,6 @@
 """Rounds of Newton's method for drives within their limits and dry friction, for one environment.
 
-It solves the problem of ``articulated.complementarity`` with one loop over all solutions, which compiles the recursion once.
+It solves the problem of ``articulated.joint_laws`` with one loop over all solutions, which compiles the recursion once.
 Letters: D joints.
 """
 
@@ -10,9 +10,9 @@ import warp as wp
 
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.complementarity import ROUNDS
 from aerial_gym.physics.articulated.fused.joint_formulas import LimitFunctions, make_effort_limit_functions
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
+from aerial_gym.physics.articulated.joint_laws import ROUNDS
 from aerial_gym.physics.fused.types import RotorTypes
 
 SEARCHES = 24  # Most secants of a line search; sticking friction is steep, and eight left rows unsolved

@@ -49,7 +49,9 @@ class LogExportReader(LogReader):
         except DataError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
-            raise DataError(f"{path}: is no complete converted log ({type(error).__name__}); convert the log again") from None
+            raise DataError(
+                f"{path}: is no complete converted log ({type(error).__name__}); convert the log again"
+            ) from None
         if name not in LOG_READERS or name == self.name:
             raise DataError(f"{path}: was converted from {name}, whose rows only the file itself tells; give that file")
         return RawLog(

@@ -15,7 +15,7 @@ from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.ground import LinkContacts, Solid
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.joints.joint_contact import shapes_on_links
+from aerial_gym.robots.joints.obstacle_sweep import shapes_on_links
 from tests.cross.mujoco.contact.arms import (
     ARM,
     ARM_MASS,

@@ -15,7 +15,7 @@ from aerial_gym.control.crazyflie import brescianini
 from aerial_gym.control.crazyflie.controller import BrescianiniController, CrazyflieLeeController, MellingerController
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
 from aerial_gym.control.gains import derive_inclination
-from aerial_gym.control.reduced_attitude import unit_z
+from aerial_gym.control.lee import unit_z
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_rotate
 from aerial_gym.physics import (

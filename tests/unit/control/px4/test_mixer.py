@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.autopilots import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.px4.mixer import MixerOutput, mix
+from aerial_gym.control.px4.cascade import MixerOutput, mix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import state_at_rest, vehicle_from_config
 from aerial_gym.physics.law_memory import fresh_law_memory
