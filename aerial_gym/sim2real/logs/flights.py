@@ -38,6 +38,7 @@ from aerial_gym.sim2real.logs.signals import (
     DERIVED_BAND,
     apply_lag,
     check_gaps,
+    interpolate_columns,
     log_at_equal_steps,
     lowpass,
     without_bad_quaternions,
@@ -263,20 +264,24 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
 
 
 def _line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float) -> tuple[float, float]:
-    """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, with a lag.
+    """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, late and with a lag.
 
-    Without the lag, quick commands would weaken the slope. Gauss-Newton steps begin at the declared lag H(s): the derivative
-    by the time constant is ``-H (1 - H) u / tau``.
+    A lag or delay that is left out weakens the slope. Gauss-Newton steps begin at the declared lag H(s): the derivative by the
+    time constant is ``-H (1 - H) u / tau``, that by the delay ``-d/dt``.
     """
-    tau, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0
-    settled = slice(min(round(SETTLE_S * rate), len(share) // 2), None)
+    tau, delay, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0, 0.0
+    settled, time = slice(min(round(SETTLE_S * rate), len(share) // 2), None), np.arange(len(share)) / rate
     for _ in range(LAG_STEPS):
         kept = float(np.exp(-1.0 / (rate * tau)))
-        late = apply_lag(share, kept, share[0])
-        by_lag = apply_lag(share - late, kept, np.zeros(share.shape[1]))
-        regressors = np.column_stack([one[settled].ravel() for one in (np.ones_like(share), late, by_lag)])
-        idle, slope, quick = (float(x) for x in np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0])
+        lagged = apply_lag(share, kept, share[0])
+        by_lag = apply_lag(share - lagged, kept, np.zeros(share.shape[1]))
+        late, by_lag = (interpolate_columns(time - delay, time, one) for one in (lagged, by_lag))
+        columns = (np.ones_like(share), late, by_lag, -np.gradient(late, 1.0 / rate, axis=0))
+        regressors = np.column_stack([one[settled].ravel() for one in columns])
+        values = np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0]
+        idle, slope, quick, more = (float(x) for x in values)
         tau *= float(np.clip(1.0 - quick / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
+        delay += float(np.clip(more / slope, -tau, tau)) if slope > 0.0 else 0.0
     return idle, slope
 
 

@@ -78,9 +78,7 @@ class FlightLog(Recording):
     hover_above: float | None = None  # World height [m] above which commands are scaled to the thrust; None: no scaling
     torques: bool = True  # Whether the log resolves torques
     relative_commands: bool = False  # Whether commands are shares of the largest speed, 0 to 1, as firmwares log them
-    sample_times: Mapping[str, Array] = field(
-        default_factory=dict
-    )  # Of streams that mostly repeat values, by field [s]
+    sample_times: Mapping[str, Array] = field(default_factory=dict)  # Of streams slower than the rows, by field [s]
     lines: Indices | None = None  # Line of each row in its file, (T,); None for binary logs and resampled rows
 
     @property

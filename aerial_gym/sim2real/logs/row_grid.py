@@ -11,9 +11,11 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.signals import interpolate_by_spline, interpolate_columns
 from aerial_gym.sim2real.logs.streams import Stream
 
 GYRO_RATES_HZ = (50.0, 2000.0)  # Range of rates in which the gyro gives the rows
+IN_BAND = ("ang_vel", "specific_force", "rotor_speed", "rotor_command")  # Streams whose spectra are compared
 SLOWEST_COMMANDS_HZ = 40.0  # Lowest rate of rotor data that show torques and lags: two samples in a lag of 0.05 s
 
 
@@ -33,8 +35,9 @@ def row_times(streams: Mapping[str, Stream], span: FlightSpan, fastest: float = 
 def resample_streams(streams: Mapping[str, Stream], rows: Array) -> dict[str, Array]:
     """Return the values of each stream at the rows [s], (T, components).
 
-    Attitudes are interpolated on the sphere, commands held, other streams averaged over a row or interpolated. Slow commands
-    are interpolated too: they are rare samples of fast commands, and holding them would delay these by half a sample.
+    Attitudes are interpolated on the sphere, held commands averaged from a row to the next, other streams averaged about a
+    row or interpolated, those of ``IN_BAND`` by a spline. Slow commands are interpolated too: they are rare samples of fast commands, and holding them
+    would delay these by half a sample.
     """
     return {name: _resample(stream, rows) for name, stream in streams.items()}
 
@@ -67,19 +70,31 @@ def _resample(stream: Stream, rows: Array) -> Array:
         inside = np.clip(rows, time[0], time[-1])
         return Slerp(time, Rotation.from_quat(values))(inside).as_quat()
     if stream.quantity == "rotor_command" and stream.rate >= SLOWEST_COMMANDS_HZ:
-        return values[np.clip(np.searchsorted(time, rows, side="right") - 1, 0, None)]
-    return np.stack([_average_over_rows(rows, time, column, step) for column in values.T], axis=1)
+        return _mean_of_held_values(rows, time, values, step)
+    interpolate = interpolate_by_spline if stream.quantity in IN_BAND else interpolate_columns
+    between = interpolate(rows, time, values)
+    means = [_average_over_rows(rows, time, *columns, step) for columns in zip(values.T, between.T, strict=True)]
+    return np.stack(means, axis=1)
 
 
-def _average_over_rows(rows: Array, time: Array, values: Array, step: float) -> Array:
-    """Return values (T,) averaged over a row's step [s] that holds several samples, else interpolated."""
+def _mean_of_held_values(rows: Array, time: Array, values: Array, step: float) -> Array:
+    """Return the means over each row's step [s] of values (T, K) that hold until the next sample."""
+    begins, ends = np.append(time, time[-1] + 1.0), np.append(rows[1:], rows[-1] + step)
+    total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values * np.diff(begins)[:, None], axis=0)))
+    both = interpolate_columns(np.append(rows, ends).clip(time[0]), begins, total)
+    lengths = np.subtract(*np.split(np.append(rows, ends).clip(time[0]), 2)[::-1])
+    means = np.subtract(*np.split(both, 2)[::-1]) / np.maximum(lengths, 1e-12)[:, None]
+    return np.where(lengths[:, None] > 0.0, means, values[:1])
+
+
+def _average_over_rows(rows: Array, time: Array, values: Array, between: Array, step: float) -> Array:
+    """Return values (T,) averaged over a row's step [s] that holds several samples, else those ``between`` samples."""
     first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
     total = np.concatenate(([0.0], np.cumsum(values)))
     centre = np.concatenate(([0.0], np.cumsum(time - time[0])))
     count = np.maximum(last - first, 1)
-    line = np.interp(rows, time, values)
     mean = (total[last] - total[first]) / count
     # The mean belongs to the mean time of its samples; the local slope moves it to the row.
     shift = rows - time[0] - (centre[last] - centre[first]) / count
     slope = (np.interp(rows + 0.5 * step, time, values) - np.interp(rows - 0.5 * step, time, values)) / step
-    return np.where(last - first >= 2, mean + shift * slope, line)
+    return np.where(last - first >= 2, mean + shift * slope, between)

@@ -71,7 +71,7 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
             f"{log.path}: {whole.share_of_repeats:.0%} of the rows repeat the one before; write each sample once, at its own t"
         )
     changes: dict[str, Array] = {}
-    sampled: dict[str, Array] = {}
+    sampled = dict(log.sample_times)
     timings, notes = dict(log.streams), []
     for name, values in sensors.items():
         repeats = find_repeated_samples(values, moving)

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
@@ -188,6 +189,21 @@ def _multiply(first: Array, second: Array) -> Array:
 def interpolate_columns(at: Array, time: Array, values: Array) -> Array:
     """Return columns (T, K) interpolated linearly at other times."""
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+def interpolate_by_spline(at: Array, time: Array, values: Array) -> Array:
+    """Return columns (T, K) at other times by a cubic spline; by lines across gaps, and constant beyond the ends.
+
+    Straight lines between samples halve the power of white noise, most at high frequencies, where the noise of a sensor is
+    measured. They also weaken motion, at a fifth of the rate by 12 %; the spline weakens it by 1 %.
+    """
+    step = np.diff(time)
+    line = interpolate_columns(at, time, values)
+    if time.size < 4:
+        return line
+    inside, before = np.clip(at, time[0], time[-1]), np.clip(np.searchsorted(time, at, "right") - 1, 0, step.size - 1)
+    gap = step > GAP_STEPS * float(np.median(step))
+    return np.where(gap[before][:, None], line, CubicSpline(time, values)(inside))
 
 
 def check_gaps(log: FlightLog) -> None:

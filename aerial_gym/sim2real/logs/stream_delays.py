@@ -82,11 +82,15 @@ def correct_row_delays(log: FlightLog) -> FlightLog:
         n: t - late[n].delay if n in late else t for n, t in log.sample_times.items() if changes.get(n, t) is not None
     }
     moved = replace(log, **changes, streams=timings, sample_times=times, notes=tuple(notes))
-    return take_rows(_with_motion_between_samples(moved), (log.time >= first) & (log.time <= last))
+    return take_rows(with_motion_between_samples(moved), (log.time >= first) & (log.time <= last))
 
 
-def _with_motion_between_samples(log: FlightLog) -> FlightLog:
-    """Return the log with slow velocities and positions that follow the measured acceleration between their samples."""
+def with_motion_between_samples(log: FlightLog) -> FlightLog:
+    """Return the log with slow velocities and positions that follow the measured acceleration between their samples.
+
+    A straight line over a step h is wrong by ``h² / 12`` of the second derivative, on average. For a velocity this is the
+    jerk, which follows the angular velocity: it would look like a displaced sensor.
+    """
     if log.specific_force is None or log.attitude_integrated:
         return log
     acceleration = Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST

@@ -23,7 +23,13 @@ from aerial_gym.sim2real.logs.readers.stamps import SHOWN
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.row_grid import resample_streams, row_times, without_slow_rotor_data
 from aerial_gym.sim2real.logs.signals import integrate_rates
-from aerial_gym.sim2real.logs.stream_delays import CORRECTED_S, DELAY_ROWS_HZ, StreamDelay, stream_delays
+from aerial_gym.sim2real.logs.stream_delays import (
+    CORRECTED_S,
+    DELAY_ROWS_HZ,
+    StreamDelay,
+    stream_delays,
+    with_motion_between_samples,
+)
 from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams
 
 
@@ -112,12 +118,20 @@ def flight_of_streams(
     timings = {name: replace(timings[name], **_delay_fields(delays.get(name))) for name in moved}
     log = _assemble_flight(moved, row_times(moved, span, fastest), path, notes, hover=hover)
     log = without_slow_rotor_data(replace(log, notes=tuple(notes)), {name: one.rate for name, one in timings.items()})
+    log = with_motion_between_samples(replace(log, sample_times=_times_of_slow_motion(moved, log.time)))
     return replace(
         log,
         relative_commands=relative and log.rotor_command is not None,
         streams=timings,
         notes=tuple(dict.fromkeys(log.notes)),
     )
+
+
+def _times_of_slow_motion(streams: Mapping[str, Stream], rows: Array) -> dict[str, Array]:
+    """Return the sample times of position and velocity within the rows [s], if these are more than twice as many."""
+    motion = {name: streams[name].time for name in ("position", "lin_vel") if name in streams}
+    inside = {name: time[(time >= rows[0]) & (time <= rows[-1])] for name, time in motion.items()}
+    return {name: time for name, time in inside.items() if 2 <= time.size < 0.5 * rows.size}
 
 
 def _delay_fields(delay: StreamDelay | None) -> dict[str, float | bool]:

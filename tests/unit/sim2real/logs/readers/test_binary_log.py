@@ -116,6 +116,18 @@ def test_commands_at_10_hz_show_neither_torques_nor_lag(table: pd.DataFrame, tmp
     assert "torques_not_logged" not in [note.code for note in one.notes]
 
 
+def test_a_slow_velocity_follows_the_accelerometer_between_its_samples(table: pd.DataFrame) -> None:
+    """Straight lines would leave 0.1 m/s, which follows the angular velocity like the motion of a displaced sensor."""
+    results = topics(table)
+    slow = results["vehicle_local_position"]
+    results["vehicle_local_position"] = {key: values[::10] for key, values in slow.items()}
+    log = read_topics(results)
+    assert log.streams["lin_vel"].rate == pytest.approx(5.0, rel=0.01)
+    for name, column, largest in (("lin_vel", "v", 0.01), ("position", "p", 0.003)):
+        true = [np.interp(log.time - log.time[0], table["t"], table[f"{column}_{axis}"]) for axis in "xyz"]
+        assert np.abs(getattr(log, name) - np.transpose(true)).max() < largest
+
+
 def test_relative_commands_become_speeds_by_the_measured_thrust(table: pd.DataFrame, tmp_path: Path) -> None:
     one = load(with_commands(table, 1), tmp_path / "a.ulg")
     (note,) = [note for note in one.notes if note.code == "relative_commands_scaled"]
