@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
@@ -94,6 +95,20 @@ def test_only_the_raw_gyro_of_a_build_of_indiflight_has_its_own_scale(names: tup
     topic = Topic(name="main", time=np.arange(3.0), columns=columns)
     log = RawLog(path="log", format="blackbox", topics=(topic,), parameters=parameters)
     np.testing.assert_allclose(channel(log, "ang_vel").values[:, 0], np.radians(100.0 / counts))
+
+
+@pytest.mark.parametrize(("name", "cutoff"), [("accSmooth", 25.0), ("accSmooth", 0.0), ("accADCafterRpm", 25.0)])
+def test_the_delay_of_the_low_pass_of_the_accelerometer_is_undone(name: str, cutoff: float) -> None:
+    """A Butterworth filter of order 2 at 25 Hz, as the header states in hundredths, delays 5 Hz by 9 ms."""
+    time = np.arange(0.0, 4.0, 1e-3)
+    true = np.sin(2.0 * np.pi * 5.0 * time)
+    late = lfilter(*butter(2, 25.0, fs=1e3), true) if cutoff and name == "accSmooth" else true
+    topic = Topic(name="main", time=time, columns={f"{name}[{i}]": 2048.0 * late for i in range(3)})
+    log = RawLog(path="log", format="blackbox", topics=(topic,), parameters={"acc_lpf_hz": 100.0 * cutoff})
+    force = channel(log, "specific_force")
+    error = np.interp(time, force.time, force.values[:, 0] / 9.80665)[1000:-100] - true[1000:-100]
+    assert np.abs(error).max() < 0.01
+    assert force.latency == (pytest.approx(0.009, abs=1e-5) if late is not true else None)
 
 
 @pytest.mark.parametrize(
