@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.sim2real.arrays import Array, true_spans
+from aerial_gym.sim2real.arrays import Array, Flags, true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import STATES
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
@@ -118,14 +118,19 @@ def _end_at_impact(span: FlightSpan, force: Stream | None) -> FlightSpan:
 
 
 def _impacts(time: Array, force: Array) -> Array:
-    """Return the times [s] of impacts within the last ``LAST_S``: larger changes of the force than in the flight before."""
-    if time.size < 2:
-        return time[:0]
-    rows = max(1, round(SHOCK_S / float(np.median(np.diff(time)))))
-    shocks, time = np.linalg.norm(force[rows:] - force[:-rows], axis=1), time[rows:]
-    late = time > time[-1] - LAST_S if time.size else time > 0.0
-    if late.all():
-        return time[:0]
+    """Return the times [s] of impacts within the last ``LAST_S``."""
+    rows = max(1, round(SHOCK_S / float(np.median(np.diff(time))))) if time.size > 1 else 1
+    changes, time = np.linalg.norm(force[rows:] - force[:-rows], axis=1), time[rows:]
+    return time[shocks(changes, time > time[-1] - LAST_S)] if time.size else time
+
+
+def shocks(changes: Array, where: Flags) -> Flags:
+    """Return the rows that changes of the force within ``SHOCK_S`` [m/s²], (T,), show as impacts; all lie in ``where``.
+
+    There the change is larger than 1 g and than elsewhere in the flight. Without rows elsewhere there are none.
+    """
+    if where.all():
+        return np.zeros_like(where)
     largest, of_percentile = SHOCK_RATIOS
-    usual = min(largest * float(shocks[~late].max()), of_percentile * float(np.percentile(shocks[~late], 99.9)))
-    return time[late & (shocks > max(usual, LEAST_SHOCK_G * STANDARD_GRAVITY))]
+    usual = min(largest * float(changes[~where].max()), of_percentile * float(np.percentile(changes[~where], 99.9)))
+    return where & (changes > max(usual, LEAST_SHOCK_G * STANDARD_GRAVITY))

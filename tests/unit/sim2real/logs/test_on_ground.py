@@ -105,6 +105,18 @@ def test_a_height_at_which_it_stood_is_the_ground_and_a_lower_one_is_none(table:
     assert not results[250:].any()
 
 
+@pytest.mark.parametrize(("height", "touches"), [(0.1, True), (2.0, False)])
+def test_an_impact_near_the_ground_is_contact_and_one_in_the_air_is_none(table, tmp_path, height, touches) -> None:
+    """2 g within 20 ms, which no rotor gives so fast. Vibration of 2 m/s² is no impact."""
+    stands, skims = on_ground(table, 150, idle=200.0).assign(p_z=0.0), table[:100].assign(p_z=height)
+    skims.loc[50:51, "acc_z"] += 20.0
+    skims["acc_x"] += 2.0 * np.random.default_rng(2).standard_normal(100)
+    results = ground_rows([stands, skims, table.assign(p_z=table["p_z"] + 3.0)], tmp_path, lift_off=0.0)
+    assert results[200:202].all() == touches
+    assert not results[155:195].any()
+    assert not results[206:].any()
+
+
 def test_a_low_slow_hover_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
     hover = on_ground(table, 400, idle=np.sqrt(0.6 * 9.81 / 4.8e-6)).assign(p_z=0.8)
     assert ground_rows([hover, table], tmp_path, lift_off=0.01) is None
