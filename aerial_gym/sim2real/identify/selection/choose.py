@@ -97,7 +97,7 @@ def choose_effects(
     """Return the most probable set, whose effects are named if a residual (rms) rises by ``material`` without them."""
     climber = SetSearch(predictor, declared, names, progress)
     results = _Chooser(climber, material).make_result(climber.find_best_set())
-    against = effects_against_kinematics(predictor, results)
+    against = effects_against_kinematics(predictor, results, declared)
     if not against:
         return results
     rest = choose_effects(
@@ -106,21 +106,23 @@ def choose_effects(
     return replace(rest, refused=rest.refused | against)
 
 
-def effects_against_kinematics(predictor: Predictor, chosen: MostProbableSet) -> dict[str, Finding]:
-    """Return the named effects on inertial sensors that worsen a channel of the sensors alone, on the training flights.
+def effects_against_kinematics(
+    predictor: Predictor, chosen: MostProbableSet, declared: ModelParams
+) -> dict[str, Finding]:
+    """Return the probable effects on inertial sensors that worsen a channel of the sensors alone, on the training flights.
 
-    These channels need no dynamics, so such an effect stands in for an error of the dynamics. A channel is worse if the 95 %
-    interval of its rise by the effect is above zero.
+    These channels need no dynamics, so such an effect stands in for an error of the dynamics, also where it has no name. A
+    channel is worse if the 95 % interval of its rise by the effect is above zero.
     """
     places = [k for k, channel in enumerate(predictor.channels) if channel.kind in KINEMATIC]
-    names = [name for name in chosen.effect_names if isinstance(EFFECTS.get(name), ImuEffect)]
-    if not places or not names:
-        return {}
-    group, flight = time_block_of_rows(predictor.times), flight_of_rows(predictor.times)
-    residual, results = np.concatenate(predictor.residuals(chosen.named.params)), dict[str, Finding]()
-    for name in names:
-        without = np.concatenate(predictor.residuals(chosen.without[name].params))
-        rises = rise_with_interval(residual[:, places], without[:, places], group, flight)
+    results, group, flight = dict[str, Finding](), time_block_of_rows(predictor.times), flight_of_rows(predictor.times)
+    for name in dict.fromkeys((*chosen.effect_names, *chosen.best.effects)):
+        if not places or not isinstance(EFFECTS.get(name), ImuEffect):
+            continue
+        params = chosen.named.params if name in chosen.effect_names else chosen.best.params
+        neutral = params.with_effect(name, neutral_params(name, declared, predictor.robot))
+        residual, without = (np.concatenate(predictor.residuals(one))[:, places] for one in (params, neutral))
+        rises = rise_with_interval(residual, without, group, flight)
         worst = max(range(len(places)), key=lambda k: rises[k].low)
         if rises[worst].low > 0.0:
             channel = predictor.channels[places[worst]].name
