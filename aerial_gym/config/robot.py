@@ -125,11 +125,12 @@ class BodyCfg:
     moment at most the sum of the others (no real body violates this)."""
 
     com: Vec3 = (0.0, 0.0, 0.0)  # Centre of mass from the body origin [m], body axes
+    accelerometer: Vec3 = (0.0, 0.0, 0.0)  # That of its flight logs, from the body origin [m], body axes
     source: str  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "mass")
-        checks.require_finite(self, "com")
+        checks.require_finite(self, "com", "accelerometer")
         checks.require_inertia(self)
 
 

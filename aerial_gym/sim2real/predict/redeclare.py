@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.stats import chi2
 
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.robot import RobotCfg, Vec3
 from aerial_gym.config.rotor import RotorCfg
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.tolerances import STRAINED, Tolerances, split_deviations
 
-OF_VEHICLE = ("mass", "thrust", "inertia", "com", "time_constant", "nominal_voltage")
-"""Tolerances of values in a robot file; all others are of the log or its sensors."""
+OF_VEHICLE = ("mass", "thrust", "inertia", "com", "imu_place", "time_constant", "nominal_voltage")
+"""Tolerances of values in a robot file; all others are of the log or its other sensor errors."""
 
+PLACES = ("com", "imu_place")  # Vectors whose direction is arbitrary
 SIGNIFICANT_DIGITS = 6  # Significant digits of new values
 
 
@@ -27,9 +29,15 @@ def deviation_of_vehicle(deviation: Array, robot: RobotCfg) -> Array:
 
 
 def deviations_beyond_tolerance(tolerances: Tolerances, deviation: Array, robot: RobotCfg) -> dict[str, float]:
-    """Return the deviations of the vehicle beyond ``STRAINED`` standard deviations, by name of the tolerance."""
+    """Return the deviations of the vehicle beyond ``STRAINED`` standard deviations, by name of the tolerance.
+
+    All components of a place count if it is as improbable: the sum of their squares is chi-squared, as axes are arbitrary.
+    """
     off, names = deviation_of_vehicle(deviation, robot), tolerances.names(robot.num_rotors)
-    return {name: size for name, size in zip(names, off.tolist(), strict=True) if abs(size) > STRAINED}
+    limit = float(chi2.isf(chi2.sf(STRAINED**2, 1), 3))
+    far = {name for name, part in split_deviations(torch.from_numpy(off)).items() if float(part @ part) > limit}
+    far = {f"{name}_{axis}" for name in far.intersection(PLACES) for axis in "xyz"}
+    return {name: size for name, size in zip(names, off.tolist(), strict=True) if abs(size) > STRAINED or name in far}
 
 
 def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source: str) -> RobotCfg:
@@ -44,7 +52,8 @@ def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source:
     body = replace(
         body, mass=_round_value(body.mass * (1.0 + tolerances.mass * float(off["mass"][0]))),
         inertia=tuple(tuple(_round_value(value) for value in row) for row in inertia.tolist()),
-        com=tuple(_round_value(value) for value in (np.array(body.com) + tolerances.com * off["com"]).tolist()),
+        com=_shift_place(body.com, tolerances.com * off["com"]),
+        accelerometer=_shift_place(body.accelerometer, tolerances.imu_place * off["imu_place"]),
         source=f"{body.source}; {source}",
     )  # fmt: skip
     factors = (1.0 + tolerances.thrust * off["thrust"]).tolist()
@@ -74,6 +83,11 @@ def _scale_rotor(rotor: RotorCfg, factor: float, slower: float, source: str) -> 
     }
     times = {name: _round_value(slower * getattr(rotor, name)) for name in ("time_constant_up", "time_constant_down")}
     return replace(rotor, **maps, **times, source=f"{rotor.source}; {source}")
+
+
+def _shift_place(place: Vec3, way: Array) -> Vec3:
+    x, y, z = (_round_value(value) for value in (np.array(place) + way).tolist())
+    return x, y, z
 
 
 def _round_value(value: float) -> float:

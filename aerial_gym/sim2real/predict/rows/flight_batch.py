@@ -92,6 +92,7 @@ class FlightBatch:
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _LoadQuery | None = None
         self._params, self._in_step = params_from_robot(robot), None
+        self._accelerometer = torch.tensor(robot.body.accelerometer, dtype=torch.float64)
 
     @torch.inference_mode()
     def predict(self, params: ModelParams) -> list[Columns]:
@@ -134,6 +135,7 @@ class FlightBatch:
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
             speeds = self._replay.speeds(model, off.command_shift, sensors)
         logged = sensor_errors(self.tolerances, deviation)
+        logged = replace(logged, imu_place=logged.imu_place + self._accelerometer)
         return _ModelQuery(model=model, deviation=deviation, joint_start=off.joint_start, logged=logged, speeds=speeds)
 
     def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:

@@ -428,6 +428,10 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
         other_kinds = [k for k in range(len(kind_of)) if k not in kinds]
         assert np.abs(moved - as_was)[:, kinds].max() > 0.02
         assert np.abs(back - as_was)[:, kinds].max() < 0.05 * np.abs(moved - as_was)[:, kinds].max()
+        if read is felt:
+            body = replace(ROBOT.body, accelerometer=(0.01, 0.0, -0.005))
+            at_place = make_predictor([off], robot=replace(ROBOT, body=body)).residuals(ModelParams())[0]
+            np.testing.assert_allclose(at_place, back, atol=1e-12)
         unread = residual(results, ModelParams(deviation=draw_deviations(**sizes)))
         np.testing.assert_array_equal(unread[:, other_kinds], as_was[:, other_kinds])
 

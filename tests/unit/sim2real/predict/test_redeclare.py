@@ -34,6 +34,20 @@ def test_a_redeclared_robot_is_the_vehicle_of_the_prediction(robot, own, tmp_pat
         torch.testing.assert_close(written.tensors_by_name()[name], values, rtol=1e-5, atol=1e-9, equal_nan=True)
 
 
+@pytest.mark.parametrize(("third", "strained"), [(2.2, True), (2.0, False)])
+def test_a_place_is_strained_by_its_distance(third: float, strained: bool) -> None:
+    """2.2 deviations along each axis have a chi-squared sum of 14.5, less probable than 3 of one; 13.7 is not."""
+    robot = asymmetric_robot()
+    deviation = make_deviation(
+        robot, imu_place_x=2.2, imu_place_y=-2.2, imu_place_z=third, inertia_x=2.9, inertia_y=2.9
+    )
+    found = deviations_beyond_tolerance(TOLERANCES, deviation, robot)
+    assert set(found) == ({"imu_place_x", "imu_place_y", "imu_place_z"} if strained else set())
+    assert redeclare(robot, TOLERANCES, deviation, "test").body.accelerometer == pytest.approx(
+        (0.011, -0.011, 0.005 * third)
+    )
+
+
 def test_only_values_of_the_robot_file_count() -> None:
     robot = replace(asymmetric_robot(), battery=None)
     deviation = make_deviation(robot, mass=3.5, gyro_bias_x=9.0, com_x=-2.9)
