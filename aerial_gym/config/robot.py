@@ -125,7 +125,10 @@ class BodyCfg:
     moment at most the sum of the others (no real body violates this)."""
 
     com: Vec3 = (0.0, 0.0, 0.0)  # Centre of mass from the body origin [m], body axes
-    accelerometer: Vec3 = (0.0, 0.0, 0.0)  # That of its flight logs, from the body origin [m], body axes
+
+    accelerometer: Vec3 = field(default=(0.0, 0.0, 0.0), repr=False)
+    """Place of the accelerometer of its flight logs from the body origin [m], body axes. No simulation depends on it."""
+
     source: str  # Source of the numbers
 
     def __post_init__(self) -> None:

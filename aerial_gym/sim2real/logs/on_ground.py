@@ -85,9 +85,9 @@ def _rows_of_impacts(log: FlightLog, robot: RobotCfg, rotors: Array, stands: Fla
     thrust = total_rotor_force(robot, rotors) / robot.body.mass
     changes = np.linalg.norm(force[rows:] - force[:-rows], axis=1) - np.abs(thrust[rows:] - thrust[:-rows])
     flies = ~(stands[rows:] | stands[:-rows])
-    found = np.flatnonzero(flies)[shocks(changes[flies], near[rows:][flies])]
+    shocked = np.flatnonzero(flies)[shocks(changes[flies], near[rows:][flies])]
     for shift in range(rows + 1):
-        impacts[found + shift] = True
+        impacts[shocked + shift] = True
     return impacts
 
 

@@ -122,7 +122,7 @@ OBSERVATION = partial(ObservationCfg, term="attitude")
     (body, {"inertia": [[1e-3, 1e-4, 0], [0, 1e-3, 0], [0, 0, 1e-3]]}, "must be symmetric"),
     (body, {"inertia": [[1e-3, 0, 0], [0, 1e-3, 0]]}, "must have 3 entries"),
     (body, {"inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, float("inf")]]}, "must be finite"),
-    (body, {"masss": 1.0}, "here: unknown field 'masss'. Did you mean 'mass'\\? Known: mass, inertia, com, source"),
+    (body, {"masss": 1.0}, "here: unknown field 'masss'. Did you mean 'mass'\\? Known: mass, inertia, com, accel.*, source"),
     (rotor, {"time_constant_up": -0.1}, "RotorCfg.time_constant_up = -0.1"),
     (rotor, {"thrust_range": [2.0, 1.0]}, "needs low < high, and high > 0"),
     (rotor, {"thrust_range": [-2.0, -1.0]}, "needs low < high, and high > 0"),

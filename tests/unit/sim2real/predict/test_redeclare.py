@@ -41,8 +41,8 @@ def test_a_place_is_strained_by_its_distance(third: float, strained: bool) -> No
     deviation = make_deviation(
         robot, imu_place_x=2.2, imu_place_y=-2.2, imu_place_z=third, inertia_x=2.9, inertia_y=2.9
     )
-    found = deviations_beyond_tolerance(TOLERANCES, deviation, robot)
-    assert set(found) == ({"imu_place_x", "imu_place_y", "imu_place_z"} if strained else set())
+    deviations = deviations_beyond_tolerance(TOLERANCES, deviation, robot)
+    assert set(deviations) == ({"imu_place_x", "imu_place_y", "imu_place_z"} if strained else set())
     assert redeclare(robot, TOLERANCES, deviation, "test").body.accelerometer == pytest.approx(
         (0.011, -0.011, 0.005 * third)
     )
