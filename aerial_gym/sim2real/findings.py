@@ -51,7 +51,8 @@ _BY_SEVERITY = {
         # not testable, not named
         "not_excited no_soft_arms acts_on_links no_such_effect logs_lack voltage_too_steady commands_too_coarse "
         "no_inertial_sensor kinematics_disagree torques_not_compared effect_refused parameters_unknown flights_disagree "
-        "not_told_from_nothing interval_holds_neutral told_beside_another only_linear less_probable trifle follows_structure "
+        "not_told_from_nothing interval_holds_neutral told_beside_another remainder_larger only_linear less_probable trifle "
+        "follows_structure "
         # rivals, gusts, learned residual
         "rival_less_probable rival_wider rival_not_rejected gusts_no_floor gusts_no_forces gusts_no_drag gusts_refused "
         "may_be_noise adds_too_little wrong_corr_time rival_process learned_refused gain_by_chance few_flights_better "

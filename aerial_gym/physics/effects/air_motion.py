@@ -26,6 +26,8 @@ class ConstantWind(WindEffect):
         "a known drag, and headings or attitudes that differ (else a tilted or biased accelerometer looks alike)"
     )
     confused_with = ("rotor_drag", "quadratic_drag", "imu_bias", "com_offset")
+    steady = True
+    shown_by = ("x", "y")  # An error of thrust or mass looks like a vertical wind, which is near zero above the ground
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the parameters: the same wind at every position."""

@@ -120,6 +120,10 @@ class Effect(ABC):
     needs_radius: ClassVar[bool] = False  # Whether it depends on the radius of the rotors
     follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
     """Quantities that its force depends on: an imperfect law leaves a residual that follows them."""
+    steady: ClassVar[bool] = (
+        False  # Whether its size is the same at every position and time of a flight, as its law states
+    )
+    shown_by: ClassVar[tuple[str, ...]] = ()  # Parameters of which one must differ from neutral; empty: any of them
     told_by_torques: ClassVar[bool] = False  # Whether only torques distinguish it; without, it is no candidate
     told_by_rotor_speeds: ClassVar[bool] = False  # Whether measured rotor speeds beside commands are needed for that
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()  # Quantities that a log must hold in place of its memory

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
 from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
-from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.identify.selection.select import SelectionResult, selection_without_effects
 from aerial_gym.sim2real.identify.stages import LoopSetup, final_model_of_robot_file
 from aerial_gym.sim2real.judge.ablation import ablations_of_effects
 from aerial_gym.sim2real.judge.breakdown import errors_by_flight, errors_where_effect_acts
@@ -28,6 +28,7 @@ from aerial_gym.sim2real.judge.outcome import (
 )
 from aerial_gym.sim2real.judge.predictive import notes_on_doubt, selection_with_test_odds
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, random_wind_in_file
+from aerial_gym.sim2real.judge.remainder import effects_below_remainder
 from aerial_gym.sim2real.judge.residual_excess import (
     ResidualExcess,
     can_judge_forces,
@@ -81,6 +82,9 @@ def judge_on_test_flights(
     evaluations = evaluate_models(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_residual_excess(declared.train, tested, selection, (declared.params, model), named, still)
+    if minor := effects_below_remainder(declared.train, selection, unexplained):
+        rest = selection_without_effects(declared.train, declared.params, selection, minor)
+        return judge_on_test_flights(declared, rest, seed=seed, learn_residual=learn_residual, progress=progress)
     doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
     result = selection_with_test_odds(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
@@ -244,6 +248,7 @@ def verdict_notes(
         *notes_on_redeclared_values(declared, model),
         *notes_on_implausible_deviations(declared, model, selection.criteria.material, unexplained, named),
         *notes_on_surrogates_and_offsets(selection),
+        *(reason for reason in selection.refused.values() if reason.code == "remainder_larger"),
         *notes_on_logs(declared),
     )
 

@@ -226,7 +226,7 @@ REASONS: dict[str, Template] = {
     "kinematics_disagree": "The sensors alone contradict it: with it, the error of {channel} rises by {rise:percent}.",
     "torques_not_compared": "Torques are not compared here, and forces alone do not tell it from a drag or a turned sensor.",
     "effect_refused": "{error}.",
-    "interval_holds_neutral": "The interval of every parameter contains the value without effect.",
+    "interval_holds_neutral": "The interval of every parameter that can show it contains the value without effect.",
     "parameters_unknown": "These flights leave every parameter unknown by more than its scale.",
     "flights_disagree": (
         "Probable only if noise were the only error (log odds {log_odds:.0f}): the flights disagree on it, or it needs a "
@@ -234,6 +234,9 @@ REASONS: dict[str, Template] = {
     ),
     "not_told_from_nothing": ("Probable, but not certain enough (log odds {log_odds:.1f}; {least_log_odds:g} needed)."),
     "told_beside_another": "It is certain enough only together with an effect that is not.",
+    "remainder_larger": (
+        "{subject} is not named: it removes less of the {channels:errors} than remains unexplained. An unknown cause is larger."
+    ),
     "only_linear": "Its linear model predicts a gain that the full fit does not reach.",
     "less_probable": "Less probable than not.",
     "trifle": "Immaterial: without it no training error rises by more than {rise:percent}.",

@@ -134,6 +134,7 @@ SAMPLES = [
     Finding("values_tied", "payload_mass", {
         "replaced": ["payload_mass"], "others": [{"effect": "thrust_coefficient", "params": {"scale": 0.87}}], "loss": 0.31,
     }),
+    Finding("remainder_larger", "constant_wind", {"channels": XZ}),
     Finding("stands_in", "thrust_coefficient", {"structure": "time"}),
     Finding("offsets_sizes", "", {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]}),
     Finding("values_redeclared", "", {"values": [{"value": "thrust_1", "deviation_std": 4.7}]}),

@@ -151,6 +151,15 @@ def structure_functions(kind: str, flights: Sequence[Flight], times: Sequence[Ar
     return _orthonormal_functions(structure_features(flights, times)[kind])
 
 
+def gradient_functions(predictor: Predictor) -> dict[str, list[Array]]:
+    """Return time and, where logged, position, with mean 0 and RMS 1 over all flights and orthogonal, (T, F) of each flight."""
+    pairs, features = list(zip(predictor.flights, predictor.times, strict=True)), {}
+    features["time"] = [time[:, None] for time in predictor.times]
+    if all(flight.position is not None for flight in predictor.flights):
+        features["position"] = [flight.position[rows_at_times(flight, time)] for flight, time in pairs]
+    return {kind: _orthonormal_functions(parts) for kind, parts in features.items()}
+
+
 def _orthonormal_functions(features: Sequence[Array]) -> list[Array]:
     """Return an orthogonal basis of the features' deviations from their means, with RMS 1 over all flights, (T, F)."""
     whole = np.concatenate(features)

@@ -5,8 +5,10 @@ Every named effect must be supported despite the scatter between flights, and mu
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
+from scipy import special
 from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
@@ -14,15 +16,20 @@ from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_params, observable_candidates
-from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, structure_functions
+from aerial_gym.sim2real.identify.candidates.nuisance import (
+    OF_FLIGHTS,
+    NuisanceColumns,
+    gradient_functions,
+    structure_functions,
+)
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, set_label
 from aerial_gym.sim2real.identify.evidence.guard import linearise_about_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
-from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, parameter_row, parameter_scales
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView, occam_window
-from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import KINEMATIC
@@ -56,8 +63,8 @@ class MostProbableSet:
         """Return the names of the effects."""
         return self.named.effects
 
-    def without_undetermined_effect(self, name: str, neutral: Array, code: str) -> "MostProbableSet":
-        """Return the choice without a named effect that the flights do not determine, also in ``without``; ``code``: reason."""
+    def without_undetermined_effect(self, name: str, neutral: Array, reason: Finding) -> Self:
+        """Return the choice without a named effect that the flights do not determine, also in ``without``."""
         less = {
             other: replace(
                 one,
@@ -67,7 +74,7 @@ class MostProbableSet:
             for other, one in self.without.items()
             if other != name
         }
-        refused = self.refused | {name: Finding(code, name)}
+        refused = self.refused | {name: reason}
         in_part = tuple(rival for rival in self.in_part if rival.effect != name)
         return replace(self, named=self.without[name], without=less, refused=refused, in_part=in_part)
 
@@ -252,7 +259,8 @@ class _Chooser:
         """Return the surrogate effects, each with the structure that its size follows.
 
         For a surrogate, one cause of varying size is more probable than a steady effect beside a separate structure of that
-        kind, by ``occam_window``. An effect whose law has that quantity is no surrogate.
+        kind, by ``occam_window``. An effect whose law has that quantity is no surrogate. A steady effect is one if its size
+        has a significant gradient over position or time, of more than ``STEADY``.
         """
         predictor, results = self.predictor, {}
         predicted = predictor.predict(present.params)
@@ -282,6 +290,21 @@ class _Chooser:
             varied, parameters = log_posterior(rest, columns)
             share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
             if varied - fitter.log_prior_cost_of_effect - steady > occam_window(present) and share > STEADY:
+                results[name] = kind
+        steady = [name for name in present.effects if EFFECTS.get(name).steady and name not in results]
+        if steady:
+            before, gradients = log_posterior(present.structures)[1], gradient_functions(predictor)
+        for name, kind in ((name, kind) for name in steady for kind in gradients):
+            size = (parameter_row(present.params, (name,)) - neutral[name]) / parameter_scales((name,))
+            along = effect_jacobian(predictor, present.params, (name,), predicted)
+            parts = zip(along, gradients[kind], strict=True)
+            columns = [
+                np.linalg.norm(size) * (j[..., None] * g[:, None, None]).reshape(*j.shape[:2], -1) for j, g in parts
+            ]
+            _, parameters = log_posterior(present.structures, columns)
+            count, gain = columns[0].shape[2], parameters.log_likelihood - before.log_likelihood
+            share = float(np.sqrt((parameters.step[-count:] ** 2).sum()))
+            if special.chdtrc(count, max(2.0 * gain, 0.0)) < Criteria().significance and share > STEADY:
                 results[name] = kind
         return results
 

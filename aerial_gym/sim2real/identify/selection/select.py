@@ -1,6 +1,6 @@
 """Selection of effects: those of the most probable set, fitted with their uncertainty, and their rivals."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -144,6 +144,21 @@ def select_effects(
     )
 
 
+def selection_without_effects(
+    predictor: Predictor, declared: ModelParams, selection: SelectionResult, reasons: Mapping[str, Finding]
+) -> SelectionResult:
+    """Return a selection without some named effects, each with the reason against it, and the others fitted anew."""
+    left = selection
+    for name, reason in reasons.items():
+        neutral = neutral_params(name, declared, predictor.robot)
+        left = left.without_undetermined_effect(name, neutral, reason)
+    final = FinalFit(predictor, declared, left)
+    chosen, fit, spread = final.fit_determined()
+    assert isinstance(chosen, SelectionResult)
+    ties = final.find_ties(fit, [name for name in selection.looked_for if name not in selection.not_testable])
+    return replace(chosen, fit=fit, spread=spread, value_ties=ties)
+
+
 class FinalFit:
     """Fit of the named effects with their uncertainty."""
 
@@ -175,7 +190,7 @@ class FinalFit:
         if blind:  # the complete fit determines none of their parameters, or not that one differs from neutral
             name = min(blind)
             neutral = neutral_params(name, self.declared, self.predictor.robot)
-            self.chosen = self.chosen.without_undetermined_effect(name, neutral, code)
+            self.chosen = self.chosen.without_undetermined_effect(name, neutral, Finding(code, name))
             return self.fit_determined()
         if not unseen:
             return self.chosen, fit, spread
@@ -193,13 +208,14 @@ class FinalFit:
         )  # fmt: skip
 
     def effects_near_neutral(self, fit: ModelFit, spread: Uncertainty) -> set[str]:
-        """Return the effects of which every fitted parameter has its neutral value in its 95 % interval."""
+        """Return the effects of which no parameter that can show them has an interval without its neutral value (95 %)."""
         distinct = set[str]()
         for place, half_width in zip(spread.columns.tolist(), spread.half_width.tolist(), strict=True):
             name, number = fit.parameter_owners[place]
             neutral = neutral_params(name, self.declared, self.predictor.robot)[number]
             distance = abs(fit.params.effects[name][number] - neutral) / parameter_scales((name,))[number]
-            if distance > half_width:
+            decisive = EFFECTS.get(name).shown_by or (EFFECTS.get(name).parameters[number].name,)
+            if distance > half_width and EFFECTS.get(name).parameters[number].name in decisive:
                 distinct.add(name)
         return set(fit.effects) - distinct
 

@@ -112,6 +112,44 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
     assert result.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
 
 
+DRAGGED = replace(ROBOT, effects={"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}, effects_source="flown with it")
+
+
+@pytest.mark.parametrize(("wind", "named"), [((0.0, 0.0, -0.7), ()), ((0.7, 0.0, 0.0), ("constant_wind",))])
+def test_a_wind_is_shown_by_its_horizontal_part(wind, named, tmp_path: Path) -> None:
+    """A vertical one is as well an error of thrust or mass."""
+    result = select_hidden(tmp_path, ("constant_wind",), robot=DRAGGED, seconds=6.0, drag=0.3, wind=wind)
+    assert result.effects == named
+    assert [reason.code for reason in result.refused.values()] == ([] if named else ["interval_holds_neutral"])
+
+
+def test_a_pull_that_varies_over_positions_is_no_steady_wind(tmp_path: Path) -> None:
+    """0.3 N at most towards a place; the accelerometer vibrates by 1 m/s², and the logged position wanders by 0.5 m."""
+    centre, logs = np.array([0.7, 0.3, 0.3]), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed + 100)
+        away = flight(seed, rate=100.0)[["p_x", "p_y", "p_z"]].to_numpy() - [0.0, 0.0, 5.0] - centre
+        pull = -0.3 * away * np.exp(0.5 - 0.5 * (away**2).sum(axis=1, keepdims=True))
+        table = flight(seed, noise=1.0, rate=100.0, drag=0.3, outside=pull)
+        table[["acc_x", "acc_y", "acc_z"]] += rng.standard_normal((len(table), 3))
+        phase = rng.uniform(0.0, 2.0 * np.pi, 3)
+        table[["p_x", "p_y", "p_z"]] += np.sqrt(0.5) * np.sin(0.2 * np.pi * table["t"].to_numpy()[:, None] + phase)
+        logs.append(table)
+    predictor = make_predictor(load_tables(tmp_path, logs, DRAGGED), DRAGGED)
+    names = (
+        "constant_wind",
+        "wind_shear",
+        "rotor_drag",
+        "payload_mass",
+        "thrust_coefficient",
+        "imu_bias",
+        "com_offset",
+    )
+    result = select_effects(predictor, params_from_robot(DRAGGED), Criteria(), candidates=names)
+    assert "constant_wind" not in result.effects
+    assert result.surrogates == {"constant_wind": "position"}
+
+
 def test_rivals_are_the_best_sets_with_another_effect_in_the_place_of_a_named_one() -> None:
     """Odds count over the overdispersion, here 2: 4 behind are 2, not told apart; 8 behind are 4, told apart."""
     best = make_fit("rotor_drag", "com_offset", log=-100.0, overdispersion=2.0)

@@ -1,0 +1,33 @@
+"""Named effects that remove less of an unexplained residual than remains of it: an unknown cause is larger than they are.
+
+Letters: C channels.
+"""
+
+import numpy as np
+
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, channel_rms, excess_power
+from aerial_gym.sim2real.predict.predictor import Predictor
+
+
+def effects_below_remainder(
+    train: Predictor, selection: SelectionResult, unexplained: ResidualExcess
+) -> dict[str, Finding]:
+    """Return the named effects whose only support is a residual of which more remains than they remove.
+
+    A channel supports an effect if it is explained, or if the effect removes more of its mean square on the training flights
+    than remains above the noise floor. The gain in log likelihood of these channels must reach ``LEAST_SCORE``.
+    """
+    rows, weight = sum(time.size for time in train.times), selection.weights.weight
+    power = channel_rms(train.residuals(selection.named.model_with_deviations)) ** 2
+    open_channels = np.array([channel.name in unexplained.channels for channel in train.channels])
+    remainder = open_channels * excess_power(np.sqrt(power), unexplained.floor)
+    results = {}
+    for name in selection.effects if open_channels.any() else ():
+        removed = channel_rms(train.residuals(selection.without[name].model_with_deviations)) ** 2 - power
+        gain = 0.5 * rows * float(weight @ np.where(removed > remainder, removed, 0.0))
+        if gain < LEAST_SCORE * selection.best.parameter_overdispersion:
+            results[name] = Finding("remainder_larger", name, {"channels": list(unexplained.channels)})
+    return results
