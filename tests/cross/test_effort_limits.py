@@ -18,7 +18,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated import steppers
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import Equations
+from aerial_gym.physics.articulated.dynamics import EquationsOfMotion
 from aerial_gym.physics.articulated.fused import limit_solver
 from aerial_gym.physics.articulated.joint_laws import Drive, dry_friction, joint_effort
 from aerial_gym.physics.rotors import state_for_thrust
@@ -101,7 +101,9 @@ class RobotFlight:
         return ArticulatedState(**{name: rows.double() for name, rows in vars(state).items()}), JointEfforts(**efforts)
 
 
-def change_effort(exact: RobotFlight, result: Equations, start: ArticulatedState, end: ArticulatedState) -> Tensor:
+def change_effort(
+    exact: RobotFlight, result: EquationsOfMotion, start: ArticulatedState, end: ArticulatedState
+) -> Tensor:
     """Return the total effort of drive and friction of each joint that changes the rates from start to end, (E, D)."""
     turn = start.attitude
     change = quat_rotate_inverse(turn, end.lin_vel - start.lin_vel), end.ang_vel - start.ang_vel
@@ -128,7 +130,7 @@ SNAKES = [f"snakey{rods}{mode}" for rods in ("", "5", "6") for mode in ("", "_po
 def fly(robot: RobotCfg, monkeypatch: pytest.MonkeyPatch) -> dict[str, Residuals]:
     """Return the largest violations in 0.1 s under commands and thrusts drawn anew every 10 ms; each step also on torch from
     the same start."""
-    seen: list[Equations] = []
+    seen: list[EquationsOfMotion] = []
     own = steppers._implicit_step
 
     def record_step(tree, state, result, acts, dt):

@@ -13,7 +13,7 @@ from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import Equations, equations
+from aerial_gym.physics.articulated.dynamics import EquationsOfMotion, equations_of_motion
 from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.articulated.joint_laws import Effort
 from aerial_gym.physics.articulated.motion import angular_jacobian, point_jacobian
@@ -123,10 +123,10 @@ def step_bound(start: Start, first: int) -> Bound:
     def stepper(tree, links, laws, before, dt, *, gravity, drive, friction, wrench, damping, fluid, applied):
         assert damping is applied is None
         assert fluid is None
-        used: list[tuple[Effort, Equations]] = []
+        used: list[tuple[Effort, EquationsOfMotion]] = []
 
         def step(acts: Effort, swings: TreeState) -> TreeState:
-            used.append((acts, equations(tree, links, swings, gravity=gravity, wrench=wrench)))
+            used.append((acts, equations_of_motion(tree, links, swings, gravity=gravity, wrench=wrench)))
             return _implicit_step(tree, before, used[-1][1], acts, dt)
 
         after = step_within_limits(step, laws, drive, friction, before, dt)

@@ -28,7 +28,7 @@ for _name, _place in (
     ("brown_out", "rotor_failures:BrownOut"),
     ("actuation_delay", "actuation:ActuationDelay"),
     ("battery_sag", "actuation:BatterySag"),
-    ("command_curve", "command_curve:CommandCurveEffect"),
+    ("command_curve", "actuation:CommandCurveEffect"),
     ("rotor_inertia", "rotor_flow:RotorInertia"),
     ("motor_tilt", "rotor_failures:MotorTilt"),
     ("joint_spring", "arm_joint:JointSpring"),

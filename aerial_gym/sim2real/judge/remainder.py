@@ -25,7 +25,7 @@ def effects_below_remainder(
     open_channels = np.array([channel.name in unexplained.channels for channel in train.channels])
     remainder = open_channels * excess_power(np.sqrt(power), unexplained.floor)
     results = {}
-    for name in selection.effects if open_channels.any() else ():
+    for name in selection.effect_names if open_channels.any() else ():
         removed = channel_rms(train.residuals(selection.without[name].model_with_deviations)) ** 2 - power
         gain = 0.5 * rows * float(weight @ np.where(removed > remainder, removed, 0.0))
         if gain < LEAST_SCORE * selection.best.parameter_overdispersion:

@@ -36,8 +36,8 @@ def resample_streams(streams: Mapping[str, Stream], rows: Array) -> dict[str, Ar
     """Return the values of each stream at the rows [s], (T, components).
 
     Attitudes are interpolated on the sphere, held commands averaged from a row to the next, other streams averaged about a
-    row or interpolated, those of ``IN_BAND`` by a spline. Slow commands are interpolated too: they are rare samples of fast commands, and holding them
-    would delay these by half a sample.
+    row or interpolated, those of ``IN_BAND`` by a spline. Slow commands are interpolated too: they are rare samples of fast
+    commands, and holding them would delay these by half a sample.
     """
     return {name: _resample(stream, rows) for name, stream in streams.items()}
 

@@ -155,8 +155,9 @@ def gradient_functions(predictor: Predictor) -> dict[str, list[Array]]:
     """Return time and, where logged, position, with mean 0 and RMS 1 over all flights and orthogonal, (T, F) of each flight."""
     pairs, features = list(zip(predictor.flights, predictor.times, strict=True)), {}
     features["time"] = [time[:, None] for time in predictor.times]
-    if all(flight.position is not None for flight in predictor.flights):
-        features["position"] = [flight.position[rows_at_times(flight, time)] for flight, time in pairs]
+    places = [(flight.position, rows_at_times(flight, time)) for flight, time in pairs]
+    if all(position is not None for position, _ in places):
+        features["position"] = [position[rows] for position, rows in places if position is not None]
     return {kind: _orthonormal_functions(parts) for kind, parts in features.items()}
 
 

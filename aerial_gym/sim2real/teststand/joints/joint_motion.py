@@ -17,7 +17,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.flight import link_damping, link_fluid, link_wrenches
 from aerial_gym.physics.articulated.link_loads import add_fluid
 from aerial_gym.physics.articulated.tree import Links, TreeState
@@ -127,7 +127,7 @@ def joint_efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: 
     damping = link_damping(model, articulation, links, state)
     if damping is not None:
         wrench = wrench + damping.start_wrench(links)
-    results = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
+    results = equations_of_motion(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
     fluid = link_fluid(model, links, state)
     if fluid is not None:
         results = add_fluid(articulation.tree, results, state.attitude, fluid)

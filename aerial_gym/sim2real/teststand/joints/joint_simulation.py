@@ -19,7 +19,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.joint_laws import JointLimits, Spring
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.effects import EFFECTS, LinkFluidEffect
@@ -180,7 +180,7 @@ class JointSimulation:
         own = {name: value[:1] for name, value in here.motion.items()}
         rest = laws.spring.rest[:1]
         state = TreeState(position=own["lin_vel"], joint_pos=rest, joint_vel=torch.zeros_like(rest), **own)
-        mass = equations(self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY).mass
+        mass = equations_of_motion(self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY).mass
         ease = torch.linalg.inv(mass)[0].diagonal()[6:]  # joint acceleration per effort
         slope, damping = laws.largest_stiffness_and_damping
         quickest = float(torch.maximum(damping * ease, (slope * ease).sqrt()).max())
@@ -191,7 +191,7 @@ class JointSimulation:
     ) -> tuple[Tensor, Tensor]:
         """Return the body's specific force and angular acceleration, (E, 6), and the joint accelerations, (E, D)."""
         state = TreeState(position=row.motion["lin_vel"], joint_pos=angle, joint_vel=rate, **row.motion)
-        results = equations(
+        results = equations_of_motion(
             self._articulation.tree,
             self._links,
             state,

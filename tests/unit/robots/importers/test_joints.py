@@ -14,7 +14,7 @@ from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
-from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.dynamics import equations_of_motion
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import RotorHints, import_robot
@@ -96,7 +96,7 @@ def package_dynamics(robot: RobotCfg, angle: np.ndarray):
     bends = build_articulation(robot, like=vehicle.mass)
     state = TreeState.at_rest(1, bends.num_joints, like=vehicle.mass.unsqueeze(-1))
     state = TreeState(**{**vars(state), "joint_pos": torch.from_numpy(angle).unsqueeze(0)})
-    result = equations(bends.tree, bends.links(vehicle), state, gravity=9.81)
+    result = equations_of_motion(bends.tree, bends.links(vehicle), state, gravity=9.81)
     return result.mass[0].numpy(), result.places.com[0].numpy()
 
 

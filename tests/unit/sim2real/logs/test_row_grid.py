@@ -40,7 +40,9 @@ def test_fast_commands_are_averaged_over_a_row_and_slow_ones_interpolated() -> N
     """A held command that changes within a row has its share of the row, and is neither late nor early."""
     fast, slow = stream("rotor_command", 100.0), stream("rotor_command", 10.0)
     rows = np.arange(1.0, 3.0, 0.004)
-    held = resample_streams({"rotor_command": stream("rotor_command", 100.0, fast.time[:, None])}, rows)["rotor_command"]
+    held = resample_streams({"rotor_command": stream("rotor_command", 100.0, fast.time[:, None])}, rows)[
+        "rotor_command"
+    ]
     fine = np.floor((rows[:, None] + np.arange(0.5, 8.0) * 5e-4) * 100.0) / 100.0
     np.testing.assert_allclose(held[:, 0], fine.mean(axis=1), atol=1e-9)
     line = resample_streams({"rotor_command": stream("rotor_command", 10.0, slow.time[:, None])}, rows)["rotor_command"]
