@@ -14,8 +14,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.body_shapes import body_reach, body_shapes, contact_points, has_boxes_or_capsules
+from aerial_gym.assets.body_shapes import body_shapes
 from aerial_gym.assets.collision_kernel import NoObstacles, make_collision_kernel
+from aerial_gym.assets.cores import body_reach, contact_points, has_boxes_or_capsules
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import check_tensor, vector_view

@@ -14,11 +14,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.joints.links import LinkTensors
 
 if TYPE_CHECKING:
     from aerial_gym.assets.collision import CollisionTest
     from aerial_gym.assets.self_collision import SelfCollisionTest
+    from aerial_gym.robots.joints.link_tensors import LinkTensors
     from aerial_gym.robots.joints.links import LinkPlaces
 
 
@@ -44,7 +44,7 @@ class CollisionTests:
     _between: "SelfCollisionTest | None" = None
 
     def __init__(
-        self, robot: RobotCfg, gtd: GlobalTensorDictionary, assets: AssetManager, *, links: LinkTensors | None,
+        self, robot: RobotCfg, gtd: GlobalTensorDictionary, assets: AssetManager, *, links: "LinkTensors | None",
         places: "LinkPlaces | None", trajectory: Trajectory | None, dt: float,
     ) -> None:  # fmt: skip
         """Declare the distance between links on request, and take views.

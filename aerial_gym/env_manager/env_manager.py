@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds
-from aerial_gym.assets.body_shapes import body_reach
+from aerial_gym.assets.cores import body_reach
 from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
@@ -38,7 +38,7 @@ from aerial_gym.registry.state import (
 )
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.joints.links import declare_links
+from aerial_gym.robots.joints.link_tensors import declare_links
 from aerial_gym.robots.range_warnings import report_range_faults
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 from aerial_gym.sensors.mounts import Carrier

@@ -9,7 +9,7 @@ from math import inf
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import RobotCfg
@@ -21,7 +21,7 @@ from aerial_gym.physics.effects import FluidEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.state import BodyState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.joints.links import LinkTensors
+from aerial_gym.robots.joints.link_tensors import LinkTensors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacles import Obstacles, asset_table, view_obstacles
 from aerial_gym.config.environment import AssetCfg, ContactCfg, MotionCfg
 from aerial_gym.config.robot import BodyCfg, CollisionShape

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.assets import CollisionTest, Scene
-from aerial_gym.assets.body_shapes import body_reach, contact_points
+from aerial_gym.assets.cores import body_reach, contact_points
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.errors import ConfigError

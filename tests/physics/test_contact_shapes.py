@@ -5,7 +5,7 @@ from math import atan2, exp
 import pytest
 import torch
 
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import ShapeCfg

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse

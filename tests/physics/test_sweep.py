@@ -22,7 +22,8 @@ from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionS
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.robots.joints.links import LinkTrajectory, declare_links
+from aerial_gym.robots.joints.link_tensors import declare_links
+from aerial_gym.robots.joints.links import LinkTrajectory
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from math import pi
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.body_shapes import body_reach
+from aerial_gym.assets.cores import body_reach
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.env_manager import EnvManager, SimBuilder

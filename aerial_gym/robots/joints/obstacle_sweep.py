@@ -33,7 +33,8 @@ from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.robots.contact_pairs import ContactScene, add_core_pairs, contact_scene, find_pairs, has_fast_approach
 from aerial_gym.robots.crossings import make_first_crossing, substep_path
-from aerial_gym.robots.joints.links import LinkPlaces, LinkTensors
+from aerial_gym.robots.joints.link_tensors import LinkTensors
+from aerial_gym.robots.joints.links import LinkPlaces
 
 
 @wp.kernel(enable_backward=False)
