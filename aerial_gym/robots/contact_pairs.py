@@ -12,7 +12,8 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import BodyShape, body_shapes, has_boxes_or_capsules
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes
+from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.geometry import outward_normal, signed_distance
 from aerial_gym.assets.nearest import Core, Nearest, as_box, box_corner, nearest_of_core
 from aerial_gym.assets.scene_arrays import (

@@ -16,7 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import has_boxes_or_capsules
+from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.obstacle_motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import check_tensor, vector_view

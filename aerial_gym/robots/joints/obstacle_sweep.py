@@ -15,7 +15,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import contact_points, shape_core
+from aerial_gym.assets.cores import contact_points, shape_core
 from aerial_gym.assets.mesh_files import is_convex, load_mesh
 from aerial_gym.assets.obstacle_motion import make_motion_launch
 from aerial_gym.assets.obstacles import Obstacles
