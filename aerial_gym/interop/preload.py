@@ -7,18 +7,19 @@ import ctypes
 import os
 import sys
 import threading
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 
 NATIVE = ("numpy", "yaml", "asyncio", "cProfile", "csv", "hashlib", "multiprocessing", "queue", "uuid")
 """Modules with native code that Warp and PyTorch import. They load first: glibc loads one library at a time, and those of
-PyTorch take long."""
+PyTorch take long. Python's lock would be held meanwhile."""
 
 BESIDE = ("warp", "aerial_gym.config.environment", "aerial_gym.config.robot", "aerial_gym.config.task")
 """Modules that take long to import and do not need PyTorch."""
 
 TORCH_LIBRARIES = ("libtorch_global_deps.so", "libtorch_cpu.so", "libtorch_cuda.so")
+WARP_LIBRARIES = ("warp.so", "warp-clang.so")
 
 
 def preload(device: str | None) -> list[threading.Thread]:
@@ -31,14 +32,13 @@ def preload(device: str | None) -> list[threading.Thread]:
         return []
     kind, _, number = (device or "auto").partition(":")
     number = number or os.environ.get("LOCAL_RANK") or "0"  # torchrun's number of the process on this machine
-    threads = [threading.Thread(target=_load_torch, name="preload libraries", daemon=True)]
-    if kind in ("auto", "cuda") and number.isdecimal():
-        threads.append(threading.Thread(target=_load_gpu, args=(int(number),), name="preload GPU", daemon=True))
+    threads = []
+    driver = _load_driver() if kind in ("auto", "cuda") and number.isdecimal() else None
+    if driver is not None:
+        threads.append(_start_thread(_load_gpu, *driver, int(number)))
     for name in NATIVE:
         import_module(name)
-    for thread in threads:
-        thread.start()
-    return threads
+    return [*threads, _start_thread(_load, "torch", "lib", TORCH_LIBRARIES)]
 
 
 def import_without_torch() -> None:
@@ -47,34 +47,45 @@ def import_without_torch() -> None:
         import_module(name)
 
 
-def _load_torch() -> None:
-    for library in TORCH_LIBRARIES:
-        _open(_library("torch", f"lib/{library}"))
+def _start_thread(function: Callable[..., None], *arguments: object) -> threading.Thread:
+    thread = threading.Thread(target=function, args=arguments, name="preload", daemon=True)
+    thread.start()
+    return thread
 
 
-def _load_gpu(index: int) -> None:
-    """Create the primary context of a GPU, which is kept until the process ends, and load Warp's library."""
-    if not _open("libcuda.so.1"):
-        return
-    driver, handle, context = ctypes.CDLL("libcuda.so.1"), ctypes.c_int(), ctypes.c_void_p()
-    if driver.cuInit(0) == 0 and driver.cuDeviceGet(ctypes.byref(handle), index) == 0:
-        driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), handle)
-        for library in ("warp.so", "warp-clang.so"):
-            _open(_library("warp", f"bin/{library}"))
+DriverCall = Callable[..., int]  # Function of the CUDA driver, which returns 0 if it succeeds
 
 
-def _library(package: str, file: str) -> str:
-    """Return the path of a package's library, without importing the package."""
+def _load_driver() -> tuple[DriverCall, ...] | None:
+    """Return the driver's functions for a context; None without a driver."""
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return None
+    return driver.cuInit, driver.cuDeviceGet, driver.cuDevicePrimaryCtxRetain
+
+
+def _load_gpu(initialize: DriverCall, get_device: DriverCall, retain_context: DriverCall, index: int) -> None:
+    """Create the primary context of a GPU, which is kept until the process ends, and load Warp's libraries."""
+    handle, context = ctypes.c_int(), ctypes.c_void_p()
+    if initialize(0) == 0 and get_device(ctypes.byref(handle), index) == 0:
+        retain_context(ctypes.byref(context), handle)
+        _load("warp", "bin", WARP_LIBRARIES)
+
+
+def _load(package: str, folder: str, libraries: Sequence[str]) -> None:
+    """Load libraries of a package, without importing it; their users report missing ones later."""
     spec = find_spec(package)
-    folders = (spec.submodule_search_locations or [""]) if spec is not None else [""]
-    return str(Path(folders[0]) / file)
+    for home in spec.submodule_search_locations or () if spec is not None else ():
+        for library in libraries:
+            _dlopen(os.fsencode(os.path.join(home, folder, library)), os.RTLD_NOW)
 
 
-def _open(library: str) -> bool:
-    """Load a library while other threads run Python; return False if it or a dependency is missing.
+def _find_dlopen() -> Callable[[bytes, int], object]:
+    """Return the C function ``dlopen``, during which other threads run Python; ``ctypes.CDLL`` keeps Python's lock."""
+    function = ctypes.CDLL(None).dlopen
+    function.argtypes, function.restype = (ctypes.c_char_p, ctypes.c_int), ctypes.c_void_p
+    return function
 
-    ``ctypes.CDLL`` keeps Python's lock during the load; a call of the C function ``dlopen`` releases it.
-    """
-    load = ctypes.CDLL(None).dlopen
-    load.argtypes, load.restype = (ctypes.c_char_p, ctypes.c_int), ctypes.c_void_p
-    return load(os.fsencode(library), os.RTLD_NOW) is not None
+
+_dlopen = _find_dlopen() if sys.platform == "linux" else lambda *_: None

@@ -40,7 +40,7 @@ class Driver:
 
 
 def run_preload(driver: Driver, monkeypatch: pytest.MonkeyPatch, device: str | None) -> list[object]:
-    monkeypatch.setattr(module, "_open", lambda library: True)
+    monkeypatch.setattr(module, "_dlopen", lambda *_: None)
     monkeypatch.setattr(module.ctypes, "CDLL", lambda name: driver)
     for thread in module.preload(device):
         thread.join()
@@ -65,11 +65,11 @@ def test_other_devices_have_no_context(device: str, monkeypatch: pytest.MonkeyPa
     assert run_preload(Driver(), monkeypatch, device) == []
 
 
-def test_a_library_is_opened_and_a_missing_one_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert module._open("libm.so.6")
-    assert not module._open("/missing/libnone.so")
-    monkeypatch.setattr(module, "_open", lambda library: False)
-    module._load_gpu(0)  # no driver
+def test_a_library_loads_by_a_call_that_releases_the_lock_of_python() -> None:
+    """The flag of ``ctypes.PyDLL``, which keeps the lock, is absent."""
+    assert module._dlopen(b"libm.so.6", os.RTLD_NOW) is not None
+    assert module._dlopen(b"/missing/libnone.so", os.RTLD_NOW) is None
+    assert not type(module._dlopen)._flags_ & ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_
 
 
 def test_a_machine_without_a_driver_is_none_the_worse() -> None:
