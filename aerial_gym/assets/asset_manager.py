@@ -234,6 +234,8 @@ class AssetManager:
     def _draw_kinds(self) -> tuple[Tensor, Tensor]:
         """Draw the asset of each instance; return its row of the shape table and its semantic id, int64, each (E, A)."""
         assets, device = self._assets, self._device
+        if not assets:
+            return self._asset.long(), self._asset.long()
         asset, choice = draw_kinds(assets, self.random)
         self._asset.copy_(asset)
         counts = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)

@@ -6,6 +6,7 @@ Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -22,7 +23,7 @@ from aerial_gym.control.effectiveness import (
 from aerial_gym.math.rows import compute_if
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED, make_thrusts_by_priority
 from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
-from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
+from aerial_gym.physics.vehicle import Vehicle, is_shared, move_rows, own_rows, share_row
 
 Saturation = Literal["prioritised", "clamp"]
 MAP_FIELDS = ("thrust_map", "reverse_thrust_map")  # Fields of `Vehicle` that map between thrusts and rotor states
@@ -190,6 +191,14 @@ class Allocation:
         self._rests = bool((self.inverse[:, :, 2] == 0.0).any())
         self._actuation: CommandAxes | None = None
         self._own: tuple[str, ...] = ()
+
+    def bind_vehicle(self, vehicle: Vehicle) -> "Allocation":
+        """Return the allocation for its vehicle on another device."""
+        result = copy(self)
+        result.vehicle, device = vehicle, vehicle.mass.device
+        result.inverse, result.low, result.high = (move_rows(r, device) for r in (self.inverse, self.low, self.high))
+        result._matrix = self._matrix.to(device)
+        return result
 
     def follow(self, vehicle: Vehicle) -> None:
         """Give each environment its own rows of all values that depend on vehicle fields with own rows.

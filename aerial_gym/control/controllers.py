@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.catalog import CONTROL_LAWS
-from aerial_gym.control.gains import GAINS, gains_with_own_rows, make_gains
+from aerial_gym.control.gains import GAINS, bind_gains, gains_with_own_rows, make_gains
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.timing import has_memory
 from aerial_gym.errors import ConfigError
@@ -93,13 +93,15 @@ class LeeController:
         """Derive the gains from configuration, declared vehicle, gravity [m/s²], time step [s] and robot settings."""
         law = LAWS[cfg.law]
         self.action_names, self._law = law.action, law
-        self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        if law.lateral and not bool((self.allocation.controllable_share_of_axes > 0.999).all()):
+        declared = vehicle.to_device("cpu")  # a GPU loads a kernel for each of many small operations
+        allocation = Allocation(declared, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
+        if law.lateral and not bool((allocation.controllable_share_of_axes > 0.999).all()):
             raise ConfigError(
                 f"law {cfg.law!r}: pushes sideways without leaning, and the rotors of this vehicle do not. Take "
                 "lee_position_control, or a robot with rotors that point in several directions (aerial-gym robot check: rank 6)"
             )
-        self.gains = make_gains(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
+        gains = make_gains(cfg, control, declared, allocation, gravity=gravity, dt=dt)
+        self.allocation, self.gains = allocation.bind_vehicle(vehicle), bind_gains(gains, vehicle)
 
     @property
     def gains_by_name(self) -> dict[str, Tensor]:

@@ -25,7 +25,7 @@ from aerial_gym.config.randomize import LARGEST_NORMAL, RandomizeCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
+from aerial_gym.physics.vehicle import Vehicle, move_rows, own_rows, share_row
 
 GAINS = ("position", "velocity", "attitude", "rate")  # Fields of `LeeGains` that may be given and drawn, each (E, 3)
 LARGEST_INCLINATION = pi / 3  # Largest tilt with ample thrust [rad]. Source: Aerial Gym Simulator 2.0.1
@@ -189,6 +189,12 @@ def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGai
         max_yaw_rate=cfg.max_yaw_rate,
         max_inclination=cfg.max_inclination,
     )
+
+
+def bind_gains(gains: LeeGains, vehicle: Vehicle) -> LeeGains:
+    """Return gains on the device of their vehicle."""
+    moved = {name: move_rows(getattr(gains, name), vehicle.mass.device) for name in GAINS}
+    return replace(gains, **moved, mass=vehicle.mass, inertia=vehicle.inertia)
 
 
 def gain_range(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, Tensor]:

@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -38,7 +39,7 @@ def preload(device: str | None) -> list[threading.Thread]:
         threads.append(_start_thread(_load_gpu, *driver, int(number)))
     for name in NATIVE:
         import_module(name)
-    return [*threads, _start_thread(_load, "torch", "lib", TORCH_LIBRARIES)]
+    return [*threads, _start_thread(_load_torch_and_triton, driver is not None)]
 
 
 def import_without_torch() -> None:
@@ -71,6 +72,15 @@ def _load_gpu(initialize: DriverCall, get_device: DriverCall, retain_context: Dr
     if initialize(0) == 0 and get_device(ctypes.byref(handle), index) == 0:
         retain_context(ctypes.byref(context), handle)
         _load("warp", "bin", WARP_LIBRARIES)
+
+
+def _load_torch_and_triton(gpu: bool) -> None:
+    """Load PyTorch's libraries; for a GPU also Triton, which hashes its own files for 0.4 s before its first kernel."""
+    _load("torch", "lib", TORCH_LIBRARIES)
+    if gpu:
+        _load("triton", "_C", ("libtriton.so",))
+        with suppress(Exception):  # those who use Triton report its errors
+            import_module("triton.runtime.cache").triton_key()
 
 
 def _load(package: str, folder: str, libraries: Sequence[str]) -> None:

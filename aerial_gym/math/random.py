@@ -5,6 +5,7 @@ numbers because the device counts the episodes.
 Letters: E environments.
 """
 
+from copy import copy
 from enum import IntEnum
 from math import pi
 from typing import TypeVar
@@ -137,6 +138,12 @@ class Randomness:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint, by name."""
         return {"seed": self.seed, "environment": self.environment, "episode": self.episode}
+
+    def on_host(self) -> "Randomness":
+        """Return a copy on the CPU, for draws outside steps: a GPU would load a kernel for each operation."""
+        host = copy(self)
+        host.seed, host.environment, host.episode = (each.cpu() for each in self.state_tensors().values())
+        return host
 
     def begin(self, mask: Tensor) -> None:
         """Advance the episode in the environments of ``mask``, bool (E,)."""

@@ -28,6 +28,11 @@ def is_shared(rows: Tensor) -> bool:
     return rows.stride(0) == 0
 
 
+def move_rows(rows: Tensor, device: torch.device | str) -> Tensor:
+    """Return rows (E, ...) on a device; shared ones stay shared."""
+    return share_row(rows[0].to(device), rows.shape[0]) if is_shared(rows) else rows.to(device)
+
+
 def is_same_row(new: Tensor, kept: Tensor) -> bool:
     """Return whether rows are shared and equal those of ``kept``; waits for the device."""
     return is_shared(new) and torch.equal(new[0], kept[0])
@@ -127,6 +132,13 @@ class Vehicle:
             lambda rows: share_row(rows[0].to(dtype), rows.shape[0]) if is_shared(rows) else rows.to(dtype, copy=True)
         )
 
+    def to_device(self, device: torch.device | str) -> "Vehicle":
+        """Return the vehicle on a device. Fields that are one tensor stay one."""
+        if self.mass.device == torch.device(device):
+            return self
+        moved = {id(rows): move_rows(rows, device) for rows in self.tensors_by_name().values()}
+        return self.map_rows(lambda rows: moved[id(rows)])
+
     def of_rotors(self, rotors: Sequence[int]) -> "Vehicle":
         """Return the vehicle with some of its rotors, by index from 0; shared rows stay shared."""
         numbers = list(rotors)
@@ -153,10 +165,10 @@ class Vehicle:
 def vehicle_from_config(
     robot: RobotCfg, *, num_envs: int, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32
 ) -> Vehicle:
-    """Return the declared vehicle, its parameters shared by all environments."""
+    """Return the declared vehicle, its parameters shared by all environments; computed on the CPU."""
 
     def rows(values: object) -> Tensor:
-        return share_row(torch.tensor(values, dtype=dtype, device=device), num_envs)
+        return share_row(torch.tensor(values, dtype=dtype), num_envs)
 
     cell = robot.battery
     battery = [nan] * 6
@@ -166,7 +178,7 @@ def vehicle_from_config(
     rotors, layout = robot.rotor_types, robot.mounts.layout
     up, down = ([getattr(rotor, f"time_constant_{way}") for rotor in rotors] for way in ("up", "down"))
     rising = rows(up)
-    axis = torch.tensor([mount.axis for mount in layout], dtype=dtype, device=device)
+    axis = torch.tensor([mount.axis for mount in layout], dtype=dtype)
     vehicle = Vehicle(
         mass=rows(robot.body.mass),
         inertia=rows(robot.body.inertia),
@@ -191,12 +203,12 @@ def vehicle_from_config(
         rotor_map=find_rotor_map(rotors),
     )
     _check_numbers(vehicle)
-    return vehicle
+    return vehicle.to_device(device)
 
 
 def _check_numbers(vehicle: Vehicle) -> None:
     """Raise ``ConfigError`` for numbers of the robot file beyond the range of float32, which kernels use."""
-    first = {name: rows[:1].float().cpu() for name, rows in vehicle.tensors_by_name().items()}
+    first = {name: rows[:1].float() for name, rows in vehicle.tensors_by_name().items()}
     for name, row in first.items():
         may_lack = name.startswith("slew_rate") or name in ("rotor_radius", "battery")
         if not may_lack and not bool(row.isfinite().all()):

@@ -113,7 +113,7 @@ class RobotManager:
             efforts=efforts,
         )
         self.backend.prepare(sim.dt)
-        rest_speed = hover_speed(self.declared, sim.gravity)
+        rest_speed = hover_speed(self.declared.to_device("cpu"), sim.gravity).to(gtd.device)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self.noticed = NonFiniteRows.from_gtd(gtd)
         """Rows that were not finite."""

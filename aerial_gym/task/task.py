@@ -260,7 +260,7 @@ class Task:
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
-        age.copy_(uniform_draw(self.env.random.stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
+        age.copy_(uniform_draw(self.env.random.on_host().stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
     def step(self, actions: Tensor) -> StepResult:
         """Advance by one action, (E, V); return observation, reward (E,), terminated, truncated (E,) bool, info.

@@ -52,7 +52,12 @@ def _start_triton(device: torch.device) -> None:
 
 
 def _kernel_launcher(kernel: Any, grid: tuple[int, ...], *, compile_only: bool) -> Callable[..., object]:
-    return partial(kernel.warmup, grid=grid) if compile_only else kernel[grid]
+    return partial(_load_kernel, kernel, grid=grid) if compile_only else kernel[grid]
+
+
+def _load_kernel(kernel: Any, *arguments: object, grid: tuple[int, ...], **options: object) -> None:
+    """Compile a kernel and its launcher, and load them on the GPU."""
+    _ = kernel.warmup(*arguments, grid=grid, **options).run
 
 
 def fusion_refusal(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:

@@ -14,11 +14,13 @@ from torch import Tensor
 from aerial_gym.config.robot import MountCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot
+from aerial_gym.control.gains import bind_gains
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
+from aerial_gym.physics.vehicle import is_shared
 from aerial_gym.robots import ROBOTS
 from tests.repetitions import rare_values
 
@@ -229,3 +231,18 @@ def test_gradients_in_warp_are_those_of_torch() -> None:
     result = wp.to_torch(tape.gradients[single]).view(60, 6).double()
     assert (~has_margin(exact, wanted.detach())).sum() > 20
     torch.testing.assert_close(result, expected, atol=1e-3 * float(expected.abs().max()), rtol=0)
+
+
+def test_a_controller_moves_to_the_device_of_its_vehicle_with_rows_that_stay_shared() -> None:
+    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=3)
+    there = vehicle.to_device("meta")
+    controller = make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, 9.81, dt=0.01)
+    allocation, gains = controller.allocation.bind_vehicle(there), bind_gains(controller.gains, there)
+    moved = [*there.tensors_by_name().values(), allocation.inverse, allocation.low, gains.rate, gains.max_slope]
+    assert all(rows.device.type == "meta" and is_shared(rows) and len(rows) == 3 for rows in moved)
+    assert allocation.vehicle is there
+    assert gains.mass is there.mass
+    assert (vehicle.time_constant_up is vehicle.time_constant_down) == (
+        there.time_constant_up is there.time_constant_down
+    )
+    assert vehicle.to_device("cpu") is vehicle

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ class Driver:
 
 
 def run_preload(driver: Driver, monkeypatch: pytest.MonkeyPatch, device: str | None) -> list[object]:
+    monkeypatch.setattr(module, "_load_torch_and_triton", lambda gpu: None)
     monkeypatch.setattr(module, "_dlopen", lambda *_: None)
     monkeypatch.setattr(module.ctypes, "CDLL", lambda name: driver)
     for thread in module.preload(device):
@@ -70,6 +72,19 @@ def test_a_library_loads_by_a_call_that_releases_the_lock_of_python() -> None:
     assert module._dlopen(b"libm.so.6", os.RTLD_NOW) is not None
     assert module._dlopen(b"/missing/libnone.so", os.RTLD_NOW) is None
     assert not type(module._dlopen)._flags_ & ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_
+
+
+def test_triton_hashes_its_files_for_a_gpu_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    hashed: list[str] = []
+    monkeypatch.setattr(module, "_dlopen", lambda *_: None)
+    cache = SimpleNamespace(triton_key=lambda: hashed.append("key"))
+    monkeypatch.setattr(module, "import_module", lambda name: {"triton.runtime.cache": cache}[name])
+    module._load_torch_and_triton(gpu=False)
+    assert not hashed
+    module._load_torch_and_triton(gpu=True)
+    assert hashed == ["key"]
+    monkeypatch.setattr(module, "import_module", lambda name: {}[name])  # not installed
+    module._load_torch_and_triton(gpu=True)
 
 
 def test_a_machine_without_a_driver_is_none_the_worse() -> None:
