@@ -14,6 +14,7 @@ from torch import Tensor
 from aerial_gym.config.robot import MountCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation, ThrustsByPriority, allocation_matrix, allot
+from aerial_gym.control.controllers import LeeController
 from aerial_gym.control.gains import bind_gains
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
@@ -237,6 +238,7 @@ def test_a_controller_moves_to_the_device_of_its_vehicle_with_rows_that_stay_sha
     vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=3)
     there = vehicle.to_device("meta")
     controller = make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, 9.81, dt=0.01)
+    assert isinstance(controller, LeeController)
     allocation, gains = controller.allocation.bind_vehicle(there), bind_gains(controller.gains, there)
     moved = [*there.tensors_by_name().values(), allocation.inverse, allocation.low, gains.rate, gains.max_slope]
     assert all(rows.device.type == "meta" and is_shared(rows) and len(rows) == 3 for rows in moved)
