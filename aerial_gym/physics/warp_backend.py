@@ -199,7 +199,7 @@ class WarpBackend:
                 num_spheres=num_spheres,
                 compliant=ground is not None and ground.cfg is not None,
                 hook=fused_hook,
-                com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
+                com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com[0].cpu().any()),
                 differentiable=self._differentiable,
             )
         if not self._differentiable:

@@ -42,8 +42,8 @@ class StructField:
         return rows if entries is None else torch.stack([rows[:, i] for i in entries], dim=1)
 
     def common_values(self) -> list[float]:
-        """Return the numbers that all environments share."""
-        return self.compute(*(source[:1] for source in self.sources)).flatten().tolist()
+        """Return the numbers that all environments share, computed on the CPU."""
+        return self.compute(*(source[:1].cpu() for source in self.sources)).flatten().tolist()
 
 
 def _same(rows: Tensor) -> Tensor:
@@ -206,7 +206,8 @@ def find_equal_fields(vehicle: list[StructField]) -> dict[str, str]:
 
 def is_pure_square(field: StructField) -> bool:
     """Return whether a field of maps (E, R, 3) is purely quadratic in the speed."""
-    return not bool(field.sources[0][..., :2].any())
+    rows = field.sources[0][..., :2]
+    return not bool((rows[:1].cpu() if field.is_common else rows).any())
 
 
 def pack_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
