@@ -198,69 +198,42 @@ def _run_library_training(runner: _Runner, observer: _Observer) -> int:
     return status
 
 
+FIXED_OPTIONS = f"""
+    experiment=sample_factory use_rnn=False adaptive_stddev=False policy_initialization=torch_default
+    serial_mode=True async_rl=False batched_sampling=True num_workers=1 num_envs_per_worker=1 worker_num_splits=1
+    env_gpu_actions=True use_env_info_cache=True with_vtrace=False value_bootstrap=True shuffle_minibatches=False
+    lr_schedule=kl_adaptive_epoch kl_loss_coeff=0.0 log_to_file=False with_wandb=False save_every_sec={OFF // 10}
+    save_best_after={OFF} train_for_env_steps={OFF} train_for_seconds={OFF // 10} experiment_summaries_interval=3
+    flush_summaries_interval=5
+"""  # One batched environment in this process; the keeper schedules checkpoints
+
+PPO_OPTIONS = """
+    nonlinearity=activation initial_stddev=initial_std rollout=horizon num_batches_per_epoch=num_minibatches
+    num_epochs=num_epochs gamma=discount gae_lambda=gae_lambda learning_rate=learning_rate
+    lr_schedule_kl_threshold=kl_threshold ppo_clip_ratio=clip_range value_loss_coeff=value_coef
+    exploration_loss_coeff=entropy_coef max_grad_norm=max_grad_norm reward_scale=reward_scale
+    normalize_input=normalize_observation normalize_returns=normalize_value
+"""  # Options of the library, each with its field of `PpoCfg`
+
+
 def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device) -> Config:
     """Return the settings as Sample Factory names them, made by its own parser from a list, never from ``sys.argv``."""
-    ppo = cfg.section(PpoCfg)
-    batch = cfg.num_envs * ppo.horizon // ppo.num_minibatches
-    gpu = device.type == "cuda"
-    options: dict[str, object] = {
+    ppo, gpu = cfg.section(PpoCfg), device.type == "cuda"
+    options: dict[str, object] = dict(pair.split("=") for pair in FIXED_OPTIONS.split())
+    options |= {name: getattr(ppo, field) for name, field in (pair.split("=") for pair in PPO_OPTIONS.split())}
+    options |= {
         "env": env_name,
-        "experiment": "sample_factory",
         "train_dir": out,
         "seed": cfg.seed,
         "device": "gpu" if gpu else "cpu",
-        # one batched environment in this process
-        "serial_mode": True,
-        "async_rl": False,
-        "batched_sampling": True,
-        "num_workers": 1,
-        "num_envs_per_worker": 1,
-        "worker_num_splits": 1,
-        "env_gpu_actions": True,
         "env_gpu_observations": gpu,
-        "use_env_info_cache": True,
-        # learning
-        "use_rnn": False,
         "actor_critic_share_weights": not ppo.separate_value_network,
-        "nonlinearity": ppo.activation,
-        "adaptive_stddev": False,
-        "initial_stddev": ppo.initial_std,
-        "policy_initialization": "torch_default",
-        "rollout": ppo.horizon,
-        "batch_size": batch,
-        "num_batches_per_epoch": ppo.num_minibatches,
-        "num_epochs": ppo.num_epochs,
-        "shuffle_minibatches": False,
-        "gamma": ppo.discount,
-        "gae_lambda": ppo.gae_lambda,
-        "with_vtrace": False,
-        "value_bootstrap": True,
-        "learning_rate": ppo.learning_rate,
-        "lr_schedule": "kl_adaptive_epoch",
-        "lr_schedule_kl_threshold": ppo.kl_threshold,
-        "ppo_clip_ratio": ppo.clip_range,
+        "batch_size": cfg.num_envs * ppo.horizon // ppo.num_minibatches,
         "ppo_clip_value": ppo.clip_range if ppo.clip_value else NO_LIMIT,
-        "value_loss_coeff": ppo.value_coef,
-        "exploration_loss_coeff": ppo.entropy_coef,
-        "kl_loss_coeff": 0.0,
-        "max_grad_norm": ppo.max_grad_norm,
-        "reward_scale": ppo.reward_scale,
-        "normalize_input": ppo.normalize_observation,
-        "normalize_returns": ppo.normalize_value,
-        # files
-        "log_to_file": False,
-        "save_every_sec": OFF // 10,  # the keeper schedules checkpoints
-        "save_best_after": OFF,
-        "experiment_summaries_interval": 3,
-        "flush_summaries_interval": 5,
-        "with_wandb": False,
-        "train_for_env_steps": OFF,
-        "train_for_seconds": OFF // 10,
     }
     arguments = [f"--{key}={value}" for key, value in options.items()]
     arguments += ["--encoder_mlp_layers", *(str(width) for width in ppo.hidden_layers)]
-    if gpu:
-        arguments += ["--actor_worker_gpus", "0"]
+    arguments += ["--actor_worker_gpus", "0"] if gpu else []
     parser, _ = parse_sf_args(arguments)
     return parse_full_cfg(parser, arguments)
 
