@@ -18,7 +18,6 @@ from aerial_gym.config.shape import ShapeCfg
 
 if TYPE_CHECKING:
     import trimesh
-    from PIL.Image import Image
 
 DEFAULT_COLORS: dict[str, Vec3] = {
     "box": (0.66, 0.63, 0.58), "sphere": (0.62, 0.47, 0.44), "cylinder": (0.50, 0.56, 0.62),
@@ -82,10 +81,12 @@ def read_mesh_appearance(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.
     vertex_color, face_color, uv, texture, images = [], [], [], [], []
     for piece in pieces:
         of_vertices, of_faces = _mesh_colors(piece)
-        image = _texture_image(piece)
+        coordinates = getattr(piece.visual, "uv", None)  # a piece without them has no image
+        material = None if coordinates is None else getattr(piece.visual, "material", None)
+        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         vertex_color.append(of_vertices)
         face_color.append(of_faces)
-        uv.append(_texture_coordinates(piece))
+        uv.append(np.zeros((len(piece.vertices), 2)) if coordinates is None else np.asarray(coordinates, float)[:, :2])
         texture.append(np.full(len(piece.faces), -1 if image is None else len(images)))
         images += [] if image is None else [np.asarray(image.convert("RGB"), dtype=np.uint8)]
     color = np.concatenate(vertex_color)[faces] * np.concatenate(face_color)[:, None]
@@ -132,18 +133,6 @@ def _base_color(material: object) -> NDArray[np.float64]:
         return _color_shares(np.atleast_2d(value))[0]
     painted = any(getattr(material, name, None) is not None for name in ("image", "baseColorTexture"))
     return np.ones(3) if painted else np.asarray(DEFAULT_COLORS["mesh"])
-
-
-def _texture_image(piece: "trimesh.Trimesh") -> "Image | None":
-    """Return the image of a piece; None without an image or texture coordinates."""
-    material = None if getattr(piece.visual, "uv", None) is None else getattr(piece.visual, "material", None)
-    return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-
-
-def _texture_coordinates(piece: "trimesh.Trimesh") -> NDArray[np.float64]:
-    """Return the texture coordinates of the vertices, (V, 2); 0 without any."""
-    uv = getattr(piece.visual, "uv", None)
-    return np.zeros((len(piece.vertices), 2)) if uv is None else np.asarray(uv, dtype=np.float64)[:, :2]
 
 
 class AppearanceTable:

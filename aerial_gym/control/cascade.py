@@ -19,7 +19,7 @@ from aerial_gym.control.gains import (
     explicit_or_derived,
     frequency_ratio_of_loop,
     gains_with_own_rows,
-    make_gains,
+    make_gains_with_timing,
 )
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains, thrust_wrench
@@ -84,15 +84,7 @@ class CascadeController(StatefulController):
         self._law, loop, timing = LAWS[cfg.law], cfg.rate_loop, make_timing(cfg, dt)
         self.action_names = self._law.action
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        base = make_gains(
-            cfg,
-            control,
-            vehicle,
-            self.allocation,
-            gravity=gravity,
-            dt=timing.inner_period,
-            extra_lag=timing.lag_between_levels,
-        )
+        base = make_gains_with_timing(cfg, control, vehicle, self.allocation, gravity=gravity, timing=timing)
         self._inertia = vehicle.inertia
         self.gains = base if loop is None else gains_for_rate_setpoint(base)
         self.rate_gains: RateGains | None = None

@@ -25,6 +25,7 @@ from aerial_gym.config.randomize import LARGEST_NORMAL, RandomizeCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics.law_memory import Timing
 from aerial_gym.physics.vehicle import Vehicle, move_rows, own_rows, share_row
 
 GAINS = ("position", "velocity", "attitude", "rate")  # Fields of `LeeGains` that may be given and drawn, each (E, 3)
@@ -70,8 +71,10 @@ def derive_gains(
         attitude, attitude_damping = _slow_down_loop(
             attitude, attitude_damping, frequency_ratio_of_loop(cfg.phase_margin) * extra_lag
         )
-    attitude_lag = _longest_closed_loop_lag(attitude[:2], attitude_damping[:2])
-    frequency, damping = frequency_and_damping(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
+    frequency = 0.0  # of a vehicle without control of roll or pitch
+    if bool((attitude[:2] > 0.0).all()):
+        attitude_lag = float((2.0 * attitude_damping[:2] / attitude[:2]).max())
+        frequency, damping = frequency_and_damping(attitude_lag, cfg.phase_margin)
     position = explicit_or_derived(cfg.position_frequency, torch.full_like(inertia, frequency))
     position_damping = explicit_or_derived(cfg.position_damping, torch.full_like(inertia, damping))
     tilt = cfg.max_inclination
@@ -99,11 +102,6 @@ def _slow_down_loop(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Ten
 def explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
     """Return given numbers as a tensor like the derived ones, or these."""
     return derived if numbers is None else derived.new_tensor(numbers)
-
-
-def _longest_closed_loop_lag(frequency: Tensor, damping: Tensor) -> float:
-    """Return the longest lag ``2 z / w`` [s] of closed loops; 0 if an axis is uncontrolled."""
-    return float((2.0 * damping / frequency).max()) if bool((frequency > 0.0).all()) else 0.0
 
 
 def derive_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float) -> float:
@@ -140,16 +138,18 @@ def select_autopilot(cfg: ControllerCfg, control: ControlCfg) -> Any:
     return of_robot if rate is None else replace(of_robot, rate_hz=rate)
 
 
-def make_gains(
-    cfg: ControllerCfg,
-    control: ControlCfg,
-    vehicle: Vehicle,
-    allocation: Allocation,
-    *,
-    gravity: float,
-    dt: float | None,
-    extra_lag: float = 0.0,
+def make_gains_with_timing(
+    cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float, timing: Timing
 ) -> LeeGains:
+    """Return ``make_gains`` at the period of the inner level, with the delay between the levels."""
+    dt, lag = timing.inner_period, timing.lag_between_levels
+    return make_gains(cfg, control, vehicle, allocation, gravity=gravity, dt=dt, extra_lag=lag)
+
+
+def make_gains(
+    cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
+    dt: float | None, extra_lag: float = 0.0,
+) -> LeeGains:  # fmt: skip
     """Return the explicit gains of a controller, or else ``derive_gains``.
 
     Raises:

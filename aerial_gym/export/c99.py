@@ -21,7 +21,7 @@ from aerial_gym.export.c99_images import (
     join_code,
     layer_code,
 )
-from aerial_gym.export.layout import Layout
+from aerial_gym.export.layout import Layout, ObservationTerm
 from aerial_gym.export.module import C_FINITE, DeployablePolicy, action_transform
 from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.task.terms import actions
@@ -35,10 +35,7 @@ def policy_header(layout: Layout, *, work: int = 0) -> str:
     memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
     memory += f"\n    float work[2][{work}];" if layout.images else ""
     looks = " * images\n" + "".join(image_comment(image) for image in layout.images) if layout.images else ""
-    seen = "\n".join(
-        f" *   {_entry_range(s.first, s.count):>9}  {s.term}: {s.meaning}{_history_text(s.history)}"
-        for s in layout.observation
-    )
+    seen = "\n".join(map(_observation_comment, layout.observation))
     given = "\n".join(f" *   {i:>9}  {name}" for i, name in enumerate(layout.command))
     return f"""/* A policy of {layout.task} for {layout.robot} with {layout.controller}; aerial_gym {layout.version}.
  * Ask it every {1e3 / layout.rate_hz:.4g} ms ({layout.rate_hz:.4g} Hz), as in training.
@@ -306,12 +303,11 @@ _TRANSFORMS: dict[Callable[..., Tensor], Callable[[Mapping[str, Any]], str] | No
 """The transforms of actions, in C; None: the command is the action."""
 
 
-def _entry_range(first: int, count: int) -> str:
-    return str(first) if count == 1 else f"{first} to {first + count - 1}"
-
-
-def _history_text(history: int) -> str:
-    return "" if history == 1 else f"; of the last {history} steps, oldest first"
+def _observation_comment(term: ObservationTerm) -> str:
+    """Return the line of the header on a term: its entries, its name and its meaning."""
+    entries = str(term.first) if term.count == 1 else f"{term.first} to {term.first + term.count - 1}"
+    history = "" if term.history == 1 else f"; of the last {term.history} steps, oldest first"
+    return f" *   {entries:>9}  {term.term}: {term.meaning}{history}"
 
 
 def _c_number(value: float) -> str:

@@ -48,12 +48,10 @@ def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOC
     key = _key(kernel, device, block_dim)
     if key in _begun:
         return
-    if (
-        device.is_cpu and wp.config.cpu_compiler_flags is not None
-    ):  # one set of flags for nearly all, because headers are precompiled for each set
-        kernel.module.options["cpu_compiler_flags"] = " ".join(
-            (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_compiler_flags_of_long_kernel(kernel))
-        )
+    if device.is_cpu and wp.config.cpu_compiler_flags is not None:
+        flags = [wp.config.cpu_compiler_flags, NO_BFLOAT16]  # one set for nearly all: headers are precompiled for each
+        flags += _compiler_flags_of_long_kernel(kernel)
+        kernel.module.options["cpu_compiler_flags"] = " ".join(flags)
     _begun[key] = _workers().submit(
         wp.force_load, device=device, modules=[kernel.module], block_dim=key[2], max_workers=0
     )

@@ -144,3 +144,10 @@ def inverse_3x3(matrix: Tensor) -> Tensor:
 def sum_slices(a: Tensor, dim: int) -> Tensor:
     """Return the sum over an axis with few elements."""
     return reduce(torch.add, a.unbind(dim))
+
+
+def cross_product_matrix(vectors: Tensor) -> Tensor:
+    """Return the matrices that map b to ``a x b``, (..., 3, 3), of vectors a (..., 3)."""
+    x, y, z = vectors.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))

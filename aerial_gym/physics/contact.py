@@ -36,6 +36,7 @@ from aerial_gym.math.quaternion import (
     quat_rotate_inverse,
     quat_to_matrix,
 )
+from aerial_gym.math.rows import cross_product_matrix
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
 
@@ -103,7 +104,8 @@ def _velocity_change(
     """Return the changes of velocity and angular velocity, world, (E, 6), for mass (E, 1) and inertia (E, 6, 6)."""
     gap, lever, normal = contacts.gap, contacts.lever, contacts.normal
     to_point = torch.cat(
-        (torch.eye(3, dtype=lever.dtype, device=lever.device).expand(*gap.shape, 3, 3), -_skew(lever)), -1
+        (torch.eye(3, dtype=lever.dtype, device=lever.device).expand(*gap.shape, 3, 3), -cross_product_matrix(lever)),
+        -1,
     )
     across = normal.unsqueeze(-1) * normal.unsqueeze(-2)
     along = torch.eye(3, dtype=lever.dtype, device=lever.device) - across
@@ -147,13 +149,6 @@ def _velocity_change(
         system = inertia + (to_point.mT @ give @ to_point).sum(1)
         delta = torch.linalg.solve_ex(system, _multiply(to_point.mT, impulse).sum(1)).result
     return delta
-
-
-def _skew(vector: Tensor) -> Tensor:
-    """Return the cross-product matrices of vectors."""
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
 def _remove_component(matrix: Tensor, direction: Tensor) -> Tensor:

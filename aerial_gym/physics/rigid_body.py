@@ -14,7 +14,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
-from aerial_gym.math.rows import dot, times
+from aerial_gym.math.rows import cross_product_matrix, dot, times
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import (
     Condition,
@@ -300,7 +300,7 @@ def pull_of_load(
 
 def origin_suspension(model: Model, attitude: Tensor, acceleration: Tensor) -> SuspensionMotion:
     """Return the suspension of a load at the body origin, which has ``acceleration`` [m/s²], world, (E, 3), without it."""
-    cross = _skew(-model.vehicle.com)
+    cross = cross_product_matrix(-model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
     mobility = mobility + torch.diag_embed(1.0 / (model.vehicle.mass.unsqueeze(-1) + _added_mass(model)))
     rotation = quat_to_matrix(attitude)
@@ -316,13 +316,6 @@ def suspension_pull(
     ((effect, params),) = model.effects[LoadEffect]
     force, swing = effect.pull(suspension, load, params)
     return force, torch.linalg.cross(-model.vehicle.com, quat_rotate_inverse(attitude, force)), swing
-
-
-def _skew(vector: Tensor) -> Tensor:
-    """Return the cross-product matrices of vectors, (E, 3, 3)."""
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
 def append_memory_to_params(model: Model, remembered: Mapping[str, Tensor]) -> Model:

@@ -70,10 +70,6 @@ def _set_mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     return replace(vehicle, mass=mass, inertia=vehicle.inertia * (mass / vehicle.mass)[:, None, None])
 
 
-def _scale_inertia(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    return replace(vehicle, inertia=scale_second_moments(vehicle.inertia, draw))
-
-
 def _set_fields(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     drawn: dict[int, Tensor] = {}
     for declared in (getattr(vehicle, name) for name in names):  # one tensor for all names stays one
@@ -115,7 +111,8 @@ QUANTITIES: dict[str, Quantity] = {
     "body.mass": Quantity("kg", "one", _set_mass, "mass; the inertia grows with it (keep_inertia)", "mass"),
     "body.com": _quantity_of_fields("m", "vector", "centre of mass from the body origin, body", "com"),
     "body.inertia": Quantity(
-        "-", "vector", _scale_inertia, "factors on the mass's second moments along the body axes: stays that of a body",
+        "-", "vector", lambda vehicle, _, draw: replace(vehicle, inertia=scale_second_moments(vehicle.inertia, draw)),
+        "factors on the mass's second moments along the body axes: stays that of a body",
         how=("scale",),
     ),
     "rotor.thrust_map": Quantity("-", "rotor", _set_maps, "thrust and drag torque of a speed", how=("scale",)),

@@ -8,7 +8,6 @@ from dataclasses import replace
 from math import atan2, pi
 
 import torch
-from torch import Tensor
 
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.robot import RobotCfg
@@ -89,11 +88,8 @@ def quadrotor_to_rotors_matrix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]
         )
     shares = thrusts / most.unsqueeze(1)
     shares = shares / torch.cat((shares[:, :1].abs().amax(0), shares[:, 1:].square().mean(0).sqrt()))
-    return _to_tuples(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
-
-
-def _to_tuples(matrix: Tensor) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
+    mixing = shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0
+    return tuple(map(tuple, mixing.tolist()))
 
 
 def rotor_order(positions: Sequence[Vec3]) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.filters.biquad import Biquad, butterworth
-from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
+from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains_with_timing
 from aerial_gym.control.px4.cascade import smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
@@ -75,15 +75,7 @@ def derive_parameters(
     Missing gains follow from ``control.gains``: the torque per rate error at hover, and an integral that is slower by a², with
     the a of that module.
     """
-    base = make_gains(
-        cfg,
-        control,
-        vehicle,
-        allocation,
-        gravity=gravity,
-        dt=timing.loop * timing.dt,
-        extra_lag=timing.lag_between_levels,
-    )
+    base = make_gains_with_timing(cfg, control, vehicle, allocation, gravity=gravity, timing=timing)
     inverse = allocation.inverse[0].detach()
     largest = inverse[:, 3:].abs().amax(0)
     mix = torch.where(largest > 0.0, 1.0 / torch.where(largest > 0.0, largest, 1.0), 0.0)

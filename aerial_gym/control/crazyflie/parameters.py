@@ -21,7 +21,7 @@ from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, rotor_signs, 
 from aerial_gym.control.crazyflie.geometric import IntegralGains
 from aerial_gym.control.crazyflie.mellinger import MellingerGains
 from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
-from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
+from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains_with_timing
 from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.vehicle import Vehicle
@@ -37,15 +37,7 @@ class GainsOfVehicle:
         self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
         timing: Timing,
     ) -> None:  # fmt: skip
-        base: LeeGains = make_gains(
-            cfg,
-            control,
-            vehicle,
-            allocation,
-            gravity=gravity,
-            dt=timing.loop * timing.dt,
-            extra_lag=timing.lag_between_levels,
-        )
+        base: LeeGains = make_gains_with_timing(cfg, control, vehicle, allocation, gravity=gravity, timing=timing)
         self.base, self.vehicle, self.slow = base, vehicle, frequency_ratio_of_loop(control.phase_margin) ** 2
         self.row = vehicle.rows_for_all_envs
         self.authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity)  # [N m]

@@ -14,7 +14,7 @@ from aerial_gym.config.autopilots import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import Biquad, butterworth, notch
-from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains
+from aerial_gym.control.gains import frequency_ratio_of_loop, make_gains_with_timing
 from aerial_gym.control.px4.cascade import PositionGains, smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
@@ -112,15 +112,7 @@ def derive_parameters(
     Raises:
         ConfigError: If the limits exclude hover thrust.
     """
-    base = make_gains(
-        cfg,
-        control,
-        vehicle,
-        allocation,
-        gravity=gravity,
-        dt=timing.loop * timing.dt,
-        extra_lag=timing.lag_between_levels,
-    )
+    base = make_gains_with_timing(cfg, control, vehicle, allocation, gravity=gravity, timing=timing)
     _require_lift(cfg.law, allocation)
     torque, thrust = unit_wrench(allocation)
     inertia, slow = vehicle.inertia[0].diagonal(), frequency_ratio_of_loop(control.phase_margin) ** 2

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_to_matrix
+from aerial_gym.math.rows import cross_product_matrix
 from aerial_gym.physics.articulated.tree import Links, Tree
 
 cross = torch.linalg.cross
@@ -98,7 +99,7 @@ def point_jacobian(tree: Tree, places: LinkPoses, points: Tensor) -> Tensor:
     slid = places.axis.unsqueeze(1).expand_as(lever)
     joints = _mask_of_joints(tree, like, "revolute").unsqueeze(-1) * swept
     joints = joints + _mask_of_joints(tree, like, "prismatic").unsqueeze(-1) * slid
-    return torch.cat((base, -_skew(points), joints.transpose(2, 3)), dim=-1)
+    return torch.cat((base, -cross_product_matrix(points), joints.transpose(2, 3)), dim=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,10 +151,3 @@ def _mask_of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
         for row in tree.joint_moves_link
     ]
     return like.new_tensor(rows).reshape(1, tree.num_links, tree.num_joints)
-
-
-def _skew(vectors: Tensor) -> Tensor:
-    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
-    x, y, z = vectors.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))

@@ -167,10 +167,6 @@ def _make_solid(volume: float, across: float, other: float, along: float, height
     return _Solid(volume, np.array([0.0, 0.0, height]), volume * np.diag([across, other, along]))
 
 
-def _solid_box(x: float, y: float, z: float) -> _Solid:
-    return _make_solid(x * y * z, (y * y + z * z) / 12.0, (x * x + z * z) / 12.0, (x * x + y * y) / 12.0)
-
-
 def _solid_ellipsoid(a: float, b: float, c: float) -> _Solid:
     return _make_solid(4.0 / 3.0 * pi * a * b * c, (b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
 
@@ -200,6 +196,7 @@ def _solid_capsule(radius: float, length: float) -> _Solid:
 
 
 _SOLIDS = {
-    "box": _solid_box, "sphere": _solid_sphere, "ellipsoid": _solid_ellipsoid, "cylinder": _solid_cylinder,
+    "box": lambda x, y, z: _make_solid(x * y * z, (y**2 + z**2) / 12.0, (x**2 + z**2) / 12.0, (x**2 + y**2) / 12.0),
+    "sphere": _solid_sphere, "ellipsoid": _solid_ellipsoid, "cylinder": _solid_cylinder,
     "capsule": _solid_capsule, "cone": _solid_cone,
 }  # fmt: skip

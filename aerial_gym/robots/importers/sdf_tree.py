@@ -139,12 +139,10 @@ class SdfTree:
                 raise ConfigError(f"{self.where}: frame {name!r} is not there, or is placed in itself: {way}")
             seen.append(name)
             place = self._places[name]
-            pose = place.pose @ self._from_placement(place, name) @ pose
+            placed = np.eye(4) if place.placement is None else np.linalg.inv(self.pose(place.placement, within=name))
+            pose = place.pose @ placed @ pose
             name = place.base
         return pose
-
-    def _from_placement(self, place: _FramePlace, name: str) -> np.ndarray:
-        return np.eye(4) if place.placement is None else np.linalg.inv(self.pose(place.placement, within=name))
 
     def pose_in_link(self, element: Element, link: str) -> np.ndarray:
         """Return a collision or inertial frame of a link in the outermost model's, (4, 4)."""

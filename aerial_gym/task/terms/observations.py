@@ -22,14 +22,6 @@ LEAST_SHARE = 1e-3  # Share of the largest distance below which distances are no
 TINY = 1e-6  # A distance [m] below which there is no direction
 
 
-def _same(tensor: Tensor) -> Tensor:
-    return tensor
-
-
-def _difference(first: Tensor, second: Tensor) -> Tensor:
-    return first - second
-
-
 for _name, _width, _inputs, _text in (
     ("attitude", 4, ("robot_orientation",), "the attitude, body to world, xyzw, (E, 4)"),
     ("lin_vel_world", 3, ("robot_linvel",), "the velocity [m/s], world, (E, 3)"),
@@ -48,7 +40,7 @@ for _name, _width, _inputs, _text in (
     ("load_vel_world", 3, ("load_linvel", "robot_linvel"),
      "the velocity of the load relative to the body origin [m/s], world, (E, 3)"),
 ):  # fmt: skip
-    _value = _same if len(_inputs) == 1 else _difference
+    _value = (lambda tensor: tensor) if len(_inputs) == 1 else (lambda first, second: first - second)
     OBSERVATIONS.register(_name, Term(name=_name, value=_value, width=_width, inputs=_inputs, text=f"Return {_text}."))
 
 
