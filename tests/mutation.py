@@ -24,8 +24,7 @@ import torch
 from aerial_gym.interop.rows.operations import CODE
 
 CASES = """
-px4 cascade: control.px4.cascade: unit/control/px4/test_setpoints.py unit/control/px4/test_controller.py cross/test_px4.py
-px4 mixer: control.px4.mixer: cross/test_px4.py unit/control/px4/test_mixer.py
+px4: control.px4.cascade: unit/control/px4/test_controller.py unit/control/px4/test_mixer.py cross/test_px4.py
 allocation: control.allocation: unit/control/test_allocation.py unit/control/test_effectiveness.py
 crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
 mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py

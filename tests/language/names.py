@@ -132,7 +132,6 @@ TERMS = {
     "learned_residual": "a registered effect; its name stands in robot files",
     "missing_dependency": "an optional package that is not installed; the exception is public",
     "mixed_precision": "arithmetic in two formats",
-    "reduced_attitude": "the direction of one axis, without the rotation about it",
     "relaxed_hover": "hover that rotates about a fixed axis after the loss of a rotor",
     "signed_distance": "a distance that is negative inside",
     "slung_load": "a load on a cable",
