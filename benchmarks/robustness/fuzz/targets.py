@@ -120,8 +120,8 @@ def _log_targets(folder: Path) -> tuple[Target, ...]:
     for name, place in (("metadata", -1), ("parquet", 0)):
         part = convert_log(ulog, "parquet", folder / name)[place]
         uses[name] = part, partial(use_part, part)
-    entries = [(name, data, inspect_log) for name, data in inputs.items()]
-    entries += [(name, (file.read_bytes(),), use) for name, (file, use) in uses.items()]
+    uses_of_inputs = [(name, data, inspect_log) for name, data in inputs.items()]
+    uses_of_inputs += [(name, (file.read_bytes(),), use) for name, (file, use) in uses.items()]
     return tuple(
         Target(
             name=f"log_{name}",
@@ -132,7 +132,7 @@ def _log_targets(folder: Path) -> tuple[Target, ...]:
             limit_s=LOG_S,
             limit_bytes=LOG_BYTES,
         )
-        for name, data, use in entries
+        for name, data, use in uses_of_inputs
     )
 
 
