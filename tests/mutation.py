@@ -24,13 +24,13 @@ import torch
 from aerial_gym.interop.rows.operations import CODE
 
 CASES = """
-px4: control.px4.cascade: unit/control/px4/test_controller.py unit/control/px4/test_mixer.py cross/test_px4.py
-allocation: control.allocation: unit/control/test_allocation.py unit/control/test_effectiveness.py
-crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
-mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie/test_setpoints.py
-crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py unit/control/crazyflie/test_distribution.py
+px4: control.px4.cascade: unit/control/px4/test_controller.py cross/test_px4.py
+allocation: control.allocation: unit/control/test_allocation.py
+crazyflie pid: control.crazyflie.pid: cross/test_crazyflie.py unit/control/crazyflie/test_controller.py
+mellinger: control.crazyflie.mellinger: cross/test_crazyflie.py unit/control/crazyflie/test_controller.py
+crazyflie distribution: control.crazyflie.distribution: cross/test_crazyflie.py unit/control/crazyflie/test_controller.py
 betaflight: control.betaflight.controller: unit/control/betaflight/test_controller.py
-link drag: physics.effects.links: cross/mujoco/test_link_drag.py physics/articulated/test_link_drag.py
+link drag: physics.effects.links: cross/mujoco/test_bending.py physics/articulated/test_link_drag.py
 link buoyancy: physics.effects.water: physics/articulated/test_link_buoyancy.py physics/test_water.py
 added mass: physics.integrators: physics/test_water.py
 rotor lag: physics.rotor_lag: physics/test_rotor_modes.py physics/test_late_commands.py

@@ -191,7 +191,7 @@ class FromLogCmd:
         from aerial_gym.errors import ConfigError
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-        from aerial_gym.sim2real.teststand.vehicle_draft import robot_text
+        from aerial_gym.sim2real.teststand.vehicle_draft import robot_yaml_with_origins
         from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
         if not self.logs:
@@ -203,7 +203,7 @@ class FromLogCmd:
             progress("reading logs", 0.1)
             draft = draft_vehicle(self.logs, mass=self.mass_kg, arm=self.arm_m, frame=self.frame, mapping=mapping)
         name = ", ".join(Path(log).name for log in self.logs)
-        self.out.write_text(robot_text(draft, name=name), encoding="utf-8")
+        self.out.write_text(robot_yaml_with_origins(draft, name=name), encoding="utf-8")
         robot_by_name(self.out)  # the file loads
         written = [self.out]
         if draft.mapping:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
-from aerial_gym.physics import EFFECTS, BodyState, Ground, TorchBackend, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_network, random_state, strong_effects
@@ -115,11 +115,3 @@ def test_a_differentiable_rollout_refuses_effects_with_memory(name: str) -> None
     assert name not in (backend.capabilities.effects or ())
     with pytest.raises(CapabilityError, match=f"cannot run effect '{name}', which has memory. Use backend 'torch'"):
         backend.allocate(model, law, integrator="rk4")
-
-
-def test_a_differentiable_rollout_refuses_a_ground() -> None:
-    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=2)
-    law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
-    ground = Ground(height=0.0, spheres=torch.zeros(1, 4), contact=torch.zeros(2, dtype=torch.bool))
-    with pytest.raises(CapabilityError, match="a differentiable rollout knows no ground. Use backend 'torch'"):
-        WarpBackend(differentiable=True).allocate(build_model(vehicle), law, integrator="rk4", ground=ground)

@@ -9,7 +9,7 @@ from aerial_gym.config.joint import DriveCfg, SpringCfg
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import UnknownNameError
 from tests.builders import simulation
-from tests.physics.articulated.test_friction import INERTIA
+from tests.physics.articulated.test_complementarity import INERTIA
 from tests.physics.test_links_seen import LEFT, arm, bending
 from tests.repetitions import frequent_values
 

@@ -16,6 +16,7 @@ from aerial_gym.physics import ROTOR_MAPS, RotorMap, TorchBackend, WarpBackend, 
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
 from tests.cross.test_backends import assert_same_flight
 from tests.physics.vehicles import F64, asymmetric_robot, random_state
+from tests.refusals import assert_refused
 from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "own_rotor_map.md"
@@ -103,8 +104,7 @@ def test_a_wrong_inverse_is_refused(power_law: type[RotorMap]) -> None:
     ROTOR_MAPS.register("wrong_inverse", WrongInverse())
     robot = with_power_law(ROBOT)
     robot = replace(robot, rotor=replace(robot.rotor, rotor_map="wrong_inverse"))
-    with pytest.raises(ConfigError, match=r"wrong_inverse.*speed_for_thrust"):
-        vehicle_from_config(robot, num_envs=1)
+    assert_refused(ConfigError, r"wrong_inverse.*speed_for_thrust", vehicle_from_config, robot, num_envs=1)
 
 
 def test_an_unknown_map_and_two_maps_are_refused(power_law: type[RotorMap]) -> None:
@@ -114,8 +114,7 @@ def test_an_unknown_map_and_two_maps_are_refused(power_law: type[RotorMap]) -> N
     kinds = {"a": robot.rotor, "b": ROBOT.rotor}
     mounts = tuple(replace(mount, rotor="ab"[i % 2]) for i, mount in enumerate(robot.mounts.layout))
     mixed = replace(robot, rotor=None, rotors=kinds, mounts=replace(robot.mounts, layout=mounts))
-    with pytest.raises(ConfigError, match="polynomial, power_law"):
-        vehicle_from_config(mixed, num_envs=1)
+    assert_refused(ConfigError, "polynomial, power_law", vehicle_from_config, mixed, num_envs=1)
 
 
 def test_code_that_no_kernel_can_run_is_refused_with_its_place(power_law: type[RotorMap]) -> None:

@@ -73,7 +73,7 @@ def measure(item: str) -> dict[str, Any]:
         }
 
 
-def robot_text(item: str) -> str:
+def robot_yaml_with_origins(item: str) -> str:
     """Return the text of robot.yaml of one case."""
     with tempfile.TemporaryDirectory() as folder:
         return (_close_loop(item, Path(folder)) / "robot.yaml").read_text(encoding="utf-8")

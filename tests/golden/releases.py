@@ -91,7 +91,7 @@ def _resume(_: str) -> dict[str, Any]:
 
 def write_files(folder: Path) -> None:
     """Train a small policy with each trainer, export one, correct a robot, and keep the files that must load later."""
-    from tests.golden.cases import robot_text
+    from tests.golden.cases import robot_yaml_with_origins
 
     for trainer in TRAINERS:
         cfg = load_settings(settings_for(trainer, "position_setpoint_task", device="cpu"))
@@ -112,7 +112,7 @@ def write_files(folder: Path) -> None:
     out = ["--name", "hover", "--out", str(folder / "export")]
     main(["export", "--policy", str(folder / "ppo"), "--to", *EXPORTS, *out])
     _forget_places(folder / "export" / "hover.onnx")
-    (folder / "robot.yaml").write_text(robot_text("com_offset"), encoding="utf-8")
+    (folder / "robot.yaml").write_text(robot_yaml_with_origins("com_offset"), encoding="utf-8")
 
 
 def _forget_places(file: Path) -> None:

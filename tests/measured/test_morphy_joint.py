@@ -15,7 +15,7 @@ from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.teststand.joints.record import (
     LAWS,
-    Release,
+    ReleaseRecord,
     alternate_blocks,
     creep_elements,
     fit_curve_of_law,
@@ -89,7 +89,7 @@ def test_a_law_found_in_half_of_a_record_holds_in_the_other(dt: float, law_held:
     table = pd.read_csv(RECORD)
     time, angle = table["t"].to_numpy(), table["elevation_rad"].to_numpy()
     start, after = float(angle[time < 0.0].mean()), time >= 0.0
-    record = Release(path=str(RECORD), time=time[after], angle=angle[after], start=start)
+    record = ReleaseRecord(path=str(RECORD), time=time[after], angle=angle[after], start=start)
     early, late, odd = record.time < 1.0, record.time > 0.5 * record.time[-1], alternate_blocks(record) == 1
     robot = ROBOTS.get("morphy_fixed_base")
     published = robot.joints.layout[0].spring

@@ -15,7 +15,7 @@ import pytest
 from aerial_gym.sim2real import replay
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
-from aerial_gym.sim2real.teststand.vehicle_draft import VehicleDraft, robot_text
+from aerial_gym.sim2real.teststand.vehicle_draft import VehicleDraft, robot_yaml_with_origins
 from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
 FOLDER = Path(__file__).parents[3] / "shared" / "data" / "real_logs"
@@ -119,7 +119,7 @@ def test_replay_of_the_own_flight_is_inside_the_interval_of_the_thrust(log: str,
     """By the mean vertical force; in the second flight of ArduPilot the vehicle carries a load for ten seconds."""
     draft = draft_vehicle([log], mass=mass, arm=ARM)
     thrust = draft.values["thrust"]
-    (tmp_path / "v.yaml").write_text(robot_text(draft, name="log"))
+    (tmp_path / "v.yaml").write_text(robot_yaml_with_origins(draft, name="log"))
     (tmp_path / "v.mapping.yaml").write_text(draft.mapping)
     replay(str(tmp_path / "v.yaml"), [log], tmp_path / "out", mapping=str(tmp_path / "v.mapping.yaml"))
     rows = pd.read_csv(tmp_path / "out" / "residuals.csv")

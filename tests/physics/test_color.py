@@ -20,6 +20,7 @@ from aerial_gym.config.sensor import CameraCfg, LightCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_rotate
 from tests.physics.sensor_rig import place_shapes, shoot
+from tests.refusals import assert_refused
 
 PAINT = LightCfg(sun=None, ambient=1.0, shadows=False, sky=(0.0, 0.0, 0.0))
 DARK = LightCfg(sun=None, ambient=0.0, sky=(0.0, 0.0, 0.0))
@@ -287,10 +288,8 @@ def test_the_sun_of_the_sensor_and_the_lamps_of_the_environment_add(device) -> N
 
 
 def test_impossible_paints_and_lamps_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"CheckerCfg.size = 0.0: must be > 0"):
-        CheckerCfg(size=0.0)
-    with pytest.raises(ConfigError, match=r"CheckerCfg.color = \(0.0, 2.0, 0.0\)"):
-        CheckerCfg(size=1.0, color=(0.0, 2.0, 0.0))
+    assert_refused(ConfigError, r"CheckerCfg.size = 0.0: must be > 0", CheckerCfg, size=0.0)
+    assert_refused(ConfigError, r"CheckerCfg.color = \(0.0, 2.0, 0.0\)", CheckerCfg, size=1.0, color=(0.0, 2.0, 0.0))
     with pytest.raises(ConfigError, match=r"LampCfg.intensity = nan: must be > 0"):
         LampCfg(position=(0.0, 0.0, 0.0), intensity=float("nan"))
     with pytest.raises(ConfigError, match=r"LampCfg.position = .*: must be finite"):

@@ -35,6 +35,7 @@ from tests.physics.vehicles import (
     random_state,
     rest_state,
 )
+from tests.refusals import assert_refused
 
 MASS, ARM, SPEED, RADIUS = 0.373, 0.16, 1600.0, 0.04
 INERTIA = (1.0e-3, 2.0e-3, 2.5e-3)
@@ -306,15 +307,13 @@ def test_a_command_curve_has_an_idle_speed_and_an_exponent() -> None:
 def test_ground_effect_asks_for_the_radius() -> None:
     robot = replace(ROBOTS.get("tinyprop"), effects={"ground_effect": {"k": 1.0}})
     robot = replace(robot, rotor=replace(robot.rotor, radius=None))
-    with pytest.raises(ConfigError, match=r"ground_effect: the robot file must give rotor.radius"):
-        check_effects(robot)
+    assert_refused(ConfigError, r"ground_effect: the robot file must give rotor.radius", check_effects, robot)
 
 
 @pytest.mark.parametrize("motor", [0, 5, 1.5])
 def test_a_rotor_that_is_not_there_is_refused(motor: float) -> None:
     robot = replace(ROBOTS.get("tinyprop"), effects={"weak_motor": {"motor": motor, "scale": 0.9}})
-    with pytest.raises(ConfigError, match=r"weak_motor.motor = "):
-        check_effects(robot)
+    assert_refused(ConfigError, r"weak_motor.motor = ", check_effects, robot)
 
 
 def momentum(model: Model, state: BodyState, jr: float) -> torch.Tensor:
@@ -432,8 +431,7 @@ def test_neutral_parameters_leave_a_symmetric_rotor_vehicle_as_declared(name: st
 
 
 def test_unknown_and_impossible_parameters_are_named() -> None:
-    with pytest.raises(UnknownNameError, match="Did you mean 'rotor_drag'"):
-        make_effects({"rotor_drg": {}}, 1)
+    assert_refused(UnknownNameError, "Did you mean 'rotor_drag'", make_effects, {"rotor_drg": {}}, 1)
     with pytest.raises(ConfigError, match=r"rotor_drag: parameters \['dx'\] given, needs exactly \['dx', 'dy', 'dz'\]"):
         make_effects({"rotor_drag": {"dx": 0.1}}, 1)
     with pytest.raises(ConfigError, match=r"rotor_drag.dx = -1.0: must lie in \[0, 10\] N s/m"):

@@ -1,22 +1,34 @@
 """Every registered robot hovers under every geometric controller that fits it. Flights take 100 Hz, the coarsest
-registered sim, where time step and rotor lag leave the smallest margins. The slow suite flies all sims."""
+registered sim, where time step and rotor lag leave the smallest margins. The slow suite flies all sims.
+Every registered controller holds a robot at rest; ``tests/cross/test_batch_size.py`` has other motions, in batches.
+A vehicle whose arm is another than the robot file says, with an autopilot that knows it and one that does not.
+Position and attitude by themselves: vehicles whose rotors push in every direction, in air and under water.
+"""
 
+from dataclasses import replace
 from itertools import product
 from math import atan, exp, pi, sqrt
 
 import numpy as np
 import pytest
+import torch
 from scipy.integrate import solve_ivp
 
-from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.env_manager import SIMS
-from aerial_gym.physics import vehicle_from_config
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.gains import make_gains
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
+from aerial_gym.physics import TorchBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics.model import robot_effects
 from aerial_gym.robots import ROBOTS
 from benchmarks.control.control_flights import (
     GRAVITY,
+    MEANT_FOR,
     PUSH,
     WIND,
     ControlFlight,
@@ -27,7 +39,9 @@ from benchmarks.control.control_flights import (
     robots_by_dynamics,
     target_robot,
 )
-from tests.repetitions import frequent_values
+from tests.builders import simulation
+from tests.physics.vehicles import F64
+from tests.repetitions import frequent_values, thin_values
 
 ALLOWED = dict.fromkeys(("position", "pose"), 0.2)
 ALLOWED |= dict.fromkeys(("velocity", "steering", "acceleration", "attitude", "rates"), 0.02)
@@ -200,3 +214,108 @@ def test_nor_with_any_other_controller_at_any_sim(robot: str, controller: str, s
     cfg, law = robots_by_dynamics()[robot], geometric_controllers()[controller]
     if not misfit_reason(cfg, law, SIMS.get(sim)):
         assert_flies(fly_robot(cfg, law, SIMS.get(sim), names=(robot, controller, sim)), cfg)
+
+
+@pytest.mark.parametrize("controller", thin_values(CONTROLLERS, 3))
+def test_a_robot_at_rest_stays_there(controller: str) -> None:
+    sideways = controller == "fully_actuated_control"
+    name = "omnidirectional_octarotor" if sideways else MEANT_FOR.get(controller.partition("_")[0], "x500")
+    robot, cpu = ROBOTS.get(name), torch.device("cpu")
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    law = make_controller(CONTROLLERS.get(controller), vehicle, GRAVITY, dt=0.01, control=robot.control)
+    effects = robot_effects(robot, num_envs=1, device=cpu, dtype=F64)
+    backend = TorchBackend()
+    backend.allocate(build_model(vehicle, effects, gravity=GRAVITY), law, integrator="euler")
+    weight, allocation = torch.zeros(1, 6, dtype=F64), Allocation(vehicle, GRAVITY)
+    weight[:, 2] = robot.body.mass * GRAVITY - robot.control.buoyancy
+    speed = allocation.speed_for_wrench(weight)
+    hover = {"no_control": allocation.allot(weight).thrust, "rotor_speed_control": speed}
+    state = state_at_rest(1, vehicle.num_rotors, device=cpu, dtype=F64)
+    state.rotor_speed.copy_(speed)
+    rest = [tensor.clone() for tensor in state.tensors()]
+    backend.step(state, hover.get(controller, torch.zeros(1, len(law.action_names), dtype=F64)), 0.01, 15)
+    for tensor, expected in zip(state.tensors(), rest, strict=True):
+        torch.testing.assert_close(tensor, expected, atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("backend", "tolerance"), [pytest.param("torch", 1e-6, marks=pytest.mark.slow), ("warp", 2e-5)]
+)
+@pytest.mark.parametrize("effectiveness", ["actual", "nominal"])
+def test_a_longer_arm_tilts_only_an_autopilot_that_does_not_know_it(
+    backend: str, tolerance: float, effectiveness: str
+) -> None:
+    """A hub d further forward gives the torque ``-d T`` more about y. Unknown, flight settles where the attitude law asks for
+    as much against it: with T = m g / 4 + i M, its entry i = -1 / (4 l) of the nominal inverse and the commanded torque M,
+    ``M = d T`` gives ``-K sin pitch = M = (d m g / 4) / (1 + d / (4 l))``. Known, it settles level."""
+    ends = {"how": "offset", "low": (-0.015, 0.0, 0.0), "high": (0.015, 0.0, 0.0)}
+    robot = replace(ROBOTS.get("base_quadrotor_doubled_inertia"), control=ControlCfg(effectiveness=effectiveness))
+    env = simulation(
+        robot, "lee_attitude_control", num_envs=5, seed=1, randomize={"mounts.1.position": RandomizeCfg(**ends)},
+        differentiable=backend == "torch", dtype=F64 if backend == "torch" else torch.float32, backend=backend,
+    )  # fmt: skip
+    env.reset()
+    with torch.no_grad():
+        for _ in range(700):
+            env.step(torch.zeros(5, 4))
+    further, weight = env.draws()["mounts.1.position"][:, 0].double(), robot.body.mass * 9.81
+    torque = further * weight / 4.0 / (1.0 + further / (4.0 * 0.13))
+    stiffness = env.robot_manager.controller.gains.attitude[:, 1].double()
+    pitch = torch.zeros(5, dtype=F64) if effectiveness == "actual" else torch.asin(-torque / stiffness)
+    result = (
+        env.gradient_tensors["robot_euler_angles"] if backend == "torch" else env.gtd["robot_euler_angles"].double()
+    )
+    assert further.abs().max() > 0.01
+    torch.testing.assert_close(result[:, 1], pitch, atol=tolerance, rtol=tolerance)
+    torch.testing.assert_close(result[:, 0], 0.0 * pitch, atol=tolerance, rtol=0)
+
+
+def fly(robot: str, controller: str, actions: torch.Tensor, steps: int) -> EnvManager:
+    env = simulation(robot, controller, num_envs=len(actions))
+    env.reset()
+    for _ in range(steps):
+        env.step(actions)
+    return env
+
+
+@pytest.mark.parametrize(
+    "robot", ["base_octarotor", "base_rov", pytest.param("bluerov2_heavy", marks=pytest.mark.slow)]
+)
+def test_a_place_is_held_in_any_attitude(robot: str) -> None:
+    """Level, on its side, nose up and nearly upside down, at one and the same place; q and -q are one attitude. A centre of
+    buoyancy above that of mass rights the vehicle, which a law without an integral answers with an error e about each body
+    axis: ``K_i sin e = (r x B)_i``; some 0.03 rad for ``base_rov`` (0.11 N m), 0.1 rad for the BlueROV2 (1.3 N m)."""
+    euler = torch.tensor([[0.0, 0.0, 0.0], [pi / 2, 0.0, 0.0], [0.0, -1.2, 0.5], [2.7, 0.0, 0.0]])
+    wanted = quat_from_euler(euler)
+    place = torch.tensor([[0.3, -0.2, 0.1]]).expand(4, -1)
+    env = fly(robot, "fully_actuated_control", torch.cat((place, wanted), dim=-1), 1500)
+    attitude = env.gtd["robot_orientation"]
+    assert (env.gtd["robot_position"] - place).norm(dim=-1).max() < 0.03
+    half = torch.acos((attitude * wanted).sum(-1).abs().clamp(max=1.0))
+    torch.testing.assert_close(torch.sin(2.0 * half), lean_angle(robot, attitude), rtol=0.0, atol=ATTITUDE)
+
+
+ATTITUDE = 1e-3
+"""[rad]: a float32 cosine of half an angle that is one spacing (6e-8) below one belongs to an angle of 7e-4."""
+
+
+def lean_angle(name: str, attitude: torch.Tensor) -> torch.Tensor:
+    """Return the sine of the angle at which attitude gains hold a buoyancy's moment, (E,); 0 without buoyancy."""
+    cfg = ROBOTS.get(name)
+    buoyancy = cfg.effects.get("buoyancy", dict.fromkeys(("force", "x", "y", "z"), 0.0))
+    vehicle = vehicle_from_config(cfg, num_envs=1, dtype=torch.float32)
+    gains = make_gains(
+        CONTROLLERS.get("fully_actuated_control"), cfg.control, vehicle, Allocation(vehicle, 9.81), gravity=9.81,
+        dt=0.01,
+    )  # fmt: skip
+    up = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, buoyancy["force"]]]).expand(len(attitude), -1))
+    lever = torch.tensor([[buoyancy[axis] for axis in "xyz"]]).expand_as(up)
+    return (torch.linalg.cross(lever, up) / gains.attitude).norm(dim=-1)
+
+
+def test_a_heading_is_steered_while_a_velocity_is_held() -> None:
+    """1 m/s along the vehicle's own x at a yaw of 0.8 rad: the world velocity has that direction."""
+    env = fly("lmf1", "lee_velocity_steering_angle_control", torch.tensor([[1.0, 0.0, 0.0, 0.8]]), 600)
+    assert env.gtd["robot_euler_angles"][0, 2].item() == pytest.approx(0.8, abs=1e-3)
+    expected = torch.tensor([0.8]).cos().item(), torch.tensor([0.8]).sin().item()
+    assert env.gtd["robot_linvel"][0, :2].tolist() == pytest.approx(expected, abs=1e-3)

@@ -219,7 +219,7 @@ PPO_OPTIONS = """
 def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device) -> Config:
     """Return the settings as Sample Factory names them, made by its own parser from a list, never from ``sys.argv``."""
     ppo, gpu = cfg.section(PpoCfg), device.type == "cuda"
-    options: dict[str, object] = dict(pair.split("=") for pair in FIXED_OPTIONS.split())
+    options: dict[str, object] = {**dict(pair.split("=") for pair in FIXED_OPTIONS.split())}
     options |= {name: getattr(ppo, field) for name, field in (pair.split("=") for pair in PPO_OPTIONS.split())}
     options |= {
         "env": env_name,

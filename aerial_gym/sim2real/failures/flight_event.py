@@ -16,7 +16,13 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput, RotorOutputModel
-from aerial_gym.sim2real.failures.scan import FailureCause, FailureTiming, locate_onset, log_sum_of_odds, rank_causes
+from aerial_gym.sim2real.failures.scan import (
+    FailureCause,
+    FailureTiming,
+    locate_onset,
+    log_sum_of_odds,
+    rank_failure_causes,
+)
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.flights import Flight
@@ -35,7 +41,6 @@ class FlightEvent:
 
     flight: str
     name: str  # motor_failure, weak_motor, stuck_rotor or brown_out; position_jump or sensor_dropout
-
     params: dict[str, float]
     """As in robot files. ``time`` is from the first row [s]; ``speed`` is the constant speed of a stuck rotor [rad/s], or its
     thrust [N]; ``x``, ``y``, ``z`` are a position jump [m], world."""
@@ -118,7 +123,7 @@ class FailureFinder:
 
     def find_in_blocks(self, works: Sequence[RotorOutput], flight: str, usual: float = 0.0) -> Failure | None:
         """Return the failure that the blocks show; None if the log sum of odds is below the limit plus the ``usual`` one."""
-        causes = rank_causes(works, self.tolerances)
+        causes = rank_failure_causes(works, self.tolerances)
         if not log_sum_of_odds(causes) > self.limit + usual:
             return None
         ranked = sorted((locate_onset(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)

@@ -39,7 +39,7 @@ class RotorOutput:
     done: Array  # Actual output, (K, R)
     expected: Array  # Expected output, (K, R)
     own: Array  # Part of the expectation that the rotor itself causes, (K, R)
-    beside: Array  # Columns of possible errors of the expectation, (K, R, Q)
+    error_columns: Array  # Columns of possible errors of the expectation, (K, R, Q)
 
     def select_blocks(self, chosen: slice | Flags) -> "RotorOutput":
         """Return the selected blocks."""
@@ -50,7 +50,7 @@ class RotorOutput:
         return replace(self, **{n: np.concatenate((getattr(self, n), getattr(other, n))) for n in OF_BLOCKS})
 
 
-OF_BLOCKS = ("time", "done", "expected", "own", "beside")  # Fields of ``RotorOutput`` with one row per block
+OF_BLOCKS = ("time", "done", "expected", "own", "error_columns")  # Fields of ``RotorOutput`` with one row per block
 
 
 class RotorOutputModel:
@@ -103,7 +103,7 @@ class RotorOutputModel:
             done=done,
             expected=expected,
             own=expected,
-            beside=np.stack(columns, axis=-1),
+            error_columns=np.stack(columns, axis=-1),
         )
 
     def _thrust_output(self, flight: Flight, force: Array, state: Array, size: int, count: int) -> RotorOutput:
@@ -132,7 +132,7 @@ class RotorOutputModel:
             done=wrench @ self._inverse.T / hover,
             expected=expected / hover,
             own=own / hover,
-            beside=np.stack(columns, axis=-1),
+            error_columns=np.stack(columns, axis=-1),
         )
 
 

@@ -83,16 +83,16 @@ class FailureEvidence:
     def __init__(self, work: RotorOutput, least: float) -> None:
         """Store the blocks and the tolerance of the declaration relative to hover, ``least``."""
         self.work, self.least = work, least
-        self.residual, columns = work.done - work.expected, work.beside
+        self.residual, columns = work.done - work.expected, work.error_columns
         self.count, self.rotors = self.residual.shape
         self.ridge = least**2 * np.eye(columns.shape[2])
         outer = columns[..., :, None] * columns[..., None, :]
         self._gram = _cumulative_sums(outer)  # (K + 1, R, Q, Q)
         self._lean = _cumulative_sums(columns * self.residual[..., None])
         self.inverse = np.linalg.inv(self._gram[-1] + self.ridge)  # (R, Q, Q)
-        self.beside = np.einsum("rpq,rq->rp", self.inverse, self._lean[-1])
+        self.error_gains = np.einsum("rpq,rq->rp", self.inverse, self._lean[-1])
         self._squares = _cumulative_sums(self.residual**2)
-        self.rss = np.maximum(self._squares[-1] - np.einsum("rq,rq->r", self._lean[-1], self.beside), 0.0)
+        self.rss = np.maximum(self._squares[-1] - np.einsum("rq,rq->r", self._lean[-1], self.error_gains), 0.0)
         self._zz, self._zr = _cumulative_sums(work.own**2), _cumulative_sums(work.own * self.residual)
         root = np.linalg.cholesky(self.inverse)  # makes the columns orthonormal
         self._along = np.einsum("rqp,rq->rp", root, self._lean[-1])
@@ -117,7 +117,7 @@ class FailureEvidence:
         """Return the evidence of a lasting change per rotor for every onset; ``share``: independent share of the values."""
         onset = np.arange(self.count)
         inner, along = self.sums_of_change(onset, np.full(self.count, self.count))
-        log_odds, change, _ = self.change_odds(kind, inner, along, share)
+        log_odds, change, _ = self.odds_of_change_sums(kind, inner, along, share)
         return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds), change=change)
 
     def odds_of_brown_outs(self, kind: str, share: float = 1.0) -> OnsetOdds:
@@ -126,7 +126,7 @@ class FailureEvidence:
         end = np.minimum(onset + lasting, self.count)
         end = np.concatenate((end, np.full((self.count, 1), self.count)), axis=1)
         inner, along = (part.sum(axis=-1) for part in self.sums_of_change(np.broadcast_to(onset, end.shape), end))
-        log_odds, change, _ = self.change_odds(kind, inner, along, share)
+        log_odds, change, _ = self.odds_of_change_sums(kind, inner, along, share)
         ends = np.concatenate((onset + lasting < self.count, np.ones((self.count, 1), dtype=bool)), axis=1)
         log_odds = np.where(ends, log_odds - np.log(LONGEST + 1), -np.inf)
         return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds), change=change)
@@ -147,7 +147,7 @@ class FailureEvidence:
         log_odds = log_evidence(before, after, share * self.num_values, prior, share * left)
         return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds - np.log(self.rotors)), change=kept)
 
-    def change_odds(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
+    def odds_of_change_sums(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
         """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative loss <= 0, and its standard deviation."""
         parameter = next(p for p in EFFECTS.get(kind).parameters if p.name == "scale")
         change = along / (inner + (self.least / parameter.scale) ** 2)
@@ -207,7 +207,7 @@ class FailureCause:
         own = range(left.shape[1]) if self.rotor is None else [self.rotor]
         part = slice(self.begin, self.end)
         for rotor in range(left.shape[1]):
-            columns, rows = work.beside[:, rotor], slice(None)
+            columns, rows = work.error_columns[:, rotor], slice(None)
             if rotor in own and self.kind == "stuck_rotor":
                 left[part, rotor] = work.done[part, rotor] - self.change
                 rows = slice(0, self.begin)
@@ -219,7 +219,7 @@ class FailureCause:
         return left
 
 
-def rank_causes(works: Sequence[RotorOutput], tolerances: Tolerances) -> list[FailureCause]:
+def rank_failure_causes(works: Sequence[RotorOutput], tolerances: Tolerances) -> list[FailureCause]:
     """Return all failures that a flight can show, the most probable first, with autocorrelated residuals counting less."""
     kinds = sum(len(KINDS[work.quantity, work.driven_by]) for work in works)
     ranked: list[FailureCause] = []
@@ -287,13 +287,13 @@ def locate_onset(cause: FailureCause) -> FailureTiming:
     if cause.kind == "stuck_rotor":
         log_odds, change, std = _odds_of_stuck_rotor(cause, times, share)
     else:
-        log_odds, change, std = _change_odds(cause, _change_profile(work, times, end), share)
+        log_odds, change, std = _odds_of_change_profiles(cause, _change_profile(work, times, end), share)
     if end is not None and cause.end is not None:
         ends = _onset_grid(work, cause.end)
         best = np.full(ends.size, times[int(np.argmax(log_odds))])
-        of_ends, _, _ = _change_odds(cause, _change_profile(work, best, ends), share)
+        of_ends, _, _ = _odds_of_change_profiles(cause, _change_profile(work, best, ends), share)
         end = float(ends[int(np.argmax(of_ends))])
-        log_odds, change, std = _change_odds(cause, _change_profile(work, times, end), share)
+        log_odds, change, std = _odds_of_change_profiles(cause, _change_profile(work, times, end), share)
     weight = np.exp(log_odds - log_odds.max())
     weight, best = weight / weight.sum(), int(np.argmax(log_odds))
     places = np.searchsorted(np.cumsum(weight), (0.025, 0.975))
@@ -326,17 +326,17 @@ def _lag_response(work: RotorOutput, begin: Array) -> Array:
     return risen / work.length
 
 
-def _change_odds(cause: FailureCause, profile: Array, share: float) -> tuple[Array, Array, Array]:
+def _odds_of_change_profiles(cause: FailureCause, profile: Array, share: float) -> tuple[Array, Array, Array]:
     """Return log odds, change and its standard deviation, (G,) each, for a change with profiles (G, K)."""
     evidence, work = cause.evidence, cause.work
     rotors = slice(None) if cause.rotor is None else slice(cause.rotor, cause.rotor + 1)
     own = work.own[:, rotors]
-    across = np.einsum("gk,kr,krq->grq", profile, own, work.beside[:, rotors])
-    inverse, beside = evidence.inverse[rotors], evidence.beside[rotors]
+    across = np.einsum("gk,kr,krq->grq", profile, own, work.error_columns[:, rotors])
+    inverse, error_gains = evidence.inverse[rotors], evidence.error_gains[rotors]
     inner = np.einsum("gk,kr->g", profile**2, own**2) - np.einsum("grp,rpq,grq->g", across, inverse, across)
     along = np.einsum("gk,kr,kr->g", profile, own, evidence.residual[:, rotors])
-    along -= np.einsum("grq,rq->g", across, beside)
-    return evidence.change_odds(cause.kind, np.maximum(inner, 0.0), along, share)
+    along -= np.einsum("grq,rq->g", across, error_gains)
+    return evidence.odds_of_change_sums(cause.kind, np.maximum(inner, 0.0), along, share)
 
 
 def _odds_of_stuck_rotor(cause: FailureCause, times: Array, share: float) -> tuple[Array, Array, Array]:
@@ -345,7 +345,7 @@ def _odds_of_stuck_rotor(cause: FailureCause, times: Array, share: float) -> tup
     assert rotor is not None
     after = np.clip((work.time + work.length - times[:, None]) / work.length, 0.0, 1.0)  # (G, K)
     before = 1.0 - after
-    columns = np.concatenate((before[..., None] * work.beside[:, rotor], after[..., None]), axis=-1)
+    columns = np.concatenate((before[..., None] * work.error_columns[:, rotor], after[..., None]), axis=-1)
     target = work.done[:, rotor] - before * work.expected[:, rotor]
     gram, lean = np.einsum("gkp,gkq->gpq", columns, columns), np.einsum("gkp,gk->gp", columns, target)
     width = columns.shape[-1]

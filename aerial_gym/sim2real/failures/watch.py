@@ -15,7 +15,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, FlightEvent
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput
-from aerial_gym.sim2real.failures.scan import log_sum_of_odds, rank_causes
+from aerial_gym.sim2real.failures.scan import log_sum_of_odds, rank_failure_causes
 from aerial_gym.sim2real.failures.vehicle_fit import FIRST_S, VehicleMisfit, find_misfit
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
@@ -331,7 +331,7 @@ class FlightWatch:
         """Test the declared vehicle in the blocks before a failure, until ``FIRST_S``; return the alarm if it does not fit."""
         first = self.watched_s <= FIRST_S
         if self._fits is False and first:
-            self._usual = max(self._usual, log_sum_of_odds(rank_causes(self._works, self._finder.tolerances)))
+            self._usual = max(self._usual, log_sum_of_odds(rank_failure_causes(self._works, self._finder.tolerances)))
         if self._fits is not None or (failure is None and first):
             return []
         before = np.inf if failure is None else failure.interval["time"][0]

@@ -47,7 +47,6 @@ class OffsetCurve:
     """Residual of the accelerometer against the rotor log as a function of the clock offset."""
 
     rate: float  # Rows per second [Hz]
-
     left: Array
     """Unexplained share of the specific force along z at offsets -N..N [rows], (2 N + 1,); empty if too short."""
 
@@ -118,13 +117,13 @@ def common_offsets(curves: Sequence[OffsetCurve], learning: int) -> list[ClockOf
     well is 0. If the decisive logs disagree, the odds must exceed ``CLEAR_ODDS``: other vertical forces can imitate an
     offset.
     """
-    told, agreed = _decide_offsets(curves, learning)
+    told, agreed = _offsets_and_agreement_of_logs(curves, learning)
     odds = 1.0 if agreed else CLEAR_ODDS
     pairs = zip(told, curves, strict=True)
     return [one if one.is_likelier_than_sensor_delays(curve.rate, odds) else ClockOffset() for one, curve in pairs]
 
 
-def _decide_offsets(curves: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
+def _offsets_and_agreement_of_logs(curves: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
     """Return the offset of each log, and whether all decisive logs agree."""
     own = [one.offset for one in curves]
     told = list(zip(own, curves, strict=True))[:learning]

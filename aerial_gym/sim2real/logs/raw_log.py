@@ -1,6 +1,7 @@
 """The content of a log file as it was recorded: topics at their own rates, parameters and messages. Letters: T samples."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import UserDict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -16,23 +17,11 @@ MOST_GROWTH, FREE_BYTES = 24, 2**27  # A file may grow to so many times its size
 FASTER = 1.5  # Ratio of rates from which the faster of two topics with one quantity is taken
 
 
-class LazyColumns(Mapping[str, Array]):
-    """Columns that are computed at each use, so that only those in use fill memory."""
-
-    def __init__(self, columns: Mapping[str, Callable[[], Array]]) -> None:
-        self._columns = dict(columns)
+class LazyColumns(UserDict[str, Any]):
+    """Columns that functions compute at each use, so that only those in use fill memory."""
 
     def __getitem__(self, name: str) -> Array:
-        return self._columns[name]()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._columns
+        return self.data[name]()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,10 +27,8 @@ class Mark:
     x: Array
     y: Array
     together: int  # Points per stroke: all for a line, four for a bar, two for an error bar, one for a dot
-
     colour: str
     width: float = 0.8  # [pt]
-
     alpha: float = 1.0
     dashed: bool = False
     filled: bool = False
@@ -42,7 +40,6 @@ class Panel:
     """A frame with axes and marks."""
 
     place: tuple[float, float, float, float]  # Left, top, width and height
-
     x_label: str = ""
     y_label: str = ""
     title: str = ""
@@ -51,28 +48,27 @@ class Panel:
     names: Sequence[str] = ()  # Category names at 0, 1, 2 ... instead of numbers.
     boxed: bool = False  # Whether the panel has a legend
     levels: list[float] = field(default_factory=list)  # Heights of thin horizontal lines
-
     marks: list[Mark] = field(default_factory=list)
 
     def line(self, x: Array, y: Array, colour: str, **style: object) -> None:
         """Draw a line through points."""
-        self._add(x, y, max(np.size(x), 1), colour, style)
+        self._add_mark(x, y, max(np.size(x), 1), colour, style)
 
     def dots(self, x: Array, y: Array, colour: str, **style: object) -> None:
         """Draw a dot at each point."""
-        self._add(x, y, 1, colour, style)
+        self._add_mark(x, y, 1, colour, style)
 
     def bars(self, x: Array, height: Array, width: float, colour: str, **style: object) -> None:
         """Draw bars from zero, or from the frame on a logarithmic axis."""
         corners = np.stack([x - width / 2, x - width / 2, x + width / 2, x + width / 2], axis=1)
         zero = np.zeros_like(height)
-        self._add(corners, np.stack([zero, height, height, zero], axis=1), 4, colour, {"filled": True, **style})
+        self._add_mark(corners, np.stack([zero, height, height, zero], axis=1), 4, colour, {"filled": True, **style})
 
     def error_bars(self, x: Array, low: Array, high: Array, colour: str, **style: object) -> None:
         """Draw vertical lines between two values."""
-        self._add(np.stack([x, x], axis=1), np.stack([low, high], axis=1), 2, colour, style)
+        self._add_mark(np.stack([x, x], axis=1), np.stack([low, high], axis=1), 2, colour, style)
 
-    def _add(self, x: Array, y: Array, together: int, colour: str, style: dict) -> None:
+    def _add_mark(self, x: Array, y: Array, together: int, colour: str, style: dict) -> None:
         self.marks.append(Mark(x=np.ravel(x), y=np.ravel(y), together=together, colour=colour, **style))
 
     @property
@@ -151,7 +147,6 @@ class Figure:
 
     title: str
     size: tuple[float, float]  # Width and height
-
     columns: list[list[Panel]]
     shared: bool  # Whether the panels of a column share a horizontal axis
     legend: Sequence[Mark] = ()  # Marks in the legend above all panels
@@ -232,8 +227,10 @@ def _axis_limits(values: Array) -> tuple[float, float]:
     return low - MARGIN * span, high + MARGIN * span
 
 
-def _envelope(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the lowest and highest point in each pixel column, in drawing order."""
+def _extremes_of_pixel_columns(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the lowest and highest point in each pixel column, in drawing order; all points if they are few."""
+    if x.size <= 4 or x.size <= 2.0 * (x.max() - x.min()) / 10.0:
+        return x, y
     column = x // 10.0
     order = np.lexsort((y, column))
     new = np.flatnonzero(np.diff(column[order], prepend=-1.0))
@@ -249,17 +246,12 @@ def _mark_path(mark: Mark, x: Array, y: Array) -> str:
     elif mark.together == x.size:
         gaps = np.flatnonzero(np.diff(known)) + 1
         pieces = zip(np.split(x, gaps), np.split(y, gaps), np.split(known, gaps), strict=True)
-        return "".join(_line_path(own_x, own_y, style) for own_x, own_y, drawn in pieces if drawn[0])
+        lines = (_extremes_of_pixel_columns(*line) for *line, drawn in pieces if drawn[0])
+        return "".join(_stroke_path(*line, line[0].size, style) for line in lines)
     else:
         whole = np.repeat(known.reshape(-1, mark.together).all(axis=1), mark.together)
         x, y = x[whole], y[whole]
     return _stroke_path(x, y, mark.together, style)
-
-
-def _line_path(x: Array, y: Array, style: str) -> str:
-    if x.size > 4 and x.size > 2.0 * (x.max() - x.min()) / 10.0:
-        x, y = _envelope(x, y)
-    return _stroke_path(x, y, x.size, style)
 
 
 def _stroke_style(mark: Mark) -> str:

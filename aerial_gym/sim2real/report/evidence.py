@@ -109,7 +109,7 @@ def evidence_figure(effect: str, clues: list[ParameterEvidence]) -> str:
     shown = [clue for clue in clues if clue.channels_to_plot]
     figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
     for panel, clue in zip(axes[0], shown, strict=False):
-        _draw_parameter(panel, clue)
+        _draw_evidence_of_parameter(panel, clue)
     return figure.svg()
 
 
@@ -125,7 +125,7 @@ def write_evidence(path: Path, clues: Mapping[str, Sequence[ParameterEvidence]])
     pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g", errors="surrogateescape")
 
 
-def _draw_parameter(panel: Panel, clue: ParameterEvidence) -> None:
+def _draw_evidence_of_parameter(panel: Panel, clue: ParameterEvidence) -> None:
     for cloud, colour in zip(clue.channels_to_plot, COLOURS, strict=False):
         step = max(1, cloud.adds.size // MOST_POINTS)
         name = f"{cloud.channel.kind.replace('_', ' ')} {cloud.channel.axis}"

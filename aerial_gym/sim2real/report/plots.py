@@ -46,8 +46,9 @@ def trace_figure(predictor: Predictor, models: Mapping[str, ModelParams], kind: 
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
     predicted = {name: predictor.predict(params) for name, params in models.items()}
     first, *rest = predicted.values()
-    against = rest[0] if rest and _are_different(first, rest[0], places) else predictor.measured
-    change = [np.square(a[:, places] - b[:, places]) for a, b in zip(first, against, strict=True)]
+    changes = ([np.square(a - b)[:, places] for a, b in zip(first, other, strict=True)] for other in rest)
+    to_measured = [np.square(a - b)[:, places] for a, b in zip(first, predictor.measured, strict=True)]
+    change = next((change for change in changes if any(map(np.any, change))), to_measured)
     size = np.maximum(np.concatenate(change).mean(axis=0), 1e-300)
     telling = [(part / size).sum(axis=1) for part in change]
     index = int(np.argmax([part.mean() for part in telling]))
@@ -72,10 +73,6 @@ def trace_figure(predictor: Predictor, models: Mapping[str, ModelParams], kind: 
 
 def _axis_label(channel: Channel) -> str:
     return f"{channel.axis} [{channel.unit}]"
-
-
-def _are_different(one: Sequence[Array], other: Sequence[Array], places: Sequence[int]) -> bool:
-    return any(np.any(a[:, places] != b[:, places]) for a, b in zip(one, other, strict=True))
 
 
 def _most_informative_rows(time: Array, size: Array) -> Flags:

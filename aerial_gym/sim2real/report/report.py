@@ -65,13 +65,8 @@ def write_page(path: Path, name: str, context: dict[str, object]) -> None:
         loader=FileSystemLoader(TEMPLATES), autoescape=name.endswith(".html"), undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.filters |= {
-        "num": number_text,
-        "interval": interval_text,
-        "percent": percent_text,
-        "risen": format_rise,
-    }
-    environment.filters |= {"text": text, "joined": join_texts}
+    environment.filters |= {"num": number_text, "interval": interval_text, "percent": percent_text}
+    environment.filters |= {"risen": format_rise, "text": text, "joined": join_texts}
     page = environment.get_template(f"{name}.j2").render(context)
     path.write_text(page, encoding="utf-8", errors="surrogateescape")
 

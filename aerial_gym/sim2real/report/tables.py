@@ -44,20 +44,19 @@ def channel_rows(
 ) -> list[dict[str, object]]:
     """Return one row per channel; ``became``: outcomes by channel."""
     shown = interval_text if intervals else value_text
-    rows, outcomes = [], {outcome.name: outcome for outcome in became}
+    outcomes = {outcome.name: outcome for outcome in became}
     closed = [None] * len(before.channels) if after is None else after.shares_of_gap_closed(before)
-    for place, channel in enumerate(before.channels):
-        rows.append(
-            {
-                "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
-                "before": shown(before.residual[place]),
-                "after": "–" if after is None else shown(after.residual[place]),
-                **_outcome_cells(outcomes.get(channel.name)),
-                "closed": percent_text(closed[place]),
-                "floor": "–" if before.floor is None else number_text(before.floor[place]),
-            }
-        )
-    return rows
+    return [
+        {
+            "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
+            "before": shown(before.residual[place]),
+            "after": "–" if after is None else shown(after.residual[place]),
+            **_outcome_cells(outcomes.get(channel.name)),
+            "closed": percent_text(closed[place]),
+            "floor": "–" if before.floor is None else number_text(before.floor[place]),
+        }
+        for place, channel in enumerate(before.channels)
+    ]
 
 
 def _outcome_cells(outcome: Outcome | None) -> dict[str, str]:

@@ -44,7 +44,6 @@ class HoverEffort:
 
     name: str
     effort: Array  # Mean squared speed of each rotor, in the log's unit, (R,)
-
     windows: int
     voltage: float | None  # Mean battery voltage [V]
 
@@ -90,7 +89,6 @@ class CauseFit:
     fit: ScatterFit
     params: dict[str, Estimate]
     probability: float = 0.0  # Posterior probability from all logs of the condition
-
     place: tuple[Estimate, Estimate] | None = None
     """Position x, y of a payload relative to the declared centre of mass [m]; None if its mass may be 0."""
 
@@ -110,16 +108,20 @@ class CauseFit:
 
 
 @dataclass(frozen=True)
-class Change:
+class QuantityChange:
     """A quantity before and after, with 95 % intervals from the scatter between logs."""
 
     baseline: Estimate
     flights: Estimate
     change: Estimate
 
-    def exponential(self) -> "Change":
+    def exponential(self) -> "QuantityChange":
         """Return the change of a quantity from the change of its logarithm; its change is then relative."""
-        return Change(_exponential(self.baseline), _exponential(self.flights), _exponential(self.change, 1.0))
+        return QuantityChange(
+            _exponential_of_estimate(self.baseline),
+            _exponential_of_estimate(self.flights),
+            _exponential_of_estimate(self.change, 1.0),
+        )
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -134,15 +136,13 @@ class Balance:
     candidates: tuple[str, ...]  # Possible causes
     tell_apart: tuple[Finding, ...]  # Experiments that distinguish the candidates
     fits: tuple[CauseFit, ...]  # Fits of all causes; empty if there are too few repeats for a test
-
     baseline: tuple[HoverEffort, ...]
     flights: tuple[HoverEffort, ...]
     test: tuple[HoverEffort, ...]
-    shares: tuple[Change, ...]  # Share of each rotor in the total effort
-    total: Change  # Total effort in the log's unit; its change is relative
+    shares: tuple[QuantityChange, ...]  # Share of each rotor in the total effort
+    total: QuantityChange  # Total effort in the log's unit; its change is relative
     freedom: int  # Degrees of freedom of the scatter: repeats minus conditions
     scatter: Array  # Relative standard deviation of each rotor's effort between logs of one condition, (R,)
-
     notes: tuple[Finding, ...] = ()
 
     def as_mapping(self) -> dict[str, object]:
@@ -205,8 +205,8 @@ def judge_balance(
         fits = tuple(_fit_cause(cause, logs[1], usual, scatter, len(baseline)) for cause in possible)
         fits = tuple(_test_on_left_out_logs(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
         condition = np.log([hover.effort for hover in (*flights, *test)])
-        fits = _with_probabilities(fits, [logs[0], condition, *logs[2:]], usual)
-    verdict, candidates = _verdict(fits, possible)
+        fits = _add_posterior_probabilities(fits, [logs[0], condition, *logs[2:]], usual)
+    verdict, candidates = _verdict_and_possible_causes(fits, possible)
     (total,) = _changes_with_intervals([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
     shares = _changes_with_intervals(
         [np.array([hover.effort / hover.effort.sum() for hover in group]) for group in filled], share
@@ -279,7 +279,9 @@ def _test_on_left_out_logs(
     return replace(estimate, judged=p_value, held_out=rms(np.array(errors)))
 
 
-def _with_probabilities(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
+def _add_posterior_probabilities(
+    fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array
+) -> tuple[CauseFit, ...]:
     """Return the fits with posterior probabilities, from groups (L, R) of logs: baseline, condition, others."""
     scatter, share = pool_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
@@ -292,7 +294,9 @@ def _with_probabilities(fits: Sequence[CauseFit], groups: Sequence[Array], usual
     return tuple(replace(fit, probability=float(p)) for fit, p in zip(fits, probability, strict=True))
 
 
-def _verdict(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tuple[str, tuple[str, ...]]:
+def _verdict_and_possible_causes(
+    fits: Sequence[CauseFit], possible: Sequence[BalanceCause]
+) -> tuple[str, tuple[str, ...]]:
     """Return the verdict and the possible causes, one name per part at fault.
 
     These are the smallest set of candidates with a total probability of 1 - `SIGNIFICANCE`. No cause is named if "none" is in
@@ -318,7 +322,7 @@ def _verdict(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tupl
     return ("explained" if len(parts) == 1 else "ambiguous"), tuple(part[0].cause.name for part in parts.values())
 
 
-def _changes_with_intervals(values: Sequence[Array], share: float) -> list[Change]:
+def _changes_with_intervals(values: Sequence[Array], share: float) -> list[QuantityChange]:
     """Return the change of each column from the first group (L, columns) to the second; all groups give the scatter."""
     scatter = pool_scatter(values)
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)
@@ -327,10 +331,10 @@ def _changes_with_intervals(values: Sequence[Array], share: float) -> list[Chang
         return [Estimate.from_half_width(*pair) for pair in zip(value, scatter.half_width(part), strict=True)]
 
     first, second = intervals(before, 1.0 / len(values[0])), intervals(after, 1.0 / len(values[1]))
-    return [Change(*parts) for parts in zip(first, second, intervals(after - before, share), strict=True)]
+    return [QuantityChange(*parts) for parts in zip(first, second, intervals(after - before, share), strict=True)]
 
 
-def _exponential(estimate: Estimate, less: float = 0.0) -> Estimate:
+def _exponential_of_estimate(estimate: Estimate, less: float = 0.0) -> Estimate:
     return Estimate(value=exp(estimate.value) - less, low=exp(estimate.low) - less, high=exp(estimate.high) - less)
 
 

@@ -60,7 +60,7 @@ class FlightRows:
         """Time in the air [s]."""
         return float(self.flies.sum() / self.rate)
 
-    def less_mean(self, name: str, window: float) -> Array:
+    def rows_in_air_less_mean(self, name: str, window: float) -> Array:
         """Return the rows in the air of a field, less their mean over a window [s]."""
         values = getattr(self, name)
         return (values - gaussian_filter1d(values, self.rate * window, axis=0, truncate=3.0))[self.flies]
@@ -115,7 +115,7 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
     if powered.any():
         total = parts["inputs"].sum(axis=1)
         lift = (felt * total)[powered].sum() / (total * total)[powered].sum()
-        powered &= ~is_held(felt, lift * total, slow_rates)
+        powered &= ~is_held_by_hands_or_ground(felt, lift * total, slow_rates)
     flies = _without_edges(powered, rate / step)
     return FlightRows(
         **parts, turning=largest_turning_force(slow_rates), powered=powered, flies=flies, rate=rate / step,
@@ -138,11 +138,11 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
 
     ``logged``: weights of the rotors that the log states, (3, R). For four rotors the flights may contradict them.
     """
-    kept = _left_out_parts([int(flight.flies.sum()) for flight in flights])
+    kept = _rows_without_each_part([int(flight.flies.sum()) for flight in flights])
 
     def columns(window: float) -> list[Array]:
         names = ("inputs", "swings", "products", "motion")
-        return [np.concatenate([flight.less_mean(name, window) for flight in flights]) for name in names]
+        return [np.concatenate([flight.rows_in_air_less_mean(name, window) for flight in flights]) for name in names]
 
     parts = columns(MEAN_S)
     inputs, swings, products, motion = parts
@@ -152,7 +152,7 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
         table = np.concatenate((inputs[rows] @ modes.T, swings[rows] @ modes.T, products[rows]), axis=1)
         return (modes.T @ _least_squares(table, motion[rows, :3])[: len(modes)]).T
 
-    whole, half = _jackknife(single_rotors, kept)
+    whole, half = _fit_with_jackknife_interval(single_rotors, kept)
     weights, clear, even = _weights_of_flight(whole, half)
     measured = clear
     if logged is not None:
@@ -166,7 +166,7 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
         table = np.concatenate((sums, (swings @ weights[2])[:, None], products), axis=1)
         return np.diag(_least_squares(table, motion)[:4])
 
-    value, half = _jackknife(lambda rows: sizes(parts, rows), kept)
+    value, half = _fit_with_jackknife_interval(lambda rows: sizes(parts, rows), kept)
     variants = [sizes(columns(factor * MEAN_S)) for factor in (0.5, 2.0)]
     turned = np.append(np.sign(value[:3]), 1.0)  # the log states the opposite sign
     ends = turned * np.stack((value - half, value + half, *variants))
@@ -193,7 +193,7 @@ def _weights_of_flight(whole: Array, half: Array) -> tuple[Array, Flags, Flags]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lift:
+class ForcePerInput:
     """Specific force along z over the sum of the rotors' inputs."""
 
     mean: Estimate
@@ -201,7 +201,7 @@ class Lift:
     highest: float
 
 
-def mean_lift(flights: Sequence[FlightRows]) -> Lift:
+def mean_force_per_input(flights: Sequence[FlightRows]) -> ForcePerInput:
     """Return the specific force along z over the sum of the rotors' inputs in the mean of the flights.
 
     Rows near take-off and landing, and those in which turning moves the accelerometer's reading by more than ``MOST_TURNING``,
@@ -215,11 +215,11 @@ def mean_lift(flights: Sequence[FlightRows]) -> Lift:
     def ratio(chosen: Flags | Indices) -> Array:
         return _ratio_of_means(table[chosen])
 
-    value, half = _jackknife(ratio, _left_out_parts([len(pair) for pair in pairs]))
+    value, half = _fit_with_jackknife_interval(ratio, _rows_without_each_part([len(pair) for pair in pairs]))
     ends = np.concatenate((value - half, value + half, _ratio_of_means(np.concatenate(whole))))
     ratios = [float(ratio(np.asarray(chunk))[0]) for chunk in np.array_split(np.arange(len(table)), PARTS)]
     mean = Estimate(value=float(value[0]), low=float(ends.min()), high=float(ends.max()))
-    return Lift(mean=mean, lowest=min(ratios), highest=max(ratios))
+    return ForcePerInput(mean=mean, lowest=min(ratios), highest=max(ratios))
 
 
 def _force_and_input(flights: Sequence[FlightRows], rows: Sequence[Flags]) -> list[Array]:
@@ -232,7 +232,7 @@ def _ratio_of_means(table: Array) -> Array:
     return np.atleast_1d(force / max(total, 1e-300))
 
 
-def _left_out_parts(sizes: Sequence[int]) -> list[Flags]:
+def _rows_without_each_part(sizes: Sequence[int]) -> list[Flags]:
     """Return the rows that remain without each flight, or without each of ``PARTS`` parts of few flights."""
     part = np.repeat(np.arange(len(sizes)), sizes)
     part = part if len(sizes) >= FEWEST_FLIGHTS else np.arange(part.size) * PARTS // part.size
@@ -244,13 +244,13 @@ def _least_squares(columns: Array, targets: Array) -> Array:
     return np.linalg.lstsq(columns / scale, targets, rcond=None)[0] / scale[:, None]
 
 
-def _jackknife(fit: Callable[[Flags], Array], kept: Sequence[Flags]) -> tuple[Array, Array]:
+def _fit_with_jackknife_interval(fit: Callable[[Flags], Array], kept: Sequence[Flags]) -> tuple[Array, Array]:
     """Return the fit to all rows, and the half width of its 95 % interval from fits that leave out one part each."""
     whole = fit(np.ones(kept[0].size, dtype=bool))
-    return whole, _half_width([fit(rows) for rows in kept])
+    return whole, _jackknife_half_width([fit(rows) for rows in kept])
 
 
-def _half_width(fits: Sequence[Array]) -> Array:
+def _jackknife_half_width(fits: Sequence[Array]) -> Array:
     """Return the half width of the 95 % interval of a fit from fits that leave out one part each."""
     parts, count = np.stack(fits), len(fits)
     deviation = np.sqrt((count - 1) / count * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0))
@@ -272,7 +272,7 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
             flights.append((rate, command, gaussian_filter1d(log.specific_force[:, 2], rate * BAND_STD_S), rows))
     if not flights:
         return None
-    kept = _left_out_parts([int(rows.sum()) for *_, rows in flights])
+    kept = _rows_without_each_part([int(rows.sum()) for *_, rows in flights])
 
     def residual(params: Array, chosen: Flags) -> Array:
         errors = []
@@ -286,7 +286,7 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
     def fit(chosen: Flags) -> Array:
         return np.asarray(least_squares(residual, (1.5, 1.5), bounds=((0.2, 0.05), (4.0, 15.0)), args=(chosen,)).x)
 
-    value, half = _jackknife(fit, kept)
+    value, half = _fit_with_jackknife_interval(fit, kept)
     power, lag = map(Estimate.from_half_width, value * (1.0, 0.02), half * (1.0, 0.02))
     return power, lag
 
@@ -320,7 +320,7 @@ def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
     count = range(len(parts))
     whole = fit(list(count), np.array((0.1, 0.9, 0.7, 1.0)))
     scale = np.array((largest, largest, 1.0, 0.02))
-    half = _half_width([fit([k for k in count if k != left], whole) for left in count])
+    half = _jackknife_half_width([fit([k for k in count if k != left], whole) for left in count])
     offset, gain, power, lag = map(Estimate.from_half_width, whole * scale, half * scale)
     return CommandCurve(offset=offset, gain=gain, power=power, lag=lag, full=full)
 
@@ -347,7 +347,7 @@ def _curve_parts(log: FlightLog, count: int) -> list[CurvePart]:
     return [CurvePart(command=command, speed=speed, rate=rate, rows=flags) for flags in rows]
 
 
-def is_held(felt: Array, lift: Array, ang_vel: Array | None) -> Flags:
+def is_held_by_hands_or_ground(felt: Array, lift: Array, ang_vel: Array | None) -> Flags:
     """Return the rows in which hands or ground carry a vehicle, (T,).
 
     Args:

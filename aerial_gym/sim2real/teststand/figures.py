@@ -44,12 +44,9 @@ def static_figures(fit: StaticFit) -> "dict[str, Figure]":
     for name, values, choice in (("thrust", fit.thrust, fit.thrust_map), ("torque", fit.torque, fit.torque_map)):
         if values is None or choice is None:
             continue
-        before = np.polyval(choice.candidates["w²"].polynomial()[::-1], fit.speed)
+        before, after = choice.candidates["w²"].polynomial_values(fit.speed), choice.best.polynomial_values(fit.speed)
         if choice.chosen == "torque ratio":
-            thrust = np.polyval(fit.thrust_map.best.polynomial()[::-1], fit.speed)
-            after = choice.best.params["ratio"].value * thrust
-        else:
-            after = np.polyval(choice.best.polynomial()[::-1], fit.speed)
+            after = choice.best.params["ratio"].value * fit.thrust_map.best.polynomial_values(fit.speed)
         labels = ("speed [rad/s]", f"{name} [{choice.unit}]")
         panels[name] = _comparison_figure(fit.speed, values, before, after, ("w²", choice.chosen), labels)
     return panels

@@ -48,30 +48,22 @@ class HoverFit:
     thrust_coefficient: Estimate  # [N s²/rad²]
     scale: Estimate | None  # Factor of the declared thrust map; None without one
     by_flight: dict[str, float]  # Thrust coefficient of each flight
-
     models: dict[str, HoverThrustMap]
     chosen: str
     square_sum: Array = field(repr=False)  # Sum of squared speeds [rad²/s²], (W,)
     force: Array = field(repr=False)  # Thrust over mass [m/s²], (W,)
-
     notes: tuple[Finding, ...] = ()
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        record: dict[str, object] = {
-            "mass": self.mass,
-            "windows": self.force.size,
-            "c_t": self.thrust_coefficient.as_mapping(),
-            "c_t_by_flight": self.by_flight,
-            "chosen": self.chosen,
-            "unit": "m/s²",
-            "candidates": {name: plain(model.error) for name, model in self.models.items()},
-            "notes": list(self.notes),
-        }
+        errors = {name: plain(model.error) for name, model in self.models.items()}
+        record: dict[str, object] = {"mass": self.mass, "windows": self.force.size}
+        record |= {"c_t": self.thrust_coefficient.as_mapping(), "c_t_by_flight": self.by_flight}
+        record |= {"chosen": self.chosen, "unit": "m/s²", "candidates": errors, "notes": list(self.notes)}
         if self.scale is not None:
+            pairs = {"before": "declared", "after": self.chosen}
             record["scale"] = self.scale.as_mapping()
-            record["before"] = {"model": "declared", "held_out": self.models["declared"].error.as_mapping()}
-            record["after"] = {"model": self.chosen, "held_out": self.models[self.chosen].error.as_mapping()}
+            record |= {when: {"model": name, "held_out": errors[name]} for when, name in pairs.items()}
         return record
 
 
@@ -96,7 +88,7 @@ def find_hover_rows(log: FlightLog, speed: Array) -> list[Flags]:
     return [still & (label == window) for window in chosen]
 
 
-def window_means(log: FlightLog) -> tuple[Array, Array]:
+def means_of_hover_windows(log: FlightLog) -> tuple[Array, Array]:
     """Return means over the hover windows: sums over rotors of 1, w, w², (W, 3), and thrust over mass [m/s²], (W,).
 
     Without an accelerometer, the thrust is g over the cosine of the tilt.
@@ -124,7 +116,7 @@ def fit_hover(
     parts, missed, notes = [], [], []
     for log in logs:
         try:
-            parts.append((log.name, *window_means(log)))
+            parts.append((log.name, *means_of_hover_windows(log)))
             notes += [Finding("thrust_from_gravity", log.name)] if log.specific_force is None else []
         except DataError as error:
             missed.append(error)
@@ -136,14 +128,14 @@ def fit_hover(
     moments, force = map(np.concatenate, columns)
     square, target = moments[:, 2], mass * force
     coefficient = _slope_with_interval(square, target, sizes, mass_std / mass)
-    models = {"c_t w²": _map_of_shape((0.0, 0.0, 1.0), moments, force, mass, group)}
+    models = {"c_t w²": _fit_scaled_thrust_map((0.0, 0.0, 1.0), moments, force, mass, group)}
     scale = None
     if declared is not None:
         carried = (moments * declared).sum(axis=1)
         scale = _slope_with_interval(carried, target, sizes, mass_std / mass)
         models = {
             "declared": HoverThrustMap(declared, cross_validation_error(force - carried / mass, group)),
-            "declared, scaled": _map_of_shape(declared, moments, force, mass, group),
+            "declared, scaled": _fit_scaled_thrust_map(declared, moments, force, mass, group),
             **models,
         }
     notes = [*(Finding("flight_left_out", "", {"error": str(error)}) for error in missed), *notes]
@@ -174,7 +166,7 @@ def _slope_with_interval(cause: Array, effect: Array, sizes: Sequence[int], mass
     return Estimate.from_half_width(slope, half_width)
 
 
-def _map_of_shape(
+def _fit_scaled_thrust_map(
     shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: Indices
 ) -> HoverThrustMap:
     """Return a scaled thrust map of fixed shape, with the error of fits without each group."""

@@ -38,6 +38,13 @@ class ThrowSeries:
     mass: float | None = None  # Of the body without the device; of the device, for throws of the device alone [kg]
     inertia: tuple[float, float, float] | None = None  # Known moments of a proof body about the IMU's axes [kg m²]
 
+    def __post_init__(self) -> None:
+        for name, value in (("mass", self.mass), *(("inertia", moment) for moment in self.inertia or ())):
+            if value is not None and not 0.0 < value < inf:
+                raise ConfigError(
+                    f"{name} of the body in {', '.join(map(str, self.paths))} = {value!r}: must be > 0, finite"
+                )
+
 
 @dataclass(frozen=True, kw_only=True)
 class BodyInertia:
@@ -53,7 +60,7 @@ class BodyInertia:
 
 def read_throw(path: Path) -> FreeFlight:
     """Return the free flight in a log with gyro, accelerometer and the speed of one flywheel."""
-    series = {name: (time, values) for name, time, values in _time_series(path)}
+    series = {name: (time, values) for name, time, values in _best_channel_of_each_quantity(path)}
     if missing := [name for name in ("ang_vel", "specific_force", "rotor_speed") if name not in series]:
         raise DataError(
             f"{path}: has no {' and no '.join(missing)}; log the gyro, the accelerometer and the wheel's speed"
@@ -66,7 +73,7 @@ def read_throw(path: Path) -> FreeFlight:
     ))  # fmt: skip
 
 
-def _time_series(path: Path) -> Iterator[tuple[str, Array, Array]]:
+def _best_channel_of_each_quantity(path: Path) -> Iterator[tuple[str, Array, Array]]:
     """Yield quantity, time [s] and values of the best channel of each quantity."""
     file, number = split_flight_number(path)
     raw, seen = read_raw_log(Path(file)), set[str]()
@@ -105,25 +112,14 @@ def study_inertia(
         )
     if device is not None and body.mass is None:
         raise ConfigError("identify inertia --device needs the mass of the body without the device: give --mass-kg")
-    _check_positive(body, device, proof, wheel_inertia)
+    if wheel_inertia is not None and not 0.0 < wheel_inertia < inf:
+        raise ConfigError(f"wheel inertia = {wheel_inertia!r}: must be > 0 and finite")
     series = [each for each in (body, device, proof) if each is not None]
     wheel, fits = fit_momentum([[read_throw(path) for path in each.paths] for each in series])
     for each, fit in zip(series, fits, strict=True):
         _check_momentum(each, fit)
     result = body_inertia(series, fits, wheel_inertia)
     return _report_inertia(body, result, fits[0], wheel.lateness)
-
-
-def _check_positive(
-    body: ThrowSeries, device: ThrowSeries | None, proof: ThrowSeries | None, wheel_inertia: float | None
-) -> None:
-    given = [("mass", body.mass), ("wheel inertia", wheel_inertia)]
-    for role, series in (("device", device), ("proof", proof)):
-        if series is not None:
-            given += [(f"{role} mass", series.mass), *((f"{role} inertia", value) for value in series.inertia or ())]
-    for name, value in given:
-        if value is not None and not 0.0 < value < inf:
-            raise ConfigError(f"{name} = {value!r}: must be > 0 and finite")
 
 
 def _check_momentum(series: ThrowSeries, fit: MomentumFit) -> None:
@@ -140,7 +136,11 @@ def body_inertia(
 ) -> BodyInertia:
     """Return the inertia of the first body; of the second, the device, that of all others is freed; the third is the proof."""
     total, device = fits[0], fits[1] if len(fits) > 1 else None
-    scale = wheel_scale(series, fits) if wheel_inertia is None else Estimate.from_half_width(wheel_inertia, 0.0)
+    scale = (
+        wheel_inertia_by_proof_body(series, fits)
+        if wheel_inertia is None
+        else Estimate.from_half_width(wheel_inertia, 0.0)
+    )
     matrix, elements = scale.value * total.inertia, total.covariance
     centre = -total.imu_position
     if device is not None:
@@ -151,7 +151,7 @@ def body_inertia(
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     gradients = np.stack([[axes[i, k] * axes[j, k] * (1.0 if i == j else 2.0) for i, j in PAIRS] for k in range(3)])
     spread = np.sqrt(np.einsum("ka,ab,kb->k", gradients, elements, gradients)) * scale.value
-    turns = angle_half_widths(values, axes, elements * scale.value**2)
+    turns = half_widths_of_axis_angles(values, axes, elements * scale.value**2)
     share = (scale.high - scale.value) / NORMAL_95 / scale.value
     half = NORMAL_95 * np.hypot(spread, values * share)
     return BodyInertia(
@@ -160,7 +160,7 @@ def body_inertia(
     )  # fmt: skip
 
 
-def angle_half_widths(moments: Array, axes: Array, covariance: Array) -> Array:
+def half_widths_of_axis_angles(moments: Array, axes: Array, covariance: Array) -> Array:
     """Return half widths of the 95 % intervals of the angles by which two principal axes may turn in their plane [rad], (3, 3).
 
     An error ``e`` of the product of inertia turns the axes of moments that differ by ``d`` by ``atan2(2 e, d) / 2``. The least
@@ -192,7 +192,7 @@ def inertia_of_distance(total: MomentumFit, device: MomentumFit, mass: float, de
     return steiner_term(device_mass, lever) + steiner_term(mass, lever * device_mass / mass)
 
 
-def wheel_scale(series: Sequence[ThrowSeries], fits: Sequence[MomentumFit]) -> Estimate:
+def wheel_inertia_by_proof_body(series: Sequence[ThrowSeries], fits: Sequence[MomentumFit]) -> Estimate:
     """Return the wheel's inertia [kg m²] that gives the proof body its known inertia, by least squares."""
     (_, device, proof), (_, device_fit, proof_fit) = series, fits
     assert proof.mass is not None

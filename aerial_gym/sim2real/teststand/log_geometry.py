@@ -134,7 +134,7 @@ class RotorLayout:
         torques = torques / np.maximum(np.abs(torques).max(axis=1, keepdims=True), 1e-12)
         return np.where(np.abs(torques) < 0.05, 0.0, torques)
 
-    def may_equal(self, other: "RotorLayout") -> bool:
+    def may_be_of_same_vehicle(self, other: "RotorLayout") -> bool:
         """Return whether both can be of one vehicle; a log that states no places agrees with any of as many rotors."""
         if self.count != other.count or self.places is None or other.places is None:
             return self.count == other.count
@@ -197,25 +197,29 @@ def _layout_of_parameters(raw: RawLog, count: int) -> RotorLayout:
         y6 = {10: "y6b", 11: "y6f"}.get(number, "y6")
         family, types = ARDUPILOT_CLASSES.get(kind, ("", {}))
         name = y6 if kind == 5 else "y4" if (kind, number) == (1, 19) else f"{family}_{types.get(number)}"
-        return _table_layout(name, count, f"FRAME_CLASS {kind}, FRAME_TYPE {number}", _ardupilot_law(raw), notes)
+        return _layout_of_known_frame(
+            name, count, f"FRAME_CLASS {kind}, FRAME_TYPE {number}", _ardupilot_thrust_law(raw), notes
+        )
     if "SYS_AUTOSTART" in raw.parameters:
         series = int(raw.number("SYS_AUTOSTART", 0.0))
         name = PX4_SERIES.get(series // 1000, "")
-        return _table_layout(name, count, f"SYS_AUTOSTART {series}", _px4_law(raw), notes)
+        return _layout_of_known_frame(name, count, f"SYS_AUTOSTART {series}", _px4_thrust_law(raw), notes)
     if raw.format == "blackbox":
         name = BETAFLIGHT_DEFAULTS.get(count, "")
-        layout = _table_layout(name, count, f"{name}, Betaflight's default", _betaflight_law(raw), notes)
+        layout = _layout_of_known_frame(
+            name, count, f"{name}, Betaflight's default", _betaflight_thrust_law(raw), notes
+        )
         return replace(layout, origin="assumed")
     return RotorLayout(count=count, notes=notes)
 
 
-def _table_layout(name: str, count: int, source: str, law: ThrustLaw, notes: tuple[str, ...]) -> RotorLayout:
+def _layout_of_known_frame(name: str, count: int, source: str, law: ThrustLaw, notes: tuple[str, ...]) -> RotorLayout:
     if name not in FRAMES or len(FRAMES[name].split()) != count:
         return RotorLayout(count=count, law=law, notes=notes)
     return replace(frame_layout(name, count), law=law, source=source, notes=notes)
 
 
-def _ardupilot_law(raw: RawLog) -> ThrustLaw:
+def _ardupilot_thrust_law(raw: RawLog) -> ThrustLaw:
     """Return the curve between the signals of least and largest thrust."""
     low, high = raw.number("MOT_SPIN_MIN", 0.0), raw.number("MOT_SPIN_MAX", 1.0)
     curve = raw.number("MOT_THST_EXPO", 0.0)
@@ -223,14 +227,14 @@ def _ardupilot_law(raw: RawLog) -> ThrustLaw:
     return ThrustLaw(square=curve, low=low, high=high, origin="logged: MOT_THST_EXPO, MOT_SPIN_MIN and MOT_SPIN_MAX")
 
 
-def _px4_law(raw: RawLog) -> ThrustLaw:
+def _px4_thrust_law(raw: RawLog) -> ThrustLaw:
     curve = raw.number("THR_MDL_FAC", 0.0)
     if curve <= 0.0:
         return ThrustLaw(origin="assumed: proportional to the command, PX4's default (THR_MDL_FAC = 0)")
     return ThrustLaw(square=curve, origin="logged: THR_MDL_FAC")
 
 
-def _betaflight_law(raw: RawLog) -> ThrustLaw:
+def _betaflight_thrust_law(raw: RawLog) -> ThrustLaw:
     """Return the square of the duty cycle, which commands count from idle to the motor output limit."""
     parts = str(raw.parameters.get("motorOutput", "")).split(",")
     low, high = map(float, parts) if len(parts) == 2 and all(part.isdigit() for part in parts) else DSHOT
@@ -252,7 +256,7 @@ def _px4_layout(raw: RawLog, count: int) -> RotorLayout:
 
     places, axes = vectors("P"), vectors("A", -1.0)
     moments = np.array([raw.number(f"CA_ROTOR{k}_KM", 0.0) for k in range(count)])
-    law = _px4_law(raw)
+    law = _px4_thrust_law(raw)
     if not np.abs(places[:, :2]).any() or not moments.all():
         return RotorLayout(count=count, law=law)
     ratio = float(np.abs(moments).mean())

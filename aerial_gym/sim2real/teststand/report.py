@@ -35,10 +35,8 @@ class Study:
     title: str
     intro: str
     mapping: dict[str, object]  # Content for JSON
-
     tables: tuple[ReportTable, ...]
     figures: "dict[str, Figure]" = field(default_factory=dict)  # Figures by file name without suffix
-
     notes: tuple[Finding, ...] = ()
     files: dict[str, str] = field(default_factory=dict)  # Text of further files by name
 

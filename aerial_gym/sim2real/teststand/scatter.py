@@ -48,7 +48,6 @@ class ScatterFit:
 
     params: Array  # Parameters, (P,)
     covariance: Array  # Covariance for Student's t with ``freedom``, (P, P)
-
     freedom: int
     misfit: float  # P-value of the residual under scatter alone
     spread: Array = field(repr=False)  # Covariance of the fitted rows if each row has that of one repeat, (K, K)

@@ -47,6 +47,10 @@ class MapFit(LawFit):
         c0, c1, c2 = (self.params[f"c{p}"].value if f"c{p}" in self.params else 0.0 for p in range(3))
         return c0, c1, c2
 
+    def polynomial_values(self, speed: Array) -> Array:
+        """Return the polynomial at speeds, (T,)."""
+        return np.polyval(self.polynomial()[::-1], speed)
+
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
         numbers = select_fields(self, "name", "fit_rms", "held_out_rms")
@@ -60,7 +64,6 @@ class MapChoice:
     unit: str
     candidates: dict[str, MapFit]
     chosen: str
-
     nested: Array  # Nested cross-validation errors, with the map selected again without that row, (T,)
 
     @property
@@ -96,14 +99,10 @@ class StaticFit:
     speed: Array  # [rad/s], (T,)
     thrust: Array  # [N], (T,)
     torque: Array | None  # [N m], (T,)
-
     thrust_map: MapChoice
     torque_map: MapChoice | None
-
     torque_ratio: Estimate | None  # Torque over thrust [m]
-
     notes: tuple[Finding, ...]
-
     reverse: "StaticFit | None" = None  # Maps of reverse rotation, with signs of speed, thrust and torque inverted
 
     @property
@@ -140,13 +139,13 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     if bench.column_of_quantity("torque") is not None:
         measured["torque"] = bench.values_of_quantity("torque") / num_motors
     if "test" not in bench.table.columns:
-        return [_fit_both_ways(bench.path, measured)], []
+        return [_fit_both_directions(bench.path, measured)], []
     tests = np.asarray(bench.table["test"].astype(str))
     fits, left_out = [], []
     for test in dict.fromkeys(tests):
         part = {quantity: values[tests == test] for quantity, values in measured.items()}
         try:
-            fits.append(_fit_both_ways(f"{bench.path}, test {test}", part))
+            fits.append(_fit_both_directions(f"{bench.path}, test {test}", part))
         except DataError as error:
             left_out.append(Finding("test_left_out", test, {"error": str(error)}))
     if not fits:
@@ -154,17 +153,17 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     return fits, left_out
 
 
-def _fit_both_ways(name: str, measured: dict[str, Array]) -> StaticFit:
+def _fit_both_directions(name: str, measured: dict[str, Array]) -> StaticFit:
     """Return the maps for both directions of rotation, from speed, thrust and optional torque, (T,) each."""
     back = measured["speed"] < 0.0
     if not back.any():
-        return _fit_one_way(name, measured)
-    forwards = _fit_one_way(name, {q: values[~back] for q, values in measured.items()}, through_zero=True)
+        return _fit_one_direction(name, measured)
+    forwards = _fit_one_direction(name, {q: values[~back] for q, values in measured.items()}, through_zero=True)
     backwards = {q: -values[back] for q, values in measured.items()}
-    return replace(forwards, reverse=_fit_one_way(f"{name}, backwards", backwards, through_zero=True))
+    return replace(forwards, reverse=_fit_one_direction(f"{name}, backwards", backwards, through_zero=True))
 
 
-def _fit_one_way(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
+def _fit_one_direction(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
     speed, thrust = measured["speed"], measured["thrust"]
     check_plausibility_of_rotor_data(name, speed, thrust, measured.get("torque"))
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
@@ -194,14 +193,14 @@ def choose_map(
     columns = {name: speed[:, None] ** np.array(powers) for name, powers in (maps | BEYOND).items()}
     labels = {name: tuple(f"c{p}" for p in powers) for name, powers in (maps | BEYOND).items()}
     if thrust is not None:
-        columns = {"torque ratio": np.polyval(thrust.polynomial()[::-1], speed)[:, None], **columns}
+        columns = {"torque ratio": thrust.polynomial_values(speed)[:, None], **columns}
         labels["torque ratio"] = ("ratio",)
     candidates = {name: _fit_regressors(name, rows, values, labels[name]) for name, rows in columns.items()}
     columns = {name: rows for name, rows in columns.items() if name not in BEYOND}
     nested, terms = np.empty(speed.size), {name: rows.shape[1] for name, rows in columns.items()}
     for row in range(speed.size):
         kept_rows = np.arange(speed.size) != row
-        errors = {name: rms(_leave_one_out(c[kept_rows], values[kept_rows])) for name, c in columns.items()}
+        errors = {name: rms(_leave_one_out_errors(c[kept_rows], values[kept_rows])) for name, c in columns.items()}
         best = smallest_good_candidate(errors, terms)
         gains = np.linalg.lstsq(columns[best][kept_rows], values[kept_rows], rcond=None)[0]
         nested[row] = values[row] - columns[best][row] @ gains
@@ -216,7 +215,7 @@ def choose_map(
     return MapChoice(unit=unit, candidates=candidates, chosen=chosen, nested=nested)
 
 
-def _leave_one_out(regressors: Array, values: Array) -> Array:
+def _leave_one_out_errors(regressors: Array, values: Array) -> Array:
     """Return the leave-one-out errors: residual over one minus leverage."""
     scale = np.abs(regressors).max(axis=0)
     scaled = regressors / np.where(scale > 0.0, scale, 1.0)
@@ -231,5 +230,5 @@ def _fit_regressors(name: str, regressors: Array, values: Array, labels: tuple[s
     residual = values - scaled @ gains
     covariance = hc3_covariance(scaled, residual) / np.outer(scale, scale)
     results = estimates(gains / scale, covariance, values.size - gains.size)
-    params, left = dict(zip(labels, results, strict=True)), _leave_one_out(regressors, values)
+    params, left = dict(zip(labels, results, strict=True)), _leave_one_out_errors(regressors, values)
     return MapFit(name=name, params=params, residual=residual, held_out=left)

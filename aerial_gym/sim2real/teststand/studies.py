@@ -64,7 +64,7 @@ def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCf
     notes += [note for fit in static[:MOST_TESTS_SHOWN] for note in curvature_notes(fit)]
     if len(static) > 1:
         mapping["all_tests"] = summary_of_tests(static)
-    changes, files = rotor_changes(static, lag), ", ".join(Path(bench.path).name for bench in benches)
+    changes, files = rotor_fields_from_tests(static, lag), ", ".join(Path(bench.path).name for bench in benches)
     return Study(
         title="Motor identification",
         intro="Every interval is a 95 % interval; held-out errors are on rows or steps that the fit has not seen.",
@@ -76,7 +76,7 @@ def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCf
     )
 
 
-def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str, object]:
+def rotor_fields_from_tests(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str, object]:
     """Return the rotor fields from one static test and the steps; no maps for several tests."""
     results: dict[str, object] = {}
     if len(static) == 1:
@@ -87,7 +87,7 @@ def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str,
             results["torque_ratio"] = fit.torque_map.best.params["ratio"].value if constant else None
             results["torque_map"] = None if constant else fit.torque_map.best.polynomial()
         if fit.reverse is not None:
-            results |= _reverse_changes(fit, fit.reverse)
+            results |= _reverse_rotor_fields(fit, fit.reverse)
     if lag is not None:
         params = lag.laws[lag.in_robot].params
         for way in ("up", "down"):
@@ -96,7 +96,7 @@ def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str,
     return results
 
 
-def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
+def _reverse_rotor_fields(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
     """Return the fields of a reversible rotor: reverse maps, and the range of measured thrust."""
     thrust_map = reverse.thrust_map.best.polynomial()
     results: dict[str, object] = {"reverse_thrust_map": thrust_map}

@@ -4,6 +4,7 @@ Letters: T rows.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -83,17 +84,19 @@ def read_columns(path: str | Path, *, given: Mapping[str, str], units: Mapping[s
     return Bench(str(path), table, dict(given), dict(units))
 
 
+@dataclass(frozen=True, eq=False)
 class Bench:
     """A test stand file with access to quantities by meaning, in SI units."""
 
-    def __init__(self, path: str, table: pd.DataFrame, given: dict[str, str], units: dict[str, str]) -> None:
-        """Store a table with the user's names of columns and units."""
-        self.path, self.table, self._given, self._units = path, table, given, units
+    path: str
+    table: pd.DataFrame
+    given: dict[str, str]  # Column by quantity, as named by the user
+    units: dict[str, str]  # Unit by quantity, as named by the user
 
     def column_of_quantity(self, quantity: str) -> str | None:
         """Return the column of a quantity; None without one."""
-        if quantity in self._given:
-            return self._given[quantity]
+        if quantity in self.given:
+            return self.given[quantity]
         known = KNOWN[quantity][1]
         return next((name for name in self.table.columns if name.lower() in known), None)
 
@@ -113,7 +116,7 @@ class Bench:
                 f"{self.path}, line {bad[0] + 2}: {column} = {self.table[column].iloc[bad[0]]!s} is no number; "
                 "remove the row, or measure it again"
             )
-        unit = self._units.get(quantity) or known.get(column.lower())
+        unit = self.units.get(quantity) or known.get(column.lower())
         if unit is None:
             raise DataError(
                 f"{self.path}: the unit of column {column!r} is not known; give it: --units {quantity} UNIT"

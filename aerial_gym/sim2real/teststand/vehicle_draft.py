@@ -59,7 +59,7 @@ def mean_command(logs: Sequence[FlightLog]) -> float:
     return float(commands[commands > 0.3 * np.quantile(commands, 0.9)].mean())
 
 
-def mapping_text(
+def command_mapping_yaml(
     draft: VehicleDraft, layout: RotorLayout, logs: Sequence[FlightLog], mapping: LogMapping | None
 ) -> str:
     """Return a mapping that turns logged commands into speeds [rad/s], or into thrusts [N] without measured speeds.
@@ -88,7 +88,7 @@ def mapping_text(
     return dump_yaml(replace(base, rotor_command=law, source=source))
 
 
-def robot_text(draft: VehicleDraft, *, name: str) -> str:
+def robot_yaml_with_origins(draft: VehicleDraft, *, name: str) -> str:
     """Return the robot file, with the origin of each number beside it."""
     v = draft.values
 

@@ -23,15 +23,20 @@ from aerial_gym.sim2real.teststand.effectiveness import (
     CommandCurve,
     Effectiveness,
     FlightRows,
-    Lift,
+    ForcePerInput,
     fit_command_curve,
     fit_effectiveness,
     fit_thrust_power,
-    mean_lift,
+    mean_force_per_input,
     rows_of_flight,
 )
 from aerial_gym.sim2real.teststand.log_geometry import FRAMES, RotorLayout, ThrustLaw, layout_in_log
-from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, VehicleDraft, mapping_text, mean_command
+from aerial_gym.sim2real.teststand.vehicle_draft import (
+    ValueWithOrigin,
+    VehicleDraft,
+    command_mapping_yaml,
+    mean_command,
+)
 
 FEWEST_S = 3.0  # Least time in the air [s]
 LARGEST_FORCE = 100.0  # Larger commands of a CSV file are speeds [rad/s]; smaller ones are thrusts [N] or shares
@@ -56,7 +61,7 @@ def draft_vehicle(
     layout = _common_layout(logs, frame)
     has_speeds, fast = all(log.rotor_speed is not None for log in logs), all(log.torques for log in logs)
     power = None if has_speeds or not fast else fit_thrust_power(logs)
-    if power is not None and _is_clear(power[0]):
+    if power is not None and _has_narrow_interval_above_zero(power[0]):
         low, high = power[0].low, power[0].high
         law = ThrustLaw(power=power[0].value, origin=f"measured here: u^{power[0].value:.2f} [{low:.2f}, {high:.2f}]")
         layout = replace(layout, law=law)
@@ -70,7 +75,7 @@ def draft_vehicle(
 
     flights = [rows_of_flight(log, thrust_input) for log in logs]
     for log, rows in zip(logs, flights, strict=True):
-        _check_force(log, rows)
+        _check_mean_force_in_flight(log, rows)
     flights = [rows for rows in flights if rows.seconds > 0.0]
     seconds = sum(rows.seconds for rows in flights)
     if seconds < FEWEST_S:
@@ -78,8 +83,8 @@ def draft_vehicle(
     effect = _fit_to_layout(flights, layout) if fast else None
     curve = fit_command_curve(logs) if has_speeds and fast else None
     lag = curve.lag if curve is not None else power[1] if power is not None else None
-    draft = _assemble_draft(layout, effect, curve, lag, mean_lift(flights), has_speeds, mass, arm, logs)
-    return replace(draft, mapping=mapping_text(draft, layout, logs, mapping))
+    draft = _assemble_draft(layout, effect, curve, lag, mean_force_per_input(flights), has_speeds, mass, arm, logs)
+    return replace(draft, mapping=command_mapping_yaml(draft, layout, logs, mapping))
 
 
 def _fit_to_layout(flights: Sequence[FlightRows], layout: RotorLayout) -> Effectiveness:
@@ -98,7 +103,7 @@ def _complete_log(log: FlightLog) -> FlightLog:
     return replace(log, rotor_speed=command, rotor_command=None)
 
 
-def _check_force(log: FlightLog, rows: FlightRows) -> None:
+def _check_mean_force_in_flight(log: FlightLog, rows: FlightRows) -> None:
     """Raise ``DataError`` if the accelerometer shows less than a vehicle in the air for this time can have."""
     least = 0.9 * STANDARD_GRAVITY - FASTEST_FALL / max(rows.seconds, 1e-3)
     if rows.force < least:
@@ -112,7 +117,7 @@ def _common_layout(logs: Sequence[FlightLog], frame: str | None) -> RotorLayout:
     """Return the rotors that all logs state; raise ``DataError`` if they state different ones."""
     layouts = [layout_in_log(log.path, log.num_rotors, frame) for log in logs]
     for log, layout in zip(logs, layouts, strict=True):
-        if not layout.may_equal(layouts[0]):
+        if not layout.may_be_of_same_vehicle(layouts[0]):
             raise DataError(
                 f"{logs[0].path} and {log.path} state different rotors ({layouts[0].count} by {layouts[0].source}, "
                 f"{layout.count} by {layout.source}); give logs of one vehicle"
@@ -120,14 +125,14 @@ def _common_layout(logs: Sequence[FlightLog], frame: str | None) -> RotorLayout:
     return layouts[0]
 
 
-def _is_clear(estimate: Estimate) -> bool:
+def _has_narrow_interval_above_zero(estimate: Estimate) -> bool:
     """Return whether an interval excludes 0 and is not wider than ``WIDEST``."""
     return estimate.low > 0.0 and estimate.high - estimate.low <= 2.0 * WIDEST * abs(estimate.value)
 
 
 def _value_of_estimate(estimate: Estimate, basis: str = "") -> ValueWithOrigin:
     interval = f" [{estimate.low:.3g}, {estimate.high:.3g}]" if np.isfinite(estimate.high) else ""
-    how = "measured here" if _is_clear(estimate) else "assumed: not clear in the flight,"
+    how = "measured here" if _has_narrow_interval_above_zero(estimate) else "assumed: not clear in the flight,"
     return ValueWithOrigin(value=estimate.value, origin=f"{how}{interval}{basis}")
 
 
@@ -135,7 +140,7 @@ def _scale_estimate(estimate: Estimate, factor: float) -> Estimate:
     return Estimate(value=factor * estimate.value, low=factor * estimate.low, high=factor * estimate.high)
 
 
-def _inverse(estimate: Estimate, numerator: float) -> Estimate:
+def _quotient_by_estimate(estimate: Estimate, numerator: float) -> Estimate:
     """Return a numerator over an estimate, whose interval may reach 0."""
     low, high = (numerator / max(end, 1e-300) for end in (estimate.high, estimate.low))
     return Estimate(
@@ -144,7 +149,7 @@ def _inverse(estimate: Estimate, numerator: float) -> Estimate:
 
 
 def _assemble_draft(
-    layout: RotorLayout, effect: Effectiveness | None, curve: CommandCurve | None, lag: Estimate | None, lift: Lift,
+    layout: RotorLayout, effect: Effectiveness | None, curve: CommandCurve | None, lag: Estimate | None, lift: ForcePerInput,
     has_speeds: bool, mass: float | None, arm: float | None, logs: Sequence[FlightLog],
 ) -> VehicleDraft:  # fmt: skip
     """Return the draft; ``lift``: specific force of one rotor per unit of input in the mean of the flights."""
@@ -154,7 +159,7 @@ def _assemble_draft(
     kilograms = 1.0 if mass is None else mass
     how = "assumed: not in the log" if mass is None else "given: --mass-kg"
     values["mass"] = ValueWithOrigin(value=kilograms, origin=how)
-    places, spins, layout_origin, notes = _layout_of_flight(layout, effect)
+    places, spins, layout_origin, notes = _places_and_spins_of_rotors(layout, effect)
     notes = [*layout.notes, *notes]
     if layout_origin.startswith("assumed"):
         questions.append(
@@ -185,7 +190,7 @@ def _assemble_draft(
     arms = np.abs(np.cross(places, axes)).max(axis=0)
     for axis, (name, reach) in enumerate(zip(("inertia_x", "inertia_y"), arms[:2], strict=True)):
         if effect is not None and effect.known[axis]:
-            moment = _inverse(effect.sizes[axis], float(reach) * thrust.value)
+            moment = _quotient_by_estimate(effect.sizes[axis], float(reach) * thrust.value)
             value = _value_of_estimate(moment, ": by arm, mass and effectiveness")
             if not layout.has_lengths:
                 value = replace(value, origin=f"assumed: of a frame as wide as long; {value.origin}")
@@ -196,7 +201,9 @@ def _assemble_draft(
             values[name] = ValueWithOrigin(value=guess, origin=f"assumed: 0.4 m arm², +- 50 %; {why}")
     for name in ("inertia_x", "inertia_y"):  # short numbers, whose sum stays exact in the file
         values[name] = replace(values[name], value=float(f"{values[name].value:.5g}"))
-    values["torque_ratio"], values["inertia_z"] = _yaw_numbers(layout, effect, thrust.value, values, notes)
+    values["torque_ratio"], values["inertia_z"] = _torque_ratio_and_yaw_inertia(
+        layout, effect, thrust.value, values, notes
+    )
     slow = ValueWithOrigin(value=0.05, origin="assumed: speeds or commands are not logged fast enough")
     values["lag"] = slow if lag is None else _value_of_estimate(lag)
     values["largest_thrust"] = _largest_thrust(thrust, curve, layout.law, has_speeds, logs)
@@ -211,7 +218,7 @@ def _assemble_draft(
     )  # fmt: skip
 
 
-def _yaw_numbers(
+def _torque_ratio_and_yaw_inertia(
     layout: RotorLayout,
     effect: Effectiveness | None,
     thrust: float,
@@ -226,7 +233,9 @@ def _yaw_numbers(
         return logged if layout.torque_ratio else replace(logged, origin="assumed: typical"), flat
     size = effect.sizes[2]
     if layout.torque_ratio is not None:
-        inertia = _value_of_estimate(_inverse(size, layout.torque_ratio * thrust), ": by the logged torque ratio")
+        inertia = _value_of_estimate(
+            _quotient_by_estimate(size, layout.torque_ratio * thrust), ": by the logged torque ratio"
+        )
         if abs(x - y) < inertia.value < x + y:
             return logged, inertia.weaken(values, "mass")
         notes.append(
@@ -237,7 +246,7 @@ def _yaw_numbers(
     return ValueWithOrigin(value=size.value * flat.value / thrust, origin=origin), flat
 
 
-def _layout_of_flight(
+def _places_and_spins_of_rotors(
     layout: RotorLayout, effect: Effectiveness | None
 ) -> tuple[Array, tuple[int, ...], str, list[str]]:
     """Return places and spins of the rotors: those of the flight where it shows them, else those of the log."""

@@ -23,7 +23,7 @@ from aerial_gym.physics.model import Model, build_model, robot_effects
 from aerial_gym.physics.state import ArticulatedState, BodyState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.teststand.joints.record import Release, law_angle
+from aerial_gym.sim2real.teststand.joints.record import ReleaseRecord, law_angle
 from tests.builders import simulation
 
 G = 9.81
@@ -296,7 +296,7 @@ def test_an_arm_that_creeps_is_the_generalised_maxwell_model() -> None:
     for dt in (1e-3, 5e-4):
         number = round(0.3 / dt)
         time = dt * np.arange(1, number + 1)
-        right = law_angle(Release(path="", time=time, angle=time, start=0.4), params)
+        right = law_angle(ReleaseRecord(path="", time=time, angle=time, start=0.4), params)
         apart.append(float(np.sqrt(np.mean((let_go(dt, number).numpy() - right) ** 2))))
     assert apart[0] / apart[1] == pytest.approx(2.0, abs=0.2)
     assert apart[1] < 2e-3

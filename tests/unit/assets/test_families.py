@@ -16,6 +16,7 @@ from aerial_gym.config.environment import AssetCfg, FamilyCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
+from tests.refusals import assert_refused
 from tests.unit.assets.managers import box_environment, make_manager
 
 POINT = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-6),)
@@ -175,8 +176,7 @@ def test_impossible_family_configurations_are_refused() -> None:
         ),
         (ASSET, {"family": None}, r"AssetCfg 'forest': give shapes, at least one, or a family"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            replace(cfg, **changes)
+        assert_refused(ConfigError, message, replace, cfg, **changes)
 
 
 URDF = """<robot name="lamp">
@@ -263,8 +263,7 @@ def test_an_environment_file_can_hold_a_urdf(lamp: Path) -> None:
 def test_bad_urdf_files_are_refused_by_name(lamp: Path, old: str, new: str, message: str) -> None:
     pytest.importorskip("yourdfpy")
     lamp.write_text(URDF.replace(old, new), encoding="utf-8")
-    with pytest.raises(ConfigError, match=message):
-        load_urdf(lamp)
+    assert_refused(ConfigError, message, load_urdf, lamp)
 
 
 def test_missing_files_and_links_are_refused_by_name(lamp: Path) -> None:
@@ -274,16 +273,13 @@ def test_missing_files_and_links_are_refused_by_name(lamp: Path) -> None:
     with pytest.raises(ConfigError, match=r"there is no link 'head'. Known: base, pole, bulb, shade"):
         load_urdf(lamp, link_ids={"head": 1})
     lamp.write_text('<robot name="empty"><link name="base"/></robot>', encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"URDF .*lamp.urdf: holds no geometry"):
-        load_urdf(lamp)
-    with pytest.raises(ConfigError, match=r"only a urdf has"):
-        ShapeCfg(kind="sphere", radius=1.0, link_ids={"a": 1})
+    assert_refused(ConfigError, r"URDF .*lamp.urdf: holds no geometry", load_urdf, lamp)
+    assert_refused(ConfigError, r"only a urdf has", ShapeCfg, kind="sphere", radius=1.0, link_ids={"a": 1})
 
 
 def test_a_urdf_without_yourdfpy_names_the_extra(lamp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
-    with pytest.raises(ConfigError, match=r"needs yourdfpy; install aerial-gym\[urdf\]"):
-        load_urdf(lamp)
+    assert_refused(ConfigError, r"needs yourdfpy; install aerial-gym\[urdf\]", load_urdf, lamp)
 
 
 def test_a_mesh_of_a_package_stays_in_the_asset_folder(lamp: Path) -> None:

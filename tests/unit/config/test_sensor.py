@@ -24,6 +24,7 @@ from aerial_gym.config.sensor import (
 )
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors.rays import ray_table
+from tests.refusals import assert_refused
 
 COMMON = {"summary": "test", "width": 16, "height": 8, "min_range": 0.2, "max_range": 10.0, "source": "test"}
 CAMERA = CameraCfg(**COMMON, hfov_deg=87.0)
@@ -233,8 +234,7 @@ def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, w
     ({"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False}, r"noise = .* deviation is -0.1 m at 2 m"),
 ])  # fmt: skip
 def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:
-    with pytest.raises(ConfigError, match=rf"{type(cfg).__name__}\.?{message}"):
-        replace(cfg, **fields)
+    assert_refused(ConfigError, rf"{type(cfg).__name__}\.?{message}", replace, cfg, **fields)
 
 
 @pytest.mark.parametrize(("cfg", "fields", "message"), [
@@ -272,8 +272,7 @@ def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict,
     (TABLE, {"rays": ((1.0, 0.0, 0.0), (nan, 0.0, 0.0))}, r"RayTableCfg.rays = .*: must be finite"),
 ])  # fmt: skip
 def test_impossible_models_and_noises_are_refused(cfg: RangeSensorCfg | NoiseCfg, fields: dict, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        replace(cfg, **fields)
+    assert_refused(ConfigError, message, replace, cfg, **fields)
 
 
 @pytest.mark.parametrize(("beams", "message"), [
@@ -284,8 +283,7 @@ def test_impossible_models_and_noises_are_refused(cfg: RangeSensorCfg | NoiseCfg
     ((10.0, 0.0, 0.0), r"must fall from entry to entry"),
 ])  # fmt: skip
 def test_impossible_beams_are_refused(beams: tuple[float, ...], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        LidarCfg(**{**COMMON, "height": 3}, beam_elevations_deg=beams)
+    assert_refused(ConfigError, message, LidarCfg, **{**COMMON, "height": 3}, beam_elevations_deg=beams)
 
 
 @pytest.mark.parametrize(("text", "message"), [

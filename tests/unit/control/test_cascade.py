@@ -34,6 +34,7 @@ from aerial_gym.physics.effects import Condition, EffectParams, Parameter, Wrenc
 from aerial_gym.physics.law_memory import LawMemory, fresh_law_memory
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import random_state
+from tests.refusals import assert_refused
 from tests.repetitions import rare_values
 
 F64 = torch.float64
@@ -340,8 +341,7 @@ def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None
         (replace(PID, action_delay=0.003), r"action_delay = 0.003 s: .* 1.5 physics steps.*0.004 s"),
         (replace(PID, rate_hz=100.0, rate_loop=RateLoopCfg(rate_hz=250.0)), r"rate loop runs at 250.0 Hz, .* multiple"),
     ):
-        with pytest.raises(ConfigError, match=message):
-            make_timing(cfg, DT)
+        assert_refused(ConfigError, message, make_timing, cfg, DT)
     with pytest.raises(ConfigError, match="there is no rate loop to reach"):
         replace(CONTROLLERS.get("lee_rates_control"), delay=0.01)
     with pytest.raises(ConfigError, match=r"RateLoopCfg.integral = \(-1.0, 0.0, 0.0\): must be >= 0"):
@@ -350,8 +350,7 @@ def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None
 
 def test_what_a_controller_with_memory_cannot_do_is_said() -> None:
     vehicle = vehicle_from_config(ROBOT, num_envs=1)
-    with pytest.raises(ConfigError, match=r"needs a time step. Give dt"):
-        make_controller(PID, vehicle, 9.81)
+    assert_refused(ConfigError, r"needs a time step. Give dt", make_controller, PID, vehicle, 9.81)
     for backend in (TorchBackend(), WarpBackend()):
         backend.allocate(build_model(vehicle), make_controller(PID, vehicle, 9.81, dt=DT), integrator="euler")
         state, action = flight_start(1)

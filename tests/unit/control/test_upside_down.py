@@ -1,4 +1,6 @@
-"""Starts from which a law does not turn a vehicle over are refused, and the verdict is that of a flight."""
+"""Starts from which a law does not turn a vehicle over are refused, and the verdict is that of a flight. The values of an
+action that fused laws compute once per launch.
+"""
 
 import logging
 from dataclasses import replace
@@ -10,15 +12,17 @@ import torch
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.laws import LAWS
 from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.upside_down import check_starts
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
-from aerial_gym.physics import build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics import BodyState, WarpBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.physics.integrators import INTEGRATORS, to_body_state, to_mass_state
 from aerial_gym.physics.law_memory import fresh_law_memory, rotor_command_and_memory
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
+from tests.physics.vehicles import random_state
 
 F64 = torch.float64
 CRAZYFLIE = ROBOTS.get("crazyflie_21")
@@ -132,3 +136,28 @@ def test_laws_that_hold_no_attitude_are_not_judged(name: str) -> None:
 def test_an_environment_refuses_such_a_start() -> None:
     with pytest.raises(ConfigError, match="euler_low"):
         simulation(from_angles(-180.0, 180.0, ang_vel=0.2), "crazyflie_mellinger_control")
+
+
+ENVS, SUBSTEPS, DT = 16, 5, 0.004
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_launch_of_many_substeps_is_as_many_launches(name: str) -> None:
+    """An action that is prepared once for five substeps gives, bit for bit, the flight of one that is prepared for
+    each. Actions are to both sides of the limits of inclination and yaw rate, and turn all ways."""
+    robot = ROBOTS.get("omnidirectional_octarotor" if name == "pose" else "base_quadrotor")
+    vehicle = vehicle_from_config(robot, num_envs=ENVS)
+    law = make_controller(ControllerCfg(summary="", law=name), vehicle, 9.81, dt=DT)
+    backend = WarpBackend()
+    backend.allocate(build_model(vehicle), law, integrator="euler")
+    actions = 6.0 * (torch.rand(ENVS, len(law.action_names), generator=torch.Generator().manual_seed(1)) - 0.5)
+    start = random_state(ENVS, seed=2, rotor_speed=400.0)
+    start = replace(start, rotor_speed=start.rotor_speed[:, :1].expand(-1, vehicle.num_rotors))
+    start = replace(start, **{key: value.float() for key, value in vars(start).items()})
+    once, each = (BodyState(**{key: value.clone() for key, value in vars(start).items()}) for _ in range(2))
+    backend.step(once, actions, DT, SUBSTEPS)
+    for _ in range(SUBSTEPS):
+        backend.step(each, actions, DT, 1)
+    for key, value in vars(once).items():
+        torch.testing.assert_close(value, getattr(each, key), rtol=0.0, atol=0.0)
+        assert value.isfinite().all()

@@ -25,8 +25,7 @@ from aerial_gym.export.pilot import COMPILER, load_exported
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.sensors.encoder.file import ACTIVATIONS, Autoencoder, AutoencoderCfg, Encoder, EncoderImageCfg
 from tests.unit.export.policies import TRANSFORMS, layout, make_layout, random_policy
-from tests.unit.export.test_images import IMAGE, OBSERVATIONS, image_layout
-from tests.unit.export.test_images import random_policy as drawn_image_policy
+from tests.unit.export.test_export import IMAGE, OBSERVATIONS, image_layout, random_policy_of_images
 
 NEEDS_C = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
 
@@ -317,7 +316,7 @@ def test_an_overflow_inside_is_no_command(tmp_path: Path) -> None:
 
 @NEEDS_C
 def test_pixels(tmp_path: Path) -> None:
-    policy = drawn_image_policy({"observations": OBSERVATIONS, "depth": IMAGE}, activation="relu")
+    policy = random_policy_of_images({"observations": OBSERVATIONS, "depth": IMAGE}, activation="relu")
     made = image_layout(policy, {"depth": ImageCfg(dtype="float32")})
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):
         step = load_exported(written.file).step

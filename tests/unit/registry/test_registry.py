@@ -14,6 +14,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, OwnershipError, ShapeError, UnknownNameError
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
+from tests.refusals import assert_refused
 
 
 def spec(key: str = "speed", shape: tuple[str | int, ...] = ("E", 3)) -> TensorSpec:
@@ -34,10 +35,8 @@ def test_registry_returns_entries_and_lists_names() -> None:
 def test_registry_refuses_a_second_entry_and_helps_with_a_missing_one() -> None:
     registry: Registry[int] = Registry("robot")
     registry.register("quad_x", 1)
-    with pytest.raises(DuplicateNameError, match="robot 'quad_x' is registered already"):
-        registry.register("quad_x", 2)
-    with pytest.raises(UnknownNameError, match="no robot 'quadx'. Did you mean 'quad_x'\\? Known: quad_x"):
-        registry.get("quadx")
+    assert_refused(DuplicateNameError, "robot 'quad_x' is registered already", registry.register, "quad_x", 2)
+    assert_refused(UnknownNameError, "no robot 'quadx'. Did you mean 'quad_x'\\? Known: quad_x", registry.get, "quadx")
     with pytest.raises(UnknownNameError, match="Known: none"):
         Registry("robot").get("a")
 
@@ -73,8 +72,7 @@ def test_gtd_names_unknown_keys_letters_and_sizes() -> None:
         gtd["a"]
     with pytest.raises(ShapeError, match="shape letter 'Q' has no size. Known: E"):
         gtd.declare(spec(shape=("E", "Q")))
-    with pytest.raises(ShapeError, match="size E = 5: it is 4 already"):
-        gtd.define_size("E", 5)
+    assert_refused(ShapeError, "size E = 5: it is 4 already", gtd.define_size, "E", 5)
 
 
 def test_gtd_prints_its_schema() -> None:
@@ -98,8 +96,7 @@ def test_an_entry_for_later_is_made_once_and_only_when_requested() -> None:
     assert made == []
     assert registry.get("one") is registry.get("one")
     assert made == [1]
-    with pytest.raises(DuplicateNameError, match="'one' is registered already"):
-        registry.register_later("one", list)
+    assert_refused(DuplicateNameError, "'one' is registered already", registry.register_later, "one", list)
 
 
 def _augment(name: str, t: Tensor) -> None:

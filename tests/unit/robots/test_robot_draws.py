@@ -19,6 +19,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.robots.parameter_draws import scale_second_moments
 from tests.builders import simulation
 from tests.physics.vehicles import BATTERY
+from tests.refusals import assert_refused
 
 QUAD = ROBOTS.get("base_quadrotor")
 CELL = replace(BATTERY, capacity=36.0)
@@ -223,8 +224,7 @@ MOTOR = "effects.weak_motor.motor"
     ),
 ])  # fmt: skip
 def test_impossible_requests_are_refused_by_name(cfg: dict[str, RandomizeCfg], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        make(cfg)
+    assert_refused(ConfigError, message, make, cfg)
 
 
 @pytest.mark.parametrize(("fields", "message"), [
@@ -245,8 +245,7 @@ def test_impossible_requests_are_refused_by_name(cfg: dict[str, RandomizeCfg], m
     ({"distribution": "integer", "low": 1.5, "high": 4.0}, "an integer distribution needs whole numbers"),
 ])  # fmt: skip
 def test_impossible_distributions_are_refused(fields: dict, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        RandomizeCfg(**fields)
+    assert_refused(ConfigError, message, RandomizeCfg, **fields)
 
 
 def test_places_of_sensors_are_drawn_about_their_mounts() -> None:
@@ -311,8 +310,7 @@ def test_a_sum_that_alone_is_known_is_drawn_as_certain_as_it_is() -> None:
     ({WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.9, dy=0.9)}, "contradict each other"),
 ])  # fmt: skip
 def test_a_correlation_that_cannot_be_drawn_is_refused(changes: Mapping[str, RandomizeCfg], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        make({**TOGETHER, **changes}, 2)
+    assert_refused(ConfigError, message, make, {**TOGETHER, **changes}, 2)
 
 
 def test_a_joint_distribution_is_read_and_written(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, SENSORS, Pose, SensorManager, mounted_sensors, sensor_by_name
 from aerial_gym.sensors.mounts import Carrier
 from tests.builders import simulation
+from tests.refusals import assert_refused
 
 BASE = ROBOTS.get("base_quadrotor")
 SIZE = {"width": 8, "height": 8, "hfov_deg": 90.0, "min_range": 0.0, "max_range": 10.0}
@@ -85,15 +86,13 @@ sensors:
     ({"latency_s": -0.1}, r"latency_s = -0.1: must be >= 0"),
 ])  # fmt: skip
 def test_impossible_mounts_are_refused(fields: dict, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        SensorMountCfg(sensor="base_lidar", **fields)
+    assert_refused(ConfigError, message, SensorMountCfg, sensor="base_lidar", **fields)
 
 
 def test_equal_names_unknown_sensors_and_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"two mounts are named 'base_lidar'. Give one a name of its own"):
         replace(BASE, sensors=("base_lidar", SensorMountCfg(sensor="base_lidar", position=(0.0, 0.0, 0.1))))
-    with pytest.raises(ConfigError, match=r"two mounts are named 'vn100'"):
-        replace(BASE, imu="vn100", sensors=("vn100",))
+    assert_refused(ConfigError, r"two mounts are named 'vn100'", replace, BASE, imu="vn100", sensors=("vn100",))
     with pytest.raises(UnknownNameError, match=r"no sensor 'bmi08'. Did you mean 'bmi088'\? Known: base_depth_camera"):
         sensor_by_name("bmi08")
     (tmp_path / "odd.yaml").write_text("model: sonar\n", encoding="utf-8")

@@ -32,6 +32,7 @@ from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.flights import load_train_and_test
 from aerial_gym.sim2real.report.run_folder import atomic_run_folder
 from aerial_gym.sim2real.wording import text
+from tests.refusals import assert_refused
 from tests.unit.sim2real.flat_flights import ROBOT, flight, verdict_of_command, write
 
 DRAG = 0.25
@@ -326,12 +327,10 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
             if fail:
                 raise OSError("disk full")
 
-    with pytest.raises(OSError, match="disk full"):
-        run("first", fail=True)
+    assert_refused(OSError, "disk full", run, "first", fail=True)
     assert list(tmp_path.iterdir()) == []
     run("second", fail=False)
-    with pytest.raises(OSError, match="disk full"):
-        run("third", fail=True)
+    assert_refused(OSError, "disk full", run, "third", fail=True)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert json.loads((out / "run.json").read_text())["run"] == "second"
     (out / "notes.txt").write_text("of a person")
@@ -357,8 +356,7 @@ def test_a_full_disk_ends_a_run_with_a_sentence_and_leaves_what_was(tmp_path: Pa
             (partial / "run.json").write_text("{}")
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    with pytest.raises(StorageError, match="out: cannot be written, the disk is full"):
-        run()
+    assert_refused(StorageError, "out: cannot be written, the disk is full", run)
     assert list(tmp_path.iterdir()) == []
 
 

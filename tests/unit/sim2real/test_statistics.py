@@ -1,9 +1,10 @@
-"""What is stated of means is checked against closed forms."""
+"""What is stated of means is checked against closed forms. Zeros found by their bits."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from aerial_gym.sim2real.arrays import has_nonzero
 from aerial_gym.sim2real.statistics import (
     bin_means,
     chi_square_tail,
@@ -79,3 +80,14 @@ def test_the_line_through_points_is_that_of_scipy() -> None:
     expected = stats.linregress(x, 2.0 + 0.3 * x + noise)
     values = np.array(expected)
     np.testing.assert_allclose(fit_line(x, 2.0 + 0.3 * x + noise), values[[0, 1, 3]], rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_one_number_is_enough_whatever_it_is(dtype: type) -> None:
+    rows = np.zeros((200, 6), dtype=dtype)
+    rows[17, 1], rows[199, 2], rows[0, 3], rows[50, 4] = np.finfo(dtype).smallest_subnormal, np.nan, -1.0, -0.0
+    expected = [False, True, True, True, False, False]
+    assert has_nonzero(rows, axis=0).tolist() == expected
+    assert has_nonzero(np.ascontiguousarray(rows.T), axis=1).tolist() == expected
+    assert has_nonzero(rows[:, ::2], axis=0).tolist() == expected[::2]
+    assert has_nonzero(rows.reshape(200, 2, 3), axis=0).tolist() == [expected[:3], expected[3:]]

@@ -68,7 +68,8 @@ def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
     """Return the errors of gyro and accelerometer against attitude rate and gravity plus acceleration, in body axes."""
     rate = sample_rate(log)
     fits = [
-        fit_sensor_errors(one, measured, motion, level, rate) for one, _, measured, motion, level in _sensor_pairs(log)
+        fit_sensor_errors(one, measured, motion, level, rate)
+        for one, _, measured, motion, level in _readings_and_motions_by_other_sensors(log)
     ]
     return [errors for errors in fits if errors is not None]
 
@@ -99,7 +100,9 @@ def gains_of_moving_sensors(log: FlightLog) -> list[SensorGain]:
     rate, results = sample_rate(even_rows), list[SensorGain]()
     band, size = min(CHECK_BANDWIDTH_HZ, 0.2 * rate), max(1, round(BLOCK_S * rate))
     inner = slice(num_edge_rows(rate, band), -num_edge_rows(rate, band))
-    for pair in zip(_sensor_pairs(even_rows), _sensor_pairs(odd_rows), strict=True):
+    for pair in zip(
+        _readings_and_motions_by_other_sensors(even_rows), _readings_and_motions_by_other_sensors(odd_rows), strict=True
+    ):
         (sensor, other, measured, motion, level), (*_, next_motion, _) = pair
         shown, even, odd = (lowpass(one - level, rate, band) for one in (measured, motion, next_motion))
         odd = 0.5 * (odd + np.roll(odd, 1, axis=0))  # at the even rows
@@ -139,7 +142,7 @@ def rate_by_differences(attitude: Rotation, rate: float) -> Array:
     return np.concatenate((inner[:1], inner, inner[-1:]))
 
 
-def _sensor_pairs(log: FlightLog) -> Iterator[tuple[str, str, Array, Array, Array]]:
+def _readings_and_motions_by_other_sensors(log: FlightLog) -> Iterator[tuple[str, str, Array, Array, Array]]:
     """Yield sensor, other sensor, values of the sensor, the motion that the other one shows, and the motion at hover."""
     rate, turn = sample_rate(log), Rotation.from_quat(log.attitude)
     if log.ang_vel is not None:

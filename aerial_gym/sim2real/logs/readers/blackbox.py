@@ -107,8 +107,11 @@ class BlackboxReader(LogReader):
         flights = [flight for flight in flights if flight.main["time"].size > 1]
         if not flights:
             raise DataError(f"{path}: holds no flight: no frame of the blackbox could be decoded")
-        times, rare = _flight_times(flights), ((frames.SLOW, "slow"), (frames.GPS, "gps"))
-        topics = [_main_topic(flights, times), *(_other_topic(flights, times, kind, name) for kind, name in rare)]
+        times, rare = _clock_shifts_of_flights(flights), ((frames.SLOW, "slow"), (frames.GPS, "gps"))
+        topics = [
+            _topic_of_main_frames(flights, times),
+            *(_topic_of_rare_frames(flights, times, kind, name) for kind, name in rare),
+        ]
         entries = {k: v for k, v in flights[-1].header.entries.items() if not k.startswith("Field ")}
         damaged, lost = (sum(getattr(flight, name) for flight in flights) for name in ("damaged", "lost"))
         note = Finding("frames_damaged", "", {"damaged": damaged, "lost": lost, "total": topics[0].time.size + lost})
@@ -131,7 +134,7 @@ class BlackboxReader(LogReader):
             name = next((n for n in names if {f"{n}[{i}]" for i in range(3)} <= known), None)
             if name is None:
                 return []
-            values = main.numbers(*(f"{name}[{i}]" for i in range(3)), unit=unit or _gyro_unit(log, name))
+            values = main.numbers(*(f"{name}[{i}]" for i in range(3)), unit=unit or _radians_per_gyro_count(log, name))
             return [main.channel(quantity, values)]
 
         unit = UNIT_G / (log.number("acc_1G", 0.0) or 2048.0)
@@ -144,7 +147,7 @@ class BlackboxReader(LogReader):
                 for quantity, fields, unit in INDIFLIGHT_ESTIMATES
                 if set(fields) <= known
             ),
-            *_rotors(log, main),
+            *_rotor_and_battery_channels(log, main),
         ]
 
 
@@ -169,7 +172,7 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
 
     from aerial_gym.interop.warp_start import start_warp
 
-    counts, tables = _definitions(header, path)
+    counts, tables = _field_definitions(header, path)
     piece = data[header.start : header.stop]
     letters = np.bincount(piece, minlength=256)[list(frames.LETTERS.encode())]
     main_rows, other_rows = int(letters[:2].sum()) + 1, int(letters[2:].sum()) + 1
@@ -186,7 +189,7 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
     result = np.zeros(4, dtype=np.int32)
     start_warp()
     inputs = (
-        *(piece, np.array([0, piece.size], dtype=np.int32), kinds, counts, *tables, _constants(header)),
+        *(piece, np.array([0, piece.size], dtype=np.int32), kinds, counts, *tables, _predictor_constants(header)),
         *(np.zeros(width + 8, dtype=np.int32), np.zeros(2, dtype=np.int32), main, other, result),
     )
     arrays = [wp.array(one, dtype=wp.dtype_from_numpy(one.dtype), device="cpu", copy=False) for one in inputs]
@@ -203,7 +206,7 @@ def _decode_flight(data: NDArray[np.uint8], header: BlackboxHeader, path: str) -
     )
 
 
-def _definitions(header: BlackboxHeader, path: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _field_definitions(header: BlackboxHeader, path: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return the numbers of fields by kind, (K,), and the encodings, predictors and signs of the fields, (3, K, F)."""
     letters = frames.LETTERS[:-1]
     names = [header.names(letter) for letter in letters]
@@ -234,7 +237,7 @@ def _definitions(header: BlackboxHeader, path: str) -> tuple[NDArray[np.int32], 
     return np.array([len(one) for one in names] + [3], dtype=np.int32), tables
 
 
-def _constants(header: BlackboxHeader) -> NDArray[np.int32]:
+def _predictor_constants(header: BlackboxHeader) -> NDArray[np.int32]:
     """Return the header entries that predictors need."""
 
     def first(key: str, default: int) -> int:
@@ -252,11 +255,11 @@ def _constants(header: BlackboxHeader) -> NDArray[np.int32]:
     )
 
 
-def _flight_times(flights: Sequence[BlackboxFlight]) -> list[float]:
+def _clock_shifts_of_flights(flights: Sequence[BlackboxFlight]) -> list[float]:
     """Return the shift of each flight's clock [s], so that a clock that started anew follows the flight before."""
     shifts, end = list[float](), -np.inf
     for flight in flights:
-        stamps = _seconds(flight.main["time"])
+        stamps = _seconds_of_wrapped_stamps(flight.main["time"])
         shift = 0.0 if stamps[0] >= end else end + BREAK_S - float(stamps[0])
         shifts.append(shift)
         end = float(stamps[-1]) + shift
@@ -271,19 +274,19 @@ def _narrow_column(values: NDArray[np.int32], has_sign: bool) -> Numbers:
     return numbers.astype(small if fits else numbers.dtype)
 
 
-def _seconds(stamps: Numbers) -> Array:
+def _seconds_of_wrapped_stamps(stamps: Numbers) -> Array:
     """Return the times [s] of counts of microseconds in 32 bits, without the wraps of the counter."""
     counts = stamps.astype(np.uint32).astype(np.float64)
     return 1e-6 * (counts + 2.0**32 * np.cumsum(np.diff(counts, prepend=counts[:1]) < -(2.0**31)))
 
 
-def _main_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float]) -> Topic:
-    time = [_seconds(one.main["time"]) + shift for one, shift in zip(flights, shifts, strict=True)]
-    columns = _columns([one.main for one in flights], [one.size for one in time])
+def _topic_of_main_frames(flights: Sequence[BlackboxFlight], shifts: Sequence[float]) -> Topic:
+    time = [_seconds_of_wrapped_stamps(one.main["time"]) + shift for one, shift in zip(flights, shifts, strict=True)]
+    columns = _columns_of_all_flights([one.main for one in flights], [one.size for one in time])
     return Topic(name="main", time=np.concatenate(time), columns=columns, units={"time": "us"})
 
 
-def _other_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float], kind: int, name: str) -> Topic:
+def _topic_of_rare_frames(flights: Sequence[BlackboxFlight], shifts: Sequence[float], kind: int, name: str) -> Topic:
     """Return the topic of a rare kind of frame."""
     tables, time = list[dict[str, Numbers]](), list[Array]()
     for flight, shift in zip(flights, shifts, strict=True):
@@ -291,12 +294,12 @@ def _other_topic(flights: Sequence[BlackboxFlight], shifts: Sequence[float], kin
         signs, columns = flight.header.numbers(f"Field {letter} signed"), np.ascontiguousarray(rows[:, 2:].T)
         fields = zip(flight.header.names(letter), columns, signs, strict=False)
         tables.append({name: _narrow_column(column, sign == 1) for name, column, sign in fields})
-        time.append(_seconds(rows[:, 1]) + shift)
+        time.append(_seconds_of_wrapped_stamps(rows[:, 1]) + shift)
     sizes = [one.size for one in time]
-    return Topic(name=name, time=np.concatenate(time), columns=_columns(tables, sizes))
+    return Topic(name=name, time=np.concatenate(time), columns=_columns_of_all_flights(tables, sizes))
 
 
-def _columns(tables: Sequence[dict[str, Numbers]], sizes: Sequence[int]) -> LazyColumns:
+def _columns_of_all_flights(tables: Sequence[dict[str, Numbers]], sizes: Sequence[int]) -> LazyColumns:
     """Return the columns of all flights by field name, NaN where a flight lacks the field."""
 
     def column(name: str) -> Array:
@@ -322,7 +325,7 @@ def _number_or_text(text: str) -> float | str:
         return text
 
 
-def _gyro_unit(log: RawLog, name: str) -> float:
+def _radians_per_gyro_count(log: RawLog, name: str) -> float:
     """Return the unit of a gyro's columns [rad/s] from the scale in the header, deg/s, and the resolution."""
     keys = ("Firmware revision", "gyro_scale", "gyro.scale")
     revision, text, old = (str(log.parameters.get(key, "")) for key in keys)
@@ -352,7 +355,7 @@ def _column_names(topic: Topic, name: str) -> list[str]:
     return [f"{name}[{i}]" for i in range(32) if f"{name}[{i}]" in topic.columns]
 
 
-def _rotors(log: RawLog, main: Topic) -> list[LogChannel]:
+def _rotor_and_battery_channels(log: RawLog, main: Topic) -> list[LogChannel]:
     """Return rotor speeds, commands and the battery voltage."""
     results = list[LogChannel]()
 
@@ -366,14 +369,14 @@ def _rotors(log: RawLog, main: Topic) -> list[LogChannel]:
         if columns := _column_names(main, name):
             append("rotor_speed", main.numbers(*columns, unit=unit))
     if columns := _column_names(main, "motor"):
-        low, high = _motor_range(log)
+        low, high = _motor_values_at_idle_and_full(log)
         append("rotor_command", np.clip((main.numbers(*columns) - low) / (high - low), 0.0, 1.0))
     for name in {"vbatLatest", "vbat"} & main.columns.keys():  # the latter in iNav
-        append("battery", main.numbers(name, unit=_volt_unit(log)))
+        append("battery", main.numbers(name, unit=_volts_per_battery_count(log)))
     return results
 
 
-def _motor_range(log: RawLog) -> tuple[float, float]:
+def _motor_values_at_idle_and_full(log: RawLog) -> tuple[float, float]:
     """Return the motor values of idle and of full throttle."""
     low, high = log.number("minthrottle", 1000.0), log.number("maxthrottle", 2000.0)
     parts = str(log.parameters.get("motorOutput", "")).split(",")
@@ -382,7 +385,7 @@ def _motor_range(log: RawLog) -> tuple[float, float]:
     return low, high if high > low else low + 1.0
 
 
-def _volt_unit(log: RawLog) -> float:
+def _volts_per_battery_count(log: RawLog) -> float:
     """Return the unit of the battery voltage [V]; 0 for older and for unknown firmwares, which log counts of a converter."""
     name = str(log.parameters.get("Firmware revision", ""))
     return next((unit for pattern, unit in VOLT_UNITS.items() if re.match(pattern, name)), 0.0)

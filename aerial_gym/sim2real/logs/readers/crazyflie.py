@@ -6,7 +6,7 @@ Source: Bitcraze documentation, *Micro SD card deck*, for the format, and *Log g
 
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ class CrazyflieReader(LogReader):
             raise DataError(f"{path}: the definitions of its events are damaged; read the card again") from None
         places, end = _event_places(data, start, {number: record.itemsize for number, (_, record) in events.items()})
         unit, last, notes = STAMPS[version][1], len(data) - CHECKSUM_BYTES, list[Finding]()
-        topics = [_topic(data, *events[number], starts, unit) for number, starts in places.items() if starts]
+        topics = [_topic_of_events(data, *events[number], starts, unit) for number, starts in places.items() if starts]
         if not topics:
             raise DataError(f"{path}: holds no event, only definitions")
         if end < last:
@@ -85,7 +85,19 @@ class CrazyflieReader(LogReader):
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the quantities of the vehicle; rotor 1 is front right, and the others follow clockwise."""
-        return list(_channels(log))
+        channels = list[LogChannel]()
+        for quantity, group, names, unit in VECTORS:
+            variables = [group + name for name in names]
+            for topic in (one for one in log.topics if set(variables) <= one.columns.keys()):
+                values = topic.numbers(*variables, unit=unit)
+                if quantity == "attitude":
+                    values = {1: _decompress_quaternions, 3: _quaternions_of_angles}.get(len(names), np.array)(values)
+                channels.append(topic.channel(quantity, values))
+        for topic in (one for one in log.topics if "supervisor.info" in one.columns):
+            bits = topic.columns["supervisor.info"].astype(int)[:, None]
+            channels.append(topic.channel("armed", (bits & ARMED != 0).astype(float)))
+            channels.append(topic.channel("landed", (bits & FLYING == 0).astype(float)))
+        return channels
 
 
 def _event_types(data: bytes, version: int) -> tuple[dict[int, tuple[str, np.dtype[Any]]], int]:
@@ -119,28 +131,11 @@ def _event_places(data: bytes, start: int, sizes: dict[int, int]) -> tuple[dict[
     return places, place
 
 
-def _topic(data: bytes, name: str, record: np.dtype[Any], places: Sequence[int], unit: float) -> Topic:
+def _topic_of_events(data: bytes, name: str, record: np.dtype[Any], places: Sequence[int], unit: float) -> Topic:
     """Return the events of one kind as a topic."""
     table = read_records(np.frombuffer(data, dtype=np.uint8), np.array(places), record)
     columns = {variable: partial(np.asarray, table[variable], np.float64) for variable in (record.names or ())[2:]}
     return Topic(name=name, time=unit * table["time"].astype(np.float64), columns=LazyColumns(columns))
-
-
-def _channels(log: RawLog) -> Iterator[LogChannel]:
-    for quantity, group, names, unit in VECTORS:
-        variables = [group + name for name in names]
-        for topic in log.topics:
-            if not set(variables) <= topic.columns.keys():
-                continue
-            values = topic.numbers(*variables, unit=unit)
-            if quantity == "attitude":
-                values = {1: _decompress_quaternions, 3: _quaternions_of_angles}.get(len(names), np.array)(values)
-            yield topic.channel(quantity, values)
-    for topic in log.topics:
-        if "supervisor.info" in topic.columns:
-            bits = topic.columns["supervisor.info"].astype(int)[:, None]
-            yield topic.channel("armed", (bits & ARMED != 0).astype(float))
-            yield topic.channel("landed", (bits & FLYING == 0).astype(float))
 
 
 def _quaternions_of_angles(angles: Array) -> Array:

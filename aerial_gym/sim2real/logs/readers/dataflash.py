@@ -80,8 +80,8 @@ class DataflashReader(LogReader):
         """Return all messages with a time as topics, and the parameters and texts."""
         data = np.fromfile(path, dtype=np.uint8)
         if data[: len(messages.HEAD)].tobytes() == messages.HEAD:
-            types = messages.binary_types(data)
-            tables, used = messages.split_messages(data, types)
+            types = messages.message_types_in_binary_log(data)
+            tables, used = messages.tables_of_binary_messages(data, types)
         else:
             (types, tables), used = messages.read_lines(data.tobytes().decode("latin-1")), data.size
         named = {table.type.name: table for table in tables}
@@ -92,8 +92,10 @@ class DataflashReader(LogReader):
         return RawLog(
             path=str(path),
             format=self.name,
-            topics=tuple(topic for name, table in named.items() for topic in _topics(table, units.get(name, {}))),
-            parameters=_parameters(named),
+            topics=tuple(
+                topic for name, table in named.items() for topic in _topics_of_instances(table, units.get(name, {}))
+            ),
+            parameters=_last_parameter_values(named),
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
             metadata={"firmware": texts[0][1]} if texts else {},
             notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),) * (lost >= SMALLEST_DAMAGE),
@@ -110,15 +112,19 @@ class DataflashReader(LogReader):
             for topic in log.topic_instances(name, *fields)
         ]
         return [
-            *(_with_resets(channel, log) for channel in faster_first(vectors)),
+            *(_add_resets_of_estimator(channel, log) for channel in faster_first(vectors)),
             *_gps_channels(log),
             *_rotor_channels(log),
-            *_batteries(log),
-            *_flight_states(log),
+            *(
+                topic.channel("battery", volts * (0.01 if np.median(volts) > HIGHEST_BATTERY_V else 1.0))
+                for names in BATTERIES
+                for topic, volts in log.batteries(*names)
+            ),
+            *_channels_of_arming_and_landing(log),
         ]
 
 
-def _parameters(named: dict[str, MessageTable]) -> dict[str, float | str]:
+def _last_parameter_values(named: dict[str, MessageTable]) -> dict[str, float | str]:
     """Return the last value of each parameter."""
     try:
         return dict(zip(named["PARM"].texts("Name"), named["PARM"].numbers("Value").tolist(), strict=False))
@@ -147,7 +153,7 @@ def _field_units(types: dict[int, MessageType], named: dict[str, MessageTable]) 
     return results
 
 
-def _topics(table: MessageTable, units: dict[str, str]) -> Iterator[Topic]:
+def _topics_of_instances(table: MessageTable, units: dict[str, str]) -> Iterator[Topic]:
     """Yield the numeric fields of a message with a time, one topic for each instance."""
     kind, rows = table.type, table.rows
     if not set(messages.TIMES) & set(kind.fields) or not rows.size:
@@ -191,7 +197,7 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str], unit: fl
     return replace(channel, time=1e-6 * topic.columns["SampleUS"]) if "SampleUS" in topic.columns else channel
 
 
-def _with_resets(channel: LogChannel, log: RawLog) -> LogChannel:
+def _add_resets_of_estimator(channel: LogChannel, log: RawLog) -> LogChannel:
     """Return a channel with the resets that the estimator reported, at the first sample after each."""
     code = RESETS.get(channel.quantity)
     events = [topic.time[topic.columns["Id"] == code] for topic in log.topic_instances("EV", "Id")]
@@ -215,7 +221,7 @@ def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
             yield LogChannel(quantity=quantity, time=topic.time[fix], values=values, source=topic.source)
 
 
-def _motor_outputs(log: RawLog) -> list[int]:
+def _output_numbers_of_motors(log: RawLog) -> list[int]:
     """Return the output number of each motor, from 1, by ``SERVOn_FUNCTION``; the first outputs where no function is logged."""
     functions = {n: log.parameters[name] for n in range(1, 33) if (name := f"SERVO{n}_FUNCTION") in log.parameters}
     frame = log.number("FRAME_CLASS", log.number("Q_FRAME_CLASS", 1.0))
@@ -231,7 +237,7 @@ def _motor_outputs(log: RawLog) -> list[int]:
     return list(range(1, count + 1)) if "Plane" not in log.metadata.get("firmware", "") else []
 
 
-def _signal_range(log: RawLog, output: int) -> tuple[float, float]:
+def _motor_signals_at_rest_and_full(log: RawLog, output: int) -> tuple[float, float]:
     """Return the signals [us] of a motor at rest and at full command."""
     if log.number(f"SERVO{output}_FUNCTION", 0.0) in (LEFT, RIGHT):
         return log.number(f"SERVO{output}_MIN", 1000.0), log.number(f"SERVO{output}_MAX", 2000.0)
@@ -246,7 +252,7 @@ def _signal_range(log: RawLog, output: int) -> tuple[float, float]:
 
 def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield rotor speeds by ESC telemetry, and motor signals from 0 to 1, in the order of motors."""
-    note, outputs = note_on_rotor_order("ArduPilot"), _motor_outputs(log)
+    note, outputs = note_on_rotor_order("ArduPilot"), _output_numbers_of_motors(log)
     if not outputs:
         return
     escs = {topic.instance: topic for topic in log.topic_instances("ESC", "RPM")}
@@ -256,30 +262,25 @@ def _rotor_channels(log: RawLog) -> Iterator[LogChannel]:
     if set(numbers) <= escs.keys():
         used = [escs[n] for n in numbers]
         time = max(used, key=lambda topic: topic.time.size).time
-        speeds = [np.interp(time, *_time_order(topic.time, np.abs(topic.columns["RPM"]))) for topic in used]
+        speeds = [
+            np.interp(time, *_samples_in_order_of_time(topic.time, np.abs(topic.columns["RPM"]))) for topic in used
+        ]
         values = UNITS["rpm"] * np.stack(speeds, axis=1)
         yield LogChannel(quantity="rotor_speed", time=time, values=values, source=used[0].source, notes=note)
-    low, high = np.array([_signal_range(log, n) for n in outputs]).T
+    low, high = np.array([_motor_signals_at_rest_and_full(log, n) for n in outputs]).T
     for prefix in ("C", "Ch", "Chan") if np.all(high > low) else ():  # the latter before Copter 3.4
         fields = [f"{prefix}{n}" for n in outputs]
         for topic in log.topic_instances("RCOU", *fields):
             yield topic.channel("rotor_command", np.clip((topic.numbers(*fields) - low) / (high - low), 0.0, 1.0), note)
 
 
-def _time_order(time: Array, values: Array) -> tuple[Array, Array]:
+def _samples_in_order_of_time(time: Array, values: Array) -> tuple[Array, Array]:
     """Return the samples in order of time, each time once."""
     times, places = np.unique(time, return_index=True)
     return times, values[places]
 
 
-def _batteries(log: RawLog) -> Iterator[LogChannel]:
-    """Yield the voltages that are measured."""
-    for names in BATTERIES:
-        for topic, volts in log.batteries(*names):
-            yield topic.channel("battery", volts * (0.01 if np.median(volts) > HIGHEST_BATTERY_V else 1.0))
-
-
-def _flight_states(log: RawLog) -> Iterator[LogChannel]:
+def _channels_of_arming_and_landing(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground; before the first event the state is the opposite one."""
     start = min((float(topic.time[0]) for topic in log.topics), default=0.0)
     for topic in log.topic_instances("EV", "Id"):

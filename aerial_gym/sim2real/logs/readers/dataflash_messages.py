@@ -86,7 +86,7 @@ class MessageTable:
         return self.rows[str(names.index(field))] if field in names else np.zeros(1, dtype=bool)
 
 
-def binary_types(data: NDArray[np.uint8]) -> dict[int, MessageType]:
+def message_types_in_binary_log(data: NDArray[np.uint8]) -> dict[int, MessageType]:
     """Return the types that FMT messages define, by number. The first definition of a type counts."""
     places = _head_places(data)
     places = places[data[places + 2] == FMT]
@@ -107,7 +107,7 @@ def _head_places(data: NDArray[np.uint8]) -> Indices:
     return places[data[places + 1] == HEAD[1]]
 
 
-def split_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tuple[list[MessageTable], int]:
+def tables_of_binary_messages(data: NDArray[np.uint8], types: dict[int, MessageType]) -> tuple[list[MessageTable], int]:
     """Return one table for each type of message, and the number of bytes in all messages.
 
     A message counts if another one, or the end of the file, follows it; data that look like a head are inside of messages.

@@ -16,7 +16,7 @@ from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import FREE_BYTES, MOST_GROWTH, LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
-from aerial_gym.sim2real.logs.readers.ros_files import MCAP, json_columns, read_sources
+from aerial_gym.sim2real.logs.readers.ros_files import MCAP, json_columns, read_message_sources
 
 MARK = "aerial_gym_log"  # First key of ``metadata.json``
 LIBRARY = "aerial_gym"  # Writer of an MCAP file, in its first record
@@ -94,7 +94,7 @@ def _read_folder(path: Path) -> tuple[dict[str, Any], tuple[Topic, ...]]:
 
 def _read_mcap(path: Path) -> tuple[dict[str, Any], tuple[Topic, ...]]:
     """Return the content of the message on ``HEAD_TOPIC`` and the other topics."""
-    sources = {source.topic: source for source in read_sources(path) if source.encoding == "json"}
+    sources = {source.topic: source for source in read_message_sources(path) if source.encoding == "json"}
     if HEAD_TOPIC not in sources:
         raise DataError(f"{path}: has no message on {HEAD_TOPIC}; convert the log again")
     head, topics = json.loads(sources.pop(HEAD_TOPIC).messages[0]), list[Topic]()

@@ -27,7 +27,7 @@ from aerial_gym.sim2real.logs.readers.ros_files import (
     MessageSource,
     decode_messages,
     json_columns,
-    read_sources,
+    read_message_sources,
 )
 from aerial_gym.sim2real.logs.readers.ulog import UlogReader
 
@@ -89,10 +89,10 @@ class RosReader(LogReader):
             raise MissingDependencyError("reading bags of ROS needs rosbags: pip install 'aerial-gym[logs]'") from None
         standard = get_typestore(Stores.LATEST).fielddefs
         topics, notes, types = list[Topic](), list[Finding](), dict[str, str]()
-        for source in read_sources(path.parent if path.name == METADATA and path.is_file() else path):
+        for source in read_message_sources(path.parent if path.name == METADATA and path.is_file() else path):
             columns: dict[str, Array] = {}
             if sum(map(len, source.messages)) < LARGEST_MESSAGE * len(source.messages):
-                columns, error = _decode_source(source, {**standard, **_own_types(source)})
+                columns, error = _decode_source(source, {**standard, **_types_in_message_definition(source)})
                 if error:
                     notes.append(Finding("topic_left_out", "", {"topic": source.topic, "error": error}))
             instance = sum(topic.name == source.topic for topic in topics)
@@ -101,14 +101,14 @@ class RosReader(LogReader):
             types[topics[-1].source] = source.type
         if not topics:
             raise DataError(f"{path}: holds no message of ROS")
-        for name, root in _other_vehicles(topics, types).items():
+        for name, root in _topics_of_other_vehicles(topics, types).items():
             error = f"topic {name} is of another vehicle or sensor than those below {root}"
             notes.append(Finding("topic_left_out", "", {"topic": name, "error": error}))
         return RawLog(path=str(path), format=self.name, topics=tuple(topics), metadata=types, notes=tuple(notes))
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the quantities of the vehicle; of several sources a much faster one comes first."""
-        unused = _other_vehicles(log.topics, log.metadata)
+        unused = _topics_of_other_vehicles(log.topics, log.metadata)
         topics = [topic for topic in log.topics if topic.columns and not SETPOINTS.search(topic.name)]
         topics = [topic for topic in topics if topic.name not in unused]
         vectors = [
@@ -119,10 +119,10 @@ class RosReader(LogReader):
             for channel in _vector_channels(topic, quantity, field, components)
         ]
         rotors = [channel for topic in topics for channel in _mavros_channels(topic, log.metadata[topic.source])]
-        return [*_one_world_first(faster_first(vectors)), *rotors, *_px4_channels(log)]
+        return [*_sort_by_common_world_axes(faster_first(vectors)), *rotors, *_px4_channels(log)]
 
 
-def _other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[str, str]:
+def _topics_of_other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[str, str]:
     """Return the topics whose name and type occur below another name too, as of several vehicles, and the name that is used.
 
     It is the one with the most topics. Names such as ``/uav1/imu`` and ``/uav2/imu`` differ before their last part only.
@@ -144,7 +144,7 @@ def _other_vehicles(topics: Sequence[Topic], types: Mapping[str, str]) -> dict[s
     return dict.fromkeys(sorted(left), "/" + "/".join(best))
 
 
-def _one_world_first(channels: Sequence[LogChannel]) -> list[LogChannel]:
+def _sort_by_common_world_axes(channels: Sequence[LogChannel]) -> list[LogChannel]:
     """Return the channels, those of topics with most of attitude, position and velocity first, as world axes may differ."""
     sources = Counter(one.source for one in channels if one.quantity in WORLD)
 
@@ -172,7 +172,7 @@ def _decode_source(source: MessageSource, fields: Any) -> tuple[dict[str, Array]
     return columns, f"{lost} of {count} messages of {name} do not fit their definition" if lost else ""
 
 
-def _own_types(source: MessageSource) -> Any:
+def _types_in_message_definition(source: MessageSource) -> Any:
     """Return the fields by type that the definition of a message states; nothing if it cannot be parsed."""
     from rosbags.typesys import get_types_from_msg  # pyright: ignore[reportMissingImports]
 
@@ -209,11 +209,11 @@ def _vector_channels(topic: Topic, quantity: str, field: str, components: Sequen
     if quantity == "attitude" and not np.median(np.abs(np.linalg.norm(values, axis=1) - 1.0)) < 0.1:  # not given
         return
     if field == "twist.twist.linear":
-        values = _world_velocity(topic, values)
+        values = _world_velocity_of_odometry(topic, values)
     yield topic.channel(quantity, values)
 
 
-def _world_velocity(topic: Topic, velocity: Array) -> Array:
+def _world_velocity_of_odometry(topic: Topic, velocity: Array) -> Array:
     """Return the velocity of an odometry in world axes: by its definition it is in body axes, which some sources ignore."""
     parts = [
         [f"pose.pose.{part}.{axis}" for axis in axes] for part, axes in (("position", "xyz"), ("orientation", "xyzw"))

@@ -81,7 +81,7 @@ class Inflater:
         return result
 
 
-def read_sources(path: Path) -> list[MessageSource]:
+def read_message_sources(path: Path) -> list[MessageSource]:
     """Return the messages of a file or of the folder of a ROS 2 bag, by topic, in the order of their times.
 
     A topic may come from several files, and from several connections, as of a node that started anew.
@@ -279,18 +279,18 @@ class MessageLayout:
             self._place = 4
         self._walk_type(kind, "", 0)
 
-    def _align(self, size: int) -> None:
+    def _align_to_size(self, size: int) -> None:
         if self._aligned:
             self._place += -(self._place - self._origin) % size
 
     def _read_length(self) -> int:
-        self._align(4)
+        self._align_to_size(4)
         self.lengths.append(self._place)
         value = int.from_bytes(self._data[self._place : self._place + 4], "little")
-        self._advance(4)
+        self._skip_bytes(4)
         return value
 
-    def _advance(self, size: int) -> None:
+    def _skip_bytes(self, size: int) -> None:
         self._place += size
         if self._place > len(self._data):
             raise LayoutError("ends too early")
@@ -300,42 +300,42 @@ class MessageLayout:
             raise LayoutError(f"unknown type {kind}")
         for name, node in self._fields[kind][1]:
             if self._open:
-                self._walk_node(node, f"{prefix}.{name}" if prefix else name, depth)
+                self._walk_field(node, f"{prefix}.{name}" if prefix else name, depth)
 
-    def _walk_node(self, node: Any, name: str, depth: int) -> None:
+    def _walk_field(self, node: Any, name: str, depth: int) -> None:
         kind, detail = int(node[0]), node[1]
         self._nodes += 1
         if self._nodes > MOST_NODES:
             raise LayoutError("has too many fields")
         if kind == 1:
-            self._walk_base(detail[0], name)
+            self._walk_number_or_text(detail[0], name)
         elif kind == 2:
             self._walk_type(detail, name, depth + 1)
         else:
             count = int(detail[1]) if kind == 3 else self._read_length()
-            self._walk_items(detail[0], count, name, depth)
+            self._walk_array(detail[0], count, name, depth)
 
-    def _walk_items(self, node: Any, count: int, name: str, depth: int) -> None:
+    def _walk_array(self, node: Any, count: int, name: str, depth: int) -> None:
         base = int(node[0]) == 1 and node[1][0] in NUMBERS
         if count > LONGEST_SEQUENCE and base:
             size = np.dtype(NUMBERS[node[1][0]]).itemsize
-            self._align(size)
-            self._advance(size * count)
+            self._align_to_size(size)
+            self._skip_bytes(size * count)
         elif count > LONGEST_SEQUENCE or len(self.numbers) > MOST_COLUMNS:
             self._open = False  # the fields behind are left out
         else:
             for index in range(count):
                 if self._open:
-                    self._walk_node(node, f"{name}[{index}]", depth)
+                    self._walk_field(node, f"{name}[{index}]", depth)
 
-    def _walk_base(self, kind: str, name: str) -> None:
+    def _walk_number_or_text(self, kind: str, name: str) -> None:
         if kind == "string":
-            self._advance(self._read_length())
+            self._skip_bytes(self._read_length())
         elif kind in NUMBERS:
             number = np.dtype(NUMBERS[kind])
-            self._align(number.itemsize)
+            self._align_to_size(number.itemsize)
             self.numbers[name] = (self._place, number)
-            self._advance(number.itemsize)
+            self._skip_bytes(number.itemsize)
         else:
             raise LayoutError(f"unknown type {kind}")
 

@@ -123,11 +123,14 @@ class UlogReader(LogReader):
                 for name in ("vehicle_gps_position", "sensor_gps")
                 for topic in log.topic_instances(name, *GPS_VELOCITY)
             ),
-            *_rotor_speeds(log),
-            *faster_first([*_motor_commands(log), *_output_commands(log)]),
-            *_control_commands(log),
-            *(_channel(one, "battery", volts) for one, volts in log.batteries("battery_status", "voltage_v")),
-            *_flight_states(log),
+            *_rotor_speed_channels(log),
+            *faster_first([*_channels_of_actuator_motors(log), *_channels_of_actuator_outputs(log)]),
+            *_channels_of_actuator_controls(log),
+            *(
+                _channel_on_sampling_times(one, "battery", volts)
+                for one, volts in log.batteries("battery_status", "voltage_v")
+            ),
+            *_channels_of_arming_and_landing(log),
         ]
 
 
@@ -135,7 +138,9 @@ def _topic(name: str, instance: int, data: dict[str, Array]) -> Topic:
     return Topic(name=name, instance=instance, time=stamp_seconds(data["timestamp"], 1e-6), columns=data)
 
 
-def _channel(topic: Topic, quantity: str, values: Array, notes: tuple[Finding, ...] = ()) -> LogChannel:
+def _channel_on_sampling_times(
+    topic: Topic, quantity: str, values: Array, notes: tuple[Finding, ...] = ()
+) -> LogChannel:
     """Return a channel of a topic on its sampling times, or on those of publication if the former are unusable."""
     time, latency = topic.time, None
     if "timestamp_sample" in topic.columns:
@@ -156,7 +161,7 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogCh
     for flag in {"position": ("xy_valid", "z_valid"), "lin_vel": ("v_xy_valid", "v_z_valid")}.get(quantity, ()):
         if flag in topic.columns:
             values[topic.columns[flag] == 0.0] = np.nan
-    channel = _channel(topic, quantity, quantity_from_ned_frd(quantity, values))
+    channel = _channel_on_sampling_times(topic, quantity, quantity_from_ned_frd(quantity, values))
     counters = {
         "attitude": ("quat_reset_counter", "reset_counter"),
         "position": ("xy_reset_counter", "z_reset_counter", "reset_counter"),
@@ -169,7 +174,7 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogCh
     return replace(channel, resets=channel.time[1:][changes])
 
 
-def _rotor_speeds(log: RawLog) -> Iterator[LogChannel]:
+def _rotor_speed_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield measured rotor speeds in the order of motors, by ``actuator_function`` if that is logged."""
     for topic in log.topic_instances("esc_status"):
         usable: dict[int, Array] = {}
@@ -182,10 +187,10 @@ def _rotor_speeds(log: RawLog) -> Iterator[LogChannel]:
                 usable[int(function) if function >= MOTOR_1 else MOTOR_1 + index] = np.abs(rpm)
         if usable:
             speeds = UNITS["rpm"] * np.concatenate([usable[number] for number in sorted(usable)], axis=1)
-            yield _channel(topic, "rotor_speed", speeds, ORDER)
+            yield _channel_on_sampling_times(topic, "rotor_speed", speeds, ORDER)
 
 
-def _motor_commands(log: RawLog) -> Iterator[LogChannel]:
+def _channels_of_actuator_motors(log: RawLog) -> Iterator[LogChannel]:
     """Yield commands of ``actuator_motors``: thrusts from 0 to 1, which become speeds by ``_invert_thrust_curve``."""
     for topic in log.topic_instances("actuator_motors"):
         columns = [name for name in (f"control[{i}]" for i in range(MOST_MOTORS)) if name in topic.columns]
@@ -193,7 +198,7 @@ def _motor_commands(log: RawLog) -> Iterator[LogChannel]:
         if used:
             thrust = np.nan_to_num(topic.numbers(*used), nan=0.0)  # NaN stops a motor
             command = np.sign(thrust) * _invert_thrust_curve(np.abs(thrust), log)
-            yield _channel(topic, "rotor_command", command, ORDER)
+            yield _channel_on_sampling_times(topic, "rotor_command", command, ORDER)
 
 
 def _invert_thrust_curve(thrust: Array, log: RawLog) -> Array:
@@ -205,17 +210,17 @@ def _invert_thrust_curve(thrust: Array, log: RawLog) -> Array:
     return (np.sqrt(linear**2 + 4.0 * factor * np.maximum(thrust, 0.0)) - linear) / (2.0 * factor)
 
 
-def _output_commands(log: RawLog) -> Iterator[LogChannel]:
+def _channels_of_actuator_outputs(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of ``actuator_outputs``; each instance has the driver whose range fits its outputs."""
-    drivers = _motor_outputs(log)
+    drivers = _motor_ranges_of_output_drivers(log)
     for topic in log.topic_instances("actuator_outputs"):
-        options = [_relative_outputs(topic, ranges) for ranges in drivers]
+        options = [_motor_signals_from_outputs(topic, ranges) for ranges in drivers]
         fitting = [values for values in options if values is not None]
         if fitting:
-            yield _channel(topic, "rotor_command", fitting[0], ORDER)
+            yield _channel_on_sampling_times(topic, "rotor_command", fitting[0], ORDER)
 
 
-def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
+def _motor_ranges_of_output_drivers(log: RawLog) -> list[list[tuple[int, float, float]]]:
     """Return for each output driver the index, lowest and highest value of its motor outputs, in the order of motors."""
     parameters = {name: float(value) for name, value in log.parameters.items() if not isinstance(value, str)}
     drivers: dict[str, list[tuple[float, int, float, float]]] = {}
@@ -239,7 +244,7 @@ def _motor_outputs(log: RawLog) -> list[list[tuple[int, float, float]]]:
     return results
 
 
-def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) -> Array | None:
+def _motor_signals_from_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) -> Array | None:
     """Return motor signals from 0 to 1, (T, R); None if the outputs do not vary, or vary outside of the range."""
     names = [f"output[{index}]" for index, _, _ in ranges]
     if not names or not set(names) <= topic.columns.keys():
@@ -256,7 +261,7 @@ def _relative_outputs(topic: Topic, ranges: Sequence[tuple[int, float, float]]) 
     return np.clip(signal, 0.0, 1.0) if fits else None
 
 
-def _control_commands(log: RawLog) -> Iterator[LogChannel]:
+def _channels_of_actuator_controls(log: RawLog) -> Iterator[LogChannel]:
     """Yield motor signals of a quadrotor from ``actuator_controls_0`` (before PX4 1.13) by the mixer of an X frame."""
     names = [f"control[{index}]" for index in range(4)]
     is_x = log.number("MAV_TYPE", QUADROTOR) == QUADROTOR and log.number("SYS_AUTOSTART", 0.0) // 1000 != PLUS_FRAMES
@@ -264,15 +269,17 @@ def _control_commands(log: RawLog) -> Iterator[LogChannel]:
         controls = topic.numbers(*names)  # roll, pitch, yaw and thrust
         thrust = controls[:, :3] @ QUAD_X.T + controls[:, 3:]
         signal = _invert_thrust_curve(np.clip(thrust, 0.0, 1.0), log)
-        yield _channel(topic, "rotor_command", signal, (*ORDER, Finding("commands_mixed")))
+        yield _channel_on_sampling_times(topic, "rotor_command", signal, (*ORDER, Finding("commands_mixed")))
 
 
-def _flight_states(log: RawLog) -> Iterator[LogChannel]:
+def _channels_of_arming_and_landing(log: RawLog) -> Iterator[LogChannel]:
     """Yield arming and contact with the ground."""
     for topic in log.topic_instances("actuator_armed", "armed"):
-        yield _channel(topic, "armed", topic.numbers("armed"))
+        yield _channel_on_sampling_times(topic, "armed", topic.numbers("armed"))
     for topic in log.topic_instances("vehicle_status", "arming_state"):
-        yield _channel(topic, "armed", (topic.numbers("arming_state") == ARMED).astype(float))
+        yield _channel_on_sampling_times(topic, "armed", (topic.numbers("arming_state") == ARMED).astype(float))
     for topic in log.topic_instances("vehicle_land_detected"):
         flags = [name for name in ("landed", "maybe_landed", "ground_contact") if name in topic.columns]
-        yield _channel(topic, "landed", np.any(topic.numbers(*flags) != 0.0, axis=1, keepdims=True).astype(float))
+        yield _channel_on_sampling_times(
+            topic, "landed", np.any(topic.numbers(*flags) != 0.0, axis=1, keepdims=True).astype(float)
+        )

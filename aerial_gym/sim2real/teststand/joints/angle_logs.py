@@ -11,7 +11,7 @@ Letters: T rows, D joints, K parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,7 +54,6 @@ class JointResult:
 
     name: str
     changed: tuple[str, ...]  # Parameters that differ significantly (95 %) and materially from the declared ones
-
     declared: dict[str, float]
     params: dict[str, Estimate]  # Fitted parameters by the names of ``SpringCfg``
     spring: SpringCfg  # Spring for the robot file
@@ -75,29 +74,19 @@ class JointResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogJointFit:
-    """Fits of all laws to one joint with logged angles."""
+class LogJointFit(JointResult):
+    """Result for a joint with logged angles: the spring is of the chosen law if anything differs, else the declared one."""
 
-    name: str
-    declared: Rms  # RMS error of the declared law [N m]
-
+    declared_error: Rms  # RMS error of the declared law [N m]
     laws: dict[str, LawFit]
     chosen: str
-    changed: tuple[str, ...]  # Parameters that differ significantly (95 %) and materially from the declared ones
-    spring: SpringCfg  # Spring for the robot file: the chosen law if anything differs, else the declared one
+    rows: int
 
-    rows: int = field(default=0)
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return the values for JSON."""
-        return {
-            **select_fields(self, "name", "changed", "chosen", "rows"),
-            "before": self.declared.as_mapping(),
-            "after": self.laws[self.chosen].error.as_mapping(),
-            "laws": {
-                name: {"held_out": plain(law.error), "params": plain(law.params)} for name, law in self.laws.items()
-            },
-        }
+    def fits_as_mapping(self) -> dict[str, object]:
+        """Return the fits of all laws for JSON."""
+        laws = {name: {"held_out": plain(law.error), "params": plain(law.params)} for name, law in self.laws.items()}
+        pair = {"before": plain(self.declared_error), "after": plain(self.laws[self.chosen].error)}
+        return {**select_fields(self, "name", "changed", "chosen", "rows"), **pair, "laws": laws}
 
 
 def require_joints(robot: RobotCfg) -> JointsCfg:
@@ -145,19 +134,21 @@ def _fit_joint(joint: JointCfg, k: int, motions: Sequence[JointMotion]) -> LogJo
     fold = fold_labels(counts)
     laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
     chosen = smallest_good_candidate({name: law.error.value for name, law in laws.items()}, NUM_PARAMETERS)
-    declared = joint.spring or SpringCfg()
+    declared, params = joint.spring or SpringCfg(), laws[chosen].params
     before = cross_validation_error(effort - _effort_of_spring(declared, angle, rate, side), fold)
     sizes = {"stiffness": angle.std(), "quadratic": (angle**2).std(), "damping": rate.std(), "friction": side.std()}
-    rest = laws[chosen].params["stiffness"].value if "stiffness" in laws[chosen].params else 0.0
+    rest = params["stiffness"].value if "stiffness" in params else 0.0
     least = {n: MATERIAL * effort.std() / max(s, 1e-12) for n, s in (sizes | {"rest": rest, "preload": 1.0}).items()}
     changed = _significant_changes(declared, laws[chosen], least)
     spring = declared
     if changed:
-        params = {name: float(f"{value.value:.6g}") for name, value in laws[chosen].params.items()}
-        spring = SpringCfg(**{n: v if n in ("rest", "preload") else max(v, 0.0) for n, v in params.items()})  # type: ignore[arg-type]
+        rounded = {name: float(f"{value.value:.6g}") for name, value in params.items()}
+        spring = SpringCfg(**{n: v if n in ("rest", "preload") else max(v, 0.0) for n, v in rounded.items()})  # type: ignore[arg-type]
+    stated = {name: float(getattr(declared, name)) for name in (*params, *changed) if hasattr(declared, name)}
     return LogJointFit(
-        name=joint.name, declared=before, laws=laws, chosen=chosen, changed=changed, spring=spring, rows=angle.size
-    )
+        name=joint.name, changed=changed, declared=stated, params=params, spring=spring,
+        declared_error=before, laws=laws, chosen=chosen, rows=angle.size,
+    )  # fmt: skip
 
 
 def _effort_of_spring(spring: SpringCfg, angle: Array, rate: Array, side: Array) -> Array:
@@ -169,7 +160,7 @@ def _effort_of_spring(spring: SpringCfg, angle: Array, rate: Array, side: Array)
 def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> LawFit:
     """Return a law fitted to all rows, with its error on left-out folds."""
     if name == "quadratic spring":
-        return _fit_quadratic(name, angle, rate, effort, fold)
+        return _fit_quadratic_spring(name, angle, rate, effort, fold)
     columns = (np.ones_like(angle), -angle, -rate)
     rows = np.stack((*columns, -side) if "friction" in LAWS[name] else columns, axis=1)
     left = errors_on_left_out_folds(
@@ -187,7 +178,7 @@ def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, f
     return LawFit(name=name, params=params, residual=residual, held_out=left, fold=fold)
 
 
-def _fit_quadratic(name: str, angle: Array, rate: Array, effort: Array, fold: Indices) -> LawFit:
+def _fit_quadratic_spring(name: str, angle: Array, rate: Array, effort: Array, fold: Indices) -> LawFit:
     spread = float(np.ptp(angle))
     middle, size = float(np.median(angle)), float(np.abs(effort).max()) + 1e-12
     slope = size / spread**2

@@ -101,12 +101,12 @@ class JointFitter:
         self.slow = (SLOW * rate.flatten(0, 1).std(0, keepdim=True)).clamp_min(1e-9)
         unit = self.material_changes(angle, rate)
         numbers, thrust = self.declared.copy(), 1.0
-        before = residual, columns = self.linearise(numbers, thrust, unit)
+        before = residual, columns = self.residual_and_columns(numbers, thrust, unit)
         step, least = np.zeros(unit.size + 1), np.inf
         for count in range(MOST_STEPS):
             progress(f"joints, step {count + 1}", 0.1 + 0.8 * count / MOST_STEPS)
             if count > 0:
-                residual, columns = self.linearise(numbers, thrust, unit)
+                residual, columns = self.residual_and_columns(numbers, thrust, unit)
             weight = _channel_weights(residual)
             cost = float(np.sum(np.log(np.mean(residual**2, axis=0))))
             if cost > least + 1e-9:
@@ -118,7 +118,7 @@ class JointFitter:
             numbers, thrust = numbers + step[:-1] * unit, thrust + step[-1]
             if np.abs(step[:-1]).max() < NEAR:
                 break
-        return self.result(before, best, unit)
+        return self.fit_with_intervals(before, best, unit)
 
     def joint_laws(self, numbers: Array) -> JointLaws:
         """Return the joint laws for parameter sets (B, P)."""
@@ -156,7 +156,7 @@ class JointFitter:
             [MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.parameter_owners]
         )
 
-    def linearise(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
+    def residual_and_columns(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
         """Return the residual (N, 6) and its columns (N, 6, P + 1), per material change or thrust scale, without mean."""
         sets = np.concatenate((numbers[None], numbers + np.diag(unit), numbers[None]))
         scale = torch.full((len(sets),), thrust, dtype=torch.float64)
@@ -183,7 +183,7 @@ class JointFitter:
         a = flat.T @ flat + 1e-9 * np.eye(width)
         return minimise_in_bounds(a, flat.T @ left, low * size, high * size) / size
 
-    def result(
+    def fit_with_intervals(
         self, before: tuple[Array, Array], optimum: tuple[Array, Array, Array, Array], unit: Array
     ) -> BodyMotionFit:
         """Return the parameters with intervals, the significant changes, and the held-out errors."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from aerial_gym.config import dump_yaml
-from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
@@ -36,10 +35,13 @@ class FlightJointStudy:
     """Results for the joints of a robot."""
 
     joints: tuple[JointResult, ...]
-    logged: tuple[LogJointFit, ...]  # Full results per joint with logged angles
     channels: dict[str, tuple[Rms, Rms]]  # Errors of the body's motion before and after, without logged angles
-
     left_out: tuple[Finding, ...]
+
+    @property
+    def fits_with_angles(self) -> list[LogJointFit]:
+        """Return the results of joints with logged angles."""
+        return [joint for joint in self.joints if isinstance(joint, LogJointFit)]
 
     @property
     def joints_with_changes(self) -> tuple[JointResult, ...]:
@@ -50,8 +52,8 @@ class FlightJointStudy:
     def notes(self) -> tuple[Finding, ...]:
         """Return findings on joints left out, and on the errors before and after."""
         errors = []
-        for one in self.logged:
-            values = {"before_n_m": one.declared.value, "after_n_m": one.laws[one.chosen].error.value}
+        for one in self.fits_with_angles:
+            values = {"before_n_m": one.declared_error.value, "after_n_m": one.laws[one.chosen].error.value}
             errors.append(Finding("joint_effort", one.name, values))
         if self.channels:
             pairs = {name: [before.value, after.value] for name, (before, after) in self.channels.items()}
@@ -60,7 +62,8 @@ class FlightJointStudy:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return {"joints": plain(self.logged or self.joints), **select_fields(self, "left_out", "channels")}
+        joints = [joint.fits_as_mapping() for joint in self.fits_with_angles] or plain(self.joints)
+        return {"joints": joints, **select_fields(self, "left_out", "channels")}
 
     def correct_robot(self, robot: RobotCfg, source: str) -> RobotCfg:
         """Return the robot with corrected joint springs."""
@@ -91,31 +94,19 @@ def fit_joints_to_flights(
     """Return the passive joints' parameters fitted to logs in the package's own layout."""
     require_joints(robot)
     logs = read_flights(flights)
-    if any(_has_angles(log) for log in logs):
+    if any(_has_joint_angles(log) for log in logs):
         logged, left_out = fit_flown_joints(robot, [read_joint_motion(log, robot, bandwidth=bandwidth) for log in logs])
-        return FlightJointStudy(
-            joints=tuple(_joint_result(robot, joint) for joint in logged),
-            logged=tuple(logged),
-            channels={},
-            left_out=tuple(left_out),
-        )
+        return FlightJointStudy(joints=tuple(logged), channels={}, left_out=tuple(left_out))
     motions = [body_motion(robot, log_at_equal_steps(log), bandwidth=bandwidth) for log in logs]
     fit = fit_hidden_joints(robot, motions, bandwidth=bandwidth, progress=progress)
-    return FlightJointStudy(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
+    return FlightJointStudy(joints=fit.joints, channels=fit.channels, left_out=())
 
 
-def _has_angles(log: FlightLog) -> bool:
+def _has_joint_angles(log: FlightLog) -> bool:
     if log.lines is None:  # a binary log
         return False
     header = find_header(read_lines(Path(split_flight_number(log.path)[0])), "t")
     return header is not None and any(name.startswith("joint_") for name in header.names)
-
-
-def _joint_result(robot: RobotCfg, joint: LogJointFit) -> JointResult:
-    spring = next(one.spring for one in require_joints(robot).layout if one.name == joint.name) or SpringCfg()
-    params = joint.laws[joint.chosen].params
-    declared = {name: float(getattr(spring, name)) for name in (*params, *joint.changed) if hasattr(spring, name)}
-    return JointResult(name=joint.name, changed=joint.changed, declared=declared, params=params, spring=joint.spring)
 
 
 def study_flown_joints(
@@ -127,15 +118,15 @@ def study_flown_joints(
     corrected = study.correct_robot(robot, f"aerial-gym identify joints: {names}")
     changes = [f"{joint.name}: {name}" for joint in study.joints_with_changes for name in joint.changed]
     errors = "No log has joint angles: all joints are fitted to the motion of the body below the bandwidth"
-    if study.logged:
+    if study.fits_with_angles:
         errors = "Errors are those of the joint effort below the bandwidth"
-    assumption = Finding("links_as_declared") if study.logged else Finding("thrust_scale_fitted")
+    assumption = Finding("links_as_declared") if study.fits_with_angles else Finding("thrust_scale_fitted")
     return Study(
         title="Joints in flight",
         intro=f"Differences from the declaration: {'; '.join(changes) or 'nothing'}. {errors}. Flights, or parts of a single "
         "one, are left out in turn.",
         mapping={"bandwidth_hz": bandwidth, **study.as_mapping()},
-        tables=_tables_with_angles(study.logged) if study.logged else _tables_without_angles(study),
+        tables=_tables_with_angles(study.fits_with_angles) if study.fits_with_angles else _tables_without_angles(study),
         notes=(*study.left_out, assumption, Finding("intervals_of_flights")),
         files={"robot.yaml": dump_yaml(corrected)},
     )
@@ -144,7 +135,7 @@ def study_flown_joints(
 def _tables_with_angles(joints: Sequence[LogJointFit]) -> tuple[ReportTable, ...]:
     rows = []
     for joint in joints:
-        before, after = joint.declared, joint.laws[joint.chosen].error
+        before, after = joint.declared_error, joint.laws[joint.chosen].error
         numbers = interval_text(before), interval_text(after), relative_change_text(before.value, after.value)
         rows.append((joint.name, ", ".join(joint.changed) or "nothing", joint.chosen, *numbers))
     head = ("joint", "differs", "law", "declared, error [N m]", "fitted, held-out error [N m]", "change")

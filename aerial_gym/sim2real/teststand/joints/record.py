@@ -72,7 +72,7 @@ LAWS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Release:
+class ReleaseRecord:
     """Record of an arm at rest under a load that is released at time 0."""
 
     path: str
@@ -90,7 +90,7 @@ class Release:
 class JointStudy:
     """The published law, all fitted laws, and the one with the least held-out error."""
 
-    record: Release
+    record: ReleaseRecord
     published: Array = field(repr=False)  # Measured minus the published law, with release at 0 [rad], (T,)
     laws: dict[str, LawFit]
     chosen: str
@@ -128,7 +128,7 @@ def errors_by_span(time: Array, error: Array) -> dict[str, float]:
     return by_span | {"rms_after_first_second": rms(error[~early])}
 
 
-def release_record(bench: Bench, *, release: float = 0.0) -> Release:
+def release_record(bench: Bench, *, release: float = 0.0) -> ReleaseRecord:
     """Return the record from the release time [s] on."""
     time, angle = bench.values_of_quantity("time") - release, bench.values_of_quantity("angle")
     if np.any(np.diff(time) <= 0.0):
@@ -148,10 +148,10 @@ def release_record(bench: Bench, *, release: float = 0.0) -> Release:
         raise DataError(
             f"{bench.path}: the arm moves before {release:g} s; give the moment of release with --release-s"
         )
-    return Release(path=bench.path, time=time[~before], angle=angle[~before], start=start)
+    return ReleaseRecord(path=bench.path, time=time[~before], angle=angle[~before], start=start)
 
 
-def law_angle(record: Release, params: dict[str, float]) -> Array:
+def law_angle(record: ReleaseRecord, params: dict[str, float]) -> Array:
     """Return the angle [rad] that a law predicts, (T,).
 
     ``th'' = -k e - kq |e| e - c th' - sum k_i (e - z_i)``, ``z_i' = (e - z_i) / T_i`` with ``e = th - rest``. It starts at rest
@@ -207,7 +207,7 @@ def _quadratic_spring_angle(start: float, params: dict[str, float], since: Array
     return course[place[:-1]]
 
 
-def fit_joint(record: Release) -> JointStudy:
+def fit_joint(record: ReleaseRecord) -> JointStudy:
     """Return the fits of all laws to the record, their errors on left-out blocks, and the choice."""
     laws = {name: _fit_law(name, record) for name in LAWS}
     errors = {name: rms(np.array(rms_by_block(record, law))) for name, law in laws.items()}  # weights the first moments
@@ -219,23 +219,25 @@ def fit_joint(record: Release) -> JointStudy:
         error = fit_curve_of_law(name, record, ~late).residual[late]
         forecast[name] = cross_validation_error(error, np.arange(error.size) // max(1, error.size // 20))
     published = record.angle - law_angle(record, law)
-    alternate = {name: alternate_error(name, record) for name in laws}
+    alternate = {name: errors_on_alternate_blocks(name, record) for name in laws}
     return JointStudy(record, published, laws, chosen, forecast, alternate)
 
 
-def alternate_blocks(record: Release) -> Indices:
+def alternate_blocks(record: ReleaseRecord) -> Indices:
     """Return the parity of each row's block of ``ALTERNATE_S``, 0 or 1, (T,)."""
     return (record.time / ALTERNATE_S).astype(np.int64) % 2
 
 
-def alternate_error(name: str, record: Release) -> Array:
+def errors_on_alternate_blocks(name: str, record: ReleaseRecord) -> Array:
     """Return the residuals of all rows, each from the fit to the other alternate blocks [rad], (T,)."""
     return errors_on_left_out_folds(
         alternate_blocks(record), lambda out: fit_curve_of_law(name, record, ~out).residual[out]
     )
 
 
-def fit_curve_of_law(name: str, record: Release, kept: Flags | None = None, near: Array | None = None) -> CurveFit:
+def fit_curve_of_law(
+    name: str, record: ReleaseRecord, kept: Flags | None = None, near: Array | None = None
+) -> CurveFit:
     """Return a law fitted to the rows ``kept``, starting at the parameters ``near``."""
     labels = ("release", *LAWS[name])
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
@@ -248,7 +250,7 @@ def fit_curve_of_law(name: str, record: Release, kept: Flags | None = None, near
     return fit_curve(predict, record.angle, start, low, high, kept)
 
 
-def _fit_law(name: str, record: Release) -> LawFit:
+def _fit_law(name: str, record: ReleaseRecord) -> LawFit:
     whole = fit_curve_of_law(name, record)
     held_out = errors_on_left_out_folds(
         record.block, lambda out: fit_curve_of_law(name, record, ~out, whole.params).residual[out]
@@ -257,6 +259,6 @@ def _fit_law(name: str, record: Release) -> LawFit:
     return LawFit(name=name, params=params, residual=whole.residual, held_out=held_out, fold=record.block)
 
 
-def rms_by_block(record: Release, law: LawFit) -> list[float]:
+def rms_by_block(record: ReleaseRecord, law: LawFit) -> list[float]:
     """Return the RMS held-out error of each block [rad]."""
     return [rms(law.held_out[record.block == block]) for block in np.unique(record.block)]

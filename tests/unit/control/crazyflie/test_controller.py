@@ -1,5 +1,8 @@
 """The Crazyflie's controllers in flight: gains in counts, integrals, rates, resets, and what they do not fly. Their
-laws are held to the firmware in ``tests/cross/test_crazyflie.py``, their Warp code to torch in ``test_cascade.py``."""
+laws are held to the firmware in ``tests/cross/test_crazyflie.py``, their Warp code to torch in ``test_cascade.py``.
+Feed-forward and limits of the Crazyflie's laws by hand, for cases that the vectors of the firmware leave out.
+Torques of the Crazyflie's power distribution, by hand.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -11,9 +14,12 @@ import torch
 from aerial_gym.config.autopilots import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie import brescianini
 from aerial_gym.control.crazyflie.controller import BrescianiniController, CrazyflieLeeController, MellingerController
-from aerial_gym.control.crazyflie.mellinger import FlatTarget
+from aerial_gym.control.crazyflie.distribution import rotor_signs, torque_per_count
+from aerial_gym.control.crazyflie.mellinger import FlatTarget, MellingerGains, mellinger_control
+from aerial_gym.control.crazyflie.pid import PidGains, PidLevel, outer_loop
 from aerial_gym.control.gains import derive_inclination
 from aerial_gym.control.lee import unit_z
 from aerial_gym.errors import ConfigError
@@ -29,6 +35,7 @@ from aerial_gym.physics import (
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
+from tests.refusals import assert_refused
 
 F64 = torch.float64
 DT = 0.002
@@ -221,10 +228,8 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
         replace(CONTROLLERS.get(MELLINGER), delay=0.01)
     with pytest.raises(ConfigError, match=r"CrazyfliePidCfg.rate_kp = \(1.0, -1.0, 1.0\): must be >= 0"):
         CrazyfliePidCfg(rate_kp=(1.0, -1.0, 1.0))
-    with pytest.raises(ConfigError, match="CrazyfliePidCfg.rate_hz = 0.0: must be > 0"):
-        CrazyfliePidCfg(rate_hz=0.0)
-    with pytest.raises(ConfigError, match="MellingerCfg.mass = 0.0: must be > 0"):
-        MellingerCfg(mass=0.0)
+    assert_refused(ConfigError, "CrazyfliePidCfg.rate_hz = 0.0: must be > 0", CrazyfliePidCfg, rate_hz=0.0)
+    assert_refused(ConfigError, "MellingerCfg.mass = 0.0: must be > 0", MellingerCfg, mass=0.0)
 
 
 def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
@@ -236,8 +241,7 @@ def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
         BrescianiniCfg(coll_min=2.0, coll_max=2.0)
     times = ("tau_xy", "tau_z", "tau_rp", "tau_rp_rate", "tau_yaw_rate")
     for name in (*times, "omega_rp_max", "omega_yaw_max", "coll_max"):
-        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0.0: must be > 0"):
-            BrescianiniCfg(**{name: 0.0})
+        assert_refused(ConfigError, rf"BrescianiniCfg.{name} = 0.0: must be > 0", BrescianiniCfg, **{name: 0.0})
 
 
 @pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
@@ -274,3 +278,58 @@ def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
     gains, weight = laws[0].gains, X500.body.mass * 9.81
     most = (gains.attitude_integral * gains.attitude_limit)[0]
     torch.testing.assert_close(most, 0.5 * laws[0].allocation.torque_authority(weight))
+
+
+def run_mellinger(**target: list[float]) -> tuple[list[float], list[float]]:
+    """Return thrust and moment in counts at rest and level with an inclination limit; masses and gains are simple numbers."""
+    widths = {"mass": 1, "mass_thrust": 1, "rate_difference": 1}
+    values = {"mass": 0.5, "mass_thrust": 100.0, "position": 1.0, "rate": 20.0, "attitude": 7.0}
+    gains = MellingerGains(
+        **{
+            name: torch.full((1, widths.get(name, 3)), values.get(name, 0.0), dtype=F64)
+            for name in MellingerGains.__annotations__
+        }
+    )
+    rows = {name: torch.tensor([target.get(name, [0.0, 0.0, 0.0])], dtype=F64) for name in FlatTarget.__annotations__}
+    flat = FlatTarget(**(rows | {"yaw": torch.zeros(1, dtype=F64)}))
+    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
+    thrust, moment, _ = mellinger_control(
+        state, flat, torch.zeros(1, 8, dtype=F64), gains, gravity=10.0, dt=0.01, max_inclination=0.5
+    )
+    return thrust[0].tolist(), moment[0].tolist()
+
+
+def test_mellinger_feeds_forward_acceleration_and_rates() -> None:
+    """Thrust is ``100 m (g + a)``, moment ``20 w`` for wanted rates w of a level vehicle at its target."""
+    thrust, moment = run_mellinger(acceleration=[0.0, 0.0, 3.0], rates=[0.1, -0.2, 0.3])
+    assert thrust == pytest.approx([650.0])
+    assert moment == pytest.approx([2.0, -4.0, 6.0])
+
+
+def test_mellinger_keeps_a_tenth_of_the_weight_for_a_far_lower_target() -> None:
+    assert run_mellinger(position=[0.0, 0.0, -50.0])[0] == pytest.approx([50.0])
+
+
+def test_the_velocity_setpoint_is_at_most_a_tenth_above_its_limit() -> None:
+    """5 m ahead with 10 1/s asks for 50 m/s; the limit of 2 m/s allows 2.2 m/s, and 1 deg s/m makes 2.2 deg of pitch."""
+    rows = {name: torch.zeros(1, 3, dtype=F64) for name in PidLevel.__annotations__}
+    levels = [PidLevel(**(rows | {"proportional": torch.full((1, 3), gain, dtype=F64)})) for gain in (10.0, 1.0)]
+    gains = PidGains(
+        position=levels[0], velocity=levels[1], attitude=levels[0], rates=levels[0],
+        most_velocity=torch.full((1, 3), 2.0, dtype=F64),
+        **{name: torch.full((1, 1), 20.0, dtype=F64) for name in ("most_tilt", "thrust_base", "least_thrust")},
+    )  # fmt: skip
+    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
+    position = state.position + torch.tensor([[5.0, 0.0, 0.0]], dtype=F64)
+    setpoint, _ = outer_loop(state, position, torch.zeros(1, 6, dtype=F64), gains, dt=0.01)
+    assert setpoint[0].tolist() == pytest.approx([20.0, 0.0, 2.2])
+
+
+def test_torque_of_one_count_is_that_of_four_rotors_with_their_shares() -> None:
+    """A count of thrust is 1/65535 of the largest; half a count acts at each arm about x and y, a whole one turns about z."""
+    vehicle = vehicle_from_config(ROBOTS.get("crazyflie_2x_arpl"), num_envs=1, dtype=torch.float64)
+    allocation = Allocation(vehicle, 9.81)
+    torque = torque_per_count(vehicle, allocation, rotor_signs("position", vehicle, allocation, 9.81), 9.81)
+    count = 0.1420 / 65535.0
+    lateral = 4.0 * 0.028 * 0.5 * count
+    assert torque.tolist() == pytest.approx([lateral, lateral, 4.0 * count * 1.45e-10 / 2.431e-8], rel=1e-3)

@@ -1,13 +1,19 @@
 """PX4's cascade as a controller: units, filters, limits and integrals, each against what it must do exactly. Its laws
-are held to PX4's own library in ``tests/cross/test_px4.py``, its Warp twin to torch in ``test_cascade.py``."""
+are held to PX4's own library in ``tests/cross/test_px4.py``, its Warp twin to torch in ``test_cascade.py``.
+The mixer at the limits of the motors gives the numbers of PX4's unit tests.
+Thrust and attitude setpoints of PX4's position control: numbers by hand, and SciPy.
+"""
 
 from cmath import exp
 from dataclasses import replace
 from math import pi, sin, sqrt
 
+import numpy as np
 import pytest
 import torch
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from aerial_gym import EFFECTS, ROBOTS
 from aerial_gym.config.autopilots import Px4Cfg
@@ -17,6 +23,14 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.filters.biquad import apply_filter, butterworth, notch
+from aerial_gym.control.px4.cascade import (
+    MixerOutput,
+    PositionGains,
+    attitude_from_thrust,
+    mix,
+    quat_from_axes,
+    velocity_control,
+)
 from aerial_gym.control.px4.controller import Px4Controller
 from aerial_gym.control.px4.parameters import signal_of_thrust_share, unit_wrench
 from aerial_gym.errors import ConfigError
@@ -250,3 +264,124 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
     for field, value in bad.items():
         with pytest.raises(ConfigError, match=f"Px4Cfg.{field} = "):
             Px4Cfg(**{field: value})
+
+
+UNIT_TEST = torch.tensor(
+    [[0.25, 0.25, 5, 0.25], [-0.25, -0.25, 5, 0.25], [-0.25, 0.25, -5, 0.25], [0.25, -0.25, -5, 0.25]]
+)
+"""The mixing matrix of PX4's unit tests: a quadrotor of 1 m by 1 m and a moment ratio of 0.05, not normalised."""
+
+QUADROTOR = UNIT_TEST / torch.tensor([0.25 * 2**0.5, 0.25 * 2**0.5, 5.0, 0.25])
+"""The same, normalised."""
+
+
+def mix_row(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, low: float = 0.0) -> MixerOutput:
+    rows = columns.to(F64).unsqueeze(0)
+    return mix(rows, torch.tensor([wanted], dtype=F64), torch.full(rows.shape[:2], low, dtype=F64), airmode=airmode)
+
+
+@pytest.mark.parametrize(("wanted", "airmode", "short"), [
+    ([0.1, -0.1, 0.1, 0.5], 0, [0, 0, 0]),
+    ([-0.4, 0.0, 0.0, 0.1], 0, [-1, 0, 0]),
+    ([-0.4, 0.0, 0.0, 0.1], 1, [0, 0, 0]),
+    ([0.0, 0.0, -0.4, 0.1], 1, [0, 0, -1]),
+    ([0.0, 0.0, -0.4, 0.1], 2, [0, 0, 0]),
+    ([0.0, 1.2, 0.1, 0.5], 1, [0, 1, 1]),
+])  # fmt: skip
+def test_it_tells_which_torque_is_not_given(wanted: list[float], airmode: int, short: list[int]) -> None:
+    torch.testing.assert_close(mix_row(wanted, airmode).short, torch.tensor([short], dtype=F64))
+
+
+@pytest.mark.parametrize("airmode", [0, 1, 2])
+def test_lost_torque_is_that_of_least_squares(airmode: int) -> None:
+    """Six random motors: torque that NumPy finds in the signals; all of it is lost where a motor was clamped."""
+    rng = np.random.default_rng(airmode)
+    columns, wanted = rng.uniform(-1.0, 1.0, (300, 6, 4)), rng.uniform(-0.6, 0.6, (300, 4))
+    columns[..., 3] = rng.uniform(0.5, 1.0, (300, 6))
+    low = np.full((300, 6), 0.05)
+    output = mix(*(torch.from_numpy(rows) for rows in (columns, wanted, low)), airmode=airmode)
+    clamped = 0
+    for column, command, signal, short in zip(columns, wanted, output.signal.numpy(), output.short, strict=True):
+        given, residual, *_ = np.linalg.lstsq(column, signal, rcond=None)
+        whole = residual[0] < 1e-16
+        clamped += not whole
+        lost = command[:3] - given[:3] * whole
+        assert short.tolist() == np.where(np.abs(lost) > 1e-6, np.sign(lost), 0.0).tolist()
+    assert 20 < clamped < 280
+
+
+def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
+    vehicle = vehicle_from_config(ROBOTS.get("x500"), num_envs=1, dtype=F64)
+    grown = []
+    for airmode in (0, 1):
+        px4 = Px4Cfg(MC_ROLLRATE_P=0.5, MC_ROLLRATE_I=0.5, MC_RR_INT_LIM=10.0, MC_AIRMODE=airmode)
+        law = make_controller(replace(CONTROLLERS.get("px4_rate_control"), px4=px4), vehicle, 9.81, dt=0.002)
+        state, memory = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64), None
+        memory = fresh_law_memory(law.needs, 1, state.position)
+        for _ in range(10):
+            _, memory = law.command(state, torch.tensor([[-0.95, 0.3, 0.0, 0.0]], dtype=F64), memory)
+        grown.append(float(memory.numbers[0, 0]))
+    assert grown[1] == pytest.approx(10.0 * grown[0])  # told one run late
+
+
+def test_another_airmode_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"MC_AIRMODE = 3: must be 0, 1 or 2"):
+        Px4Cfg(MC_AIRMODE=3)
+
+
+NUMBERS = {"position": 1.0, "velocity": 2.0, "integral": 0.5, "derivative": 0.0}
+LIMITS = {"speed": 10.0, "up": 3.0, "down": 1.0, "least_thrust": 0.12, "most_thrust": 0.9, "margin": 0.3, "tilt": 0.8,
+          "hover": 0.5, "gravity": 9.8}  # fmt: skip
+
+
+def make_gains(**changes: float) -> PositionGains:
+    rows = {name: torch.full((1, 3), value, dtype=F64) for name, value in NUMBERS.items()}
+    return PositionGains(
+        **rows, **{name: torch.tensor([[value]], dtype=F64) for name, value in (LIMITS | changes).items()}
+    )
+
+
+def control(error: list[float], integral: list[float], **changes: float) -> tuple[list[float], list[float]]:
+    """Return thrust and integral after a run of 0.01 s."""
+    rows = (torch.tensor([row], dtype=F64) for row in (error, integral, [0.0, 0.0, 0.0]))
+    _, thrust, after = velocity_control(*rows, make_gains(**changes), 0.01)
+    return thrust[0].tolist(), after[0].tolist()
+
+
+@pytest.mark.parametrize(("error", "integral", "after"), [
+    (0.5, -9.0, -8.9975),  # at the least thrust, but upwards
+    (-0.5, -9.0, -9.0),  # at the least thrust, and downwards
+    (0.5, 9.0, 9.0),  # at the most thrust, and upwards
+    (-0.5, 9.5, 9.4975),  # at the most thrust, but downwards
+])  # fmt: skip
+def test_the_vertical_integral_leaves_a_limit_of_thrust(error: float, integral: float, after: float) -> None:
+    """It grows by ``0.5 e 0.01`` unless the thrust is at a limit that the error would exceed more."""
+    assert control([0.0, 0.0, error], [0.0, 0.0, integral])[1][2] == pytest.approx(after, abs=1e-12)
+
+
+def test_full_vertical_thrust_without_a_margin_leaves_no_lateral_thrust() -> None:
+    assert control([1.0, 0.0, 5.0], [0.0, 0.0, 9.0], margin=0.0)[0] == pytest.approx([0.0, 0.0, 0.9], abs=1e-12)
+
+
+def test_a_quaternion_of_axes_is_scipys() -> None:
+    """Random turns, most of which need one of the three forms for large angles."""
+    rotations = Rotation.random(500, random_state=0)
+    axes = torch.from_numpy(rotations.as_matrix())
+    actual, expected = quat_from_axes(*axes.unbind(-1)), torch.from_numpy(rotations.as_quat())
+    forms = expected.abs().argmax(-1)
+    assert forms.unique().tolist() == [0, 1, 2, 3]
+    sign = (actual * expected).sum(-1, keepdim=True).sign()
+    torch.testing.assert_close(sign * actual, expected, rtol=0.0, atol=1e-14)
+
+
+def test_an_attitude_points_its_thrust_and_keeps_the_heading() -> None:
+    """Body z is along the thrust, body x in the vertical plane of the heading and on its side."""
+    rng = np.random.default_rng(0)
+    thrust = rng.normal(size=(100, 3)) + np.array([0.0, 0.0, 4.0])
+    yaw = rng.uniform(-np.pi, np.pi, 100)
+    heading = np.stack((np.cos(yaw), np.sin(yaw), 0.0 * yaw), axis=1)
+    attitude = Rotation.from_quat(attitude_from_thrust(torch.from_numpy(thrust), torch.from_numpy(heading)).numpy())
+    x, _, z = np.moveaxis(attitude.as_matrix(), 2, 0)
+    np.testing.assert_allclose(z, thrust / np.linalg.norm(thrust, axis=1)[:, None], atol=1e-14)
+    np.testing.assert_allclose(x[:, 0] * heading[:, 1], x[:, 1] * heading[:, 0], atol=1e-14)
+    assert ((x * heading).sum(1) > 0.0).all()

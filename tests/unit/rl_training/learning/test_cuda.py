@@ -14,7 +14,7 @@ from aerial_gym.rl_training.ranks import ALONE, Ranks, join_ranks
 from aerial_gym.rl_training.trainers.learners import PpoTrainer
 from aerial_gym.rl_training.trainers.native import LOOK_EVERY, NativeTraining
 from aerial_gym.task import task_registry
-from tests.unit.rl_training.learning.test_distill import settings as distillation
+from tests.unit.rl_training.learning.test_apg import student_settings as distillation
 from tests.unit.rl_training.learning.test_ppo import settings
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

@@ -16,7 +16,7 @@ from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.learners import ApgTrainer, PpoTrainer
 from aerial_gym.rl_training.trainers.native import NativeTraining
 from tests.repetitions import frequent_values
-from tests.unit.rl_training.learning import test_apg, test_distill, test_ppo
+from tests.unit.rl_training.learning import test_apg, test_ppo
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.hover import camera_task
 
@@ -118,7 +118,7 @@ SHARED = {"separate_value_network": False, "entropy_coef": 1e-3}
 
 
 def make_distillation(cfg: TrainingCfg, task: Task) -> NativeTraining[Any]:
-    return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), test_distill.damping()))
+    return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), test_apg.damping()))
 
 
 TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
@@ -128,7 +128,7 @@ TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
     "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), PpoTrainer().make_training),
     "apg": (test_apg.settings(), ApgTrainer().make_training),
     "apg, a critic": (test_apg.settings(terminal_value=True, normalize_value=True), ApgTrainer().make_training),
-    "distill": (test_distill.settings(), make_distillation),
+    "distill": (test_apg.student_settings(), make_distillation),
 }
 
 

@@ -23,6 +23,7 @@ from aerial_gym.sensors.encoder.file import (
     negative_evidence,
     normalize_image,
 )
+from tests.refusals import assert_refused
 from tests.unit.sensors.encoder.encoders import ROBOT, coarse_camera, random_encoder
 
 
@@ -60,10 +61,8 @@ def test_images_of_any_size_come_back_in_their_size(rows: int, columns: int) -> 
 
 
 def test_impossible_networks_are_refused() -> None:
-    with pytest.raises(ConfigError, match="latents = 0: must be >= 1"):
-        AutoencoderCfg(rows=8, columns=8, latents=0)
-    with pytest.raises(ConfigError, match="channels = .*: needs numbers >= 1"):
-        AutoencoderCfg(rows=8, columns=8, channels=())
+    assert_refused(ConfigError, "latents = 0: must be >= 1", AutoencoderCfg, rows=8, columns=8, latents=0)
+    assert_refused(ConfigError, "channels = .*: needs numbers >= 1", AutoencoderCfg, rows=8, columns=8, channels=())
     with pytest.raises(ConfigError, match="activation = 'selu': must be elu, relu, tanh"):
         AutoencoderCfg(rows=8, columns=8, activation="selu")
 
@@ -78,16 +77,13 @@ def test_file_holds_what_was_saved(tmp_path: Path) -> None:
 
 def test_what_is_no_encoder_is_told(tmp_path: Path) -> None:
     path = tmp_path / "x.pt"
-    with pytest.raises(ConfigError, match=r"encoder .*x\.pt: no such file"):
-        load_encoder(path)
+    assert_refused(ConfigError, r"encoder .*x\.pt: no such file", load_encoder, path)
     with pytest.raises(UnknownNameError, match=r"no encoder 'nothing'\. Known: .*aerial-gym train-encoder"):
         encoder_file("nothing")
     path.write_bytes(b"nothing")
-    with pytest.raises(ConfigError, match="is damaged or no encoder"):
-        load_encoder(path)
+    assert_refused(ConfigError, "is damaged or no encoder", load_encoder, path)
     write_archive(path, {"model": {}})
-    with pytest.raises(ConfigError, match=r"holds no encoder \('network'\)\. Train one"):
-        load_encoder(path)
+    assert_refused(ConfigError, r"holds no encoder \('network'\)\. Train one", load_encoder, path)
 
 
 def test_encoder_that_diverged_is_refused(tmp_path: Path) -> None:

@@ -21,10 +21,10 @@ from aerial_gym.physics import rotor_state_for_thrust
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.hover import fit_hover
 from aerial_gym.sim2real.teststand.joints.record import (
-    Release,
+    ReleaseRecord,
     alternate_blocks,
-    alternate_error,
     creep_elements,
+    errors_on_alternate_blocks,
     fit_joint,
     law_angle,
     release_record,
@@ -44,7 +44,7 @@ from aerial_gym.sim2real.teststand.step import (
     speed_of_law,
     step_record,
 )
-from aerial_gym.sim2real.teststand.studies import joint_law_yaml, rotor_changes
+from aerial_gym.sim2real.teststand.studies import joint_law_yaml, rotor_fields_from_tests
 from aerial_gym.sim2real.teststand.tables import read_columns
 
 Array = NDArray[np.float64]
@@ -260,9 +260,9 @@ JOINT = {"stiffness": 4800.0, "damping": 60.0, "rest": 0.125}
 JOINT |= {"stiffness_1": 3000.0, "time_1": 0.06, "stiffness_2": 1200.0, "time_2": 1.5}
 
 
-def release(rate: float = 100.0, seconds: float = 12.0) -> Release:
+def release(rate: float = 100.0, seconds: float = 12.0) -> ReleaseRecord:
     time = np.arange(round(seconds * rate)) / rate
-    return Release(path="", time=time, angle=0.0 * time, start=0.4)
+    return ReleaseRecord(path="", time=time, angle=0.0 * time, start=0.4)
 
 
 def test_creep_solves_the_generalised_maxwell_equations() -> None:
@@ -306,7 +306,7 @@ def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -
     moved = replace(record, angle=record.angle + 0.01 * (alternate_blocks(record) == 1))
     odd = alternate_blocks(record) == 1
     assert 0.3 < odd.mean() < 0.7
-    result, after = (alternate_error("linear spring", each) for each in (record, moved))
+    result, after = (errors_on_alternate_blocks("linear spring", each) for each in (record, moved))
     np.testing.assert_allclose(result, 0.0, atol=1e-5)
     np.testing.assert_allclose(after[odd], result[odd] + 0.01, atol=1e-9)
     assert np.abs(after[~odd] - result[~odd]).max() > 1e-3
@@ -328,7 +328,7 @@ def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() ->
 @pytest.mark.slow
 def test_creep_is_told_from_springs_and_its_numbers_are_found(tmp_path: Path) -> None:
     time = np.arange(-100, 1200) / 100.0
-    record = Release(path="", time=time[time >= 0], angle=0.0 * time[time >= 0], start=0.4)
+    record = ReleaseRecord(path="", time=time[time >= 0], angle=0.0 * time[time >= 0], start=0.4)
     angle = np.full(time.size, 0.4)
     angle[time >= 0] = law_angle(record, JOINT)
     angle += 5e-4 * np.random.default_rng(0).standard_normal(time.size)
@@ -442,7 +442,7 @@ def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
     noise = 1.0 + 0.002 * rng.standard_normal((2, speed.size))
     table = pd.DataFrame({"omega": speed, "thrust_N": thrust * noise[0], "torque_Nm": torque * noise[1]})
     fits, _ = fit_static(bench(table, tmp_path))
-    changes = rotor_changes(fits, None)
+    changes = rotor_fields_from_tests(fits, None)
     assert changes["thrust_map"] == pytest.approx((0.0, 0.0, 1e-6), rel=0.01)
     assert changes["reverse_thrust_map"] == pytest.approx((0.0, 1e-4, 0.6e-6), rel=0.05)
     torques = np.polyval(np.array(changes["reverse_torque_map"])[::-1], 1500.0)
@@ -456,7 +456,7 @@ def test_steps_give_slew_rates_that_a_robot_file_holds(tmp_path: Path) -> None:
     params = {"tau": 0.03, "slew_down": 2e4}
     fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
     assert fit.in_robot == fit.chosen
-    changes = rotor_changes([], fit)
+    changes = rotor_fields_from_tests([], fit)
     assert changes["slew_rate"] is None
     assert changes["slew_rate_down"] == pytest.approx(2e4, rel=0.05)
     assert changes["time_constant_up"] == changes["time_constant_down"] == pytest.approx(0.03, rel=0.05)

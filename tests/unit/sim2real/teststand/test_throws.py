@@ -125,14 +125,14 @@ def test_intervals_of_axes_cover_the_turns_that_noise_causes() -> None:
     rng = np.random.default_rng(0)
     root = 1e-5 * rng.normal(size=(6, 6)) / np.sqrt(6.0)
     moments, axes = np.linalg.eigh(BODY)
-    widths = inertia_study.angle_half_widths(moments, axes, root @ root.T)
+    widths = inertia_study.half_widths_of_axis_angles(moments, axes, root @ root.T)
     inside = []
     for _ in range(400):
         noise = matrix_of_elements(root @ rng.normal(size=6))
         turned = np.linalg.eigh(BODY + noise)[1]
         inside.append(np.abs(turned[:, 1] @ axes[:, 2]) < np.sin(widths[1, 2]))
     assert 0.93 < np.mean(inside) <= 1.0
-    equal = inertia_study.angle_half_widths(np.array((5e-4, 1.4e-3, 1.4e-3)), axes, root @ root.T)
+    equal = inertia_study.half_widths_of_axis_angles(np.array((5e-4, 1.4e-3, 1.4e-3)), axes, root @ root.T)
     assert equal[1, 2] == pytest.approx(np.pi / 4)
     assert equal[0, 1] < 0.1
 

@@ -19,14 +19,14 @@ from aerial_gym.sim2real.teststand.log_geometry import (
     FRAMES,
     RotorLayout,
     ThrustLaw,
-    _ardupilot_law,
-    _betaflight_law,
+    _ardupilot_thrust_law,
+    _betaflight_thrust_law,
     _layout_of_parameters,
     _px4_layout,
     frame_layout,
 )
-from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, robot_text
-from aerial_gym.sim2real.teststand.vehicle_from_log import _yaw_numbers, draft_vehicle
+from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, robot_yaml_with_origins
+from aerial_gym.sim2real.teststand.vehicle_from_log import _torque_ratio_and_yaw_inertia, draft_vehicle
 
 RATE, SECONDS, MASS = 400.0, 16.0, 0.5
 SIGNS = np.array(((-1, -1, 1, 1), (1, -1, 1, -1), (1, -1, -1, 1)))  # Roll, pitch, yaw, of Betaflight's order
@@ -177,7 +177,9 @@ def test_a_flight_of_8_s_gives_its_lag(tmp_path: Path) -> None:
 @pytest.mark.parametrize("arm", [0.07, 0.083, 0.1, 0.113, 0.17])
 def test_the_inertia_of_each_file_is_that_of_a_body(flights: list[Path], arm: float, tmp_path: Path) -> None:
     """The file holds x + y as the largest moment about z: rounded numbers may not exceed it."""
-    (tmp_path / "vehicle.yaml").write_text(robot_text(draft_vehicle(flights[:1], mass=MASS, arm=arm), name="a: 'b' #2"))
+    (tmp_path / "vehicle.yaml").write_text(
+        robot_yaml_with_origins(draft_vehicle(flights[:1], mass=MASS, arm=arm), name="a: 'b' #2")
+    )
     assert robot_by_name(tmp_path / "vehicle.yaml").summary == "vehicle of a: 'b' #2"
 
 
@@ -191,7 +193,7 @@ def test_numbers_on_an_assumed_mass_or_arm_are_assumed(flights: list[Path], tmp_
     }  # fmt: skip
     assert not no_arm.values["thrust"].is_assumed
     written = tmp_path / "robot.yaml"
-    written.write_text(robot_text(known, name="known"))
+    written.write_text(robot_yaml_with_origins(known, name="known"))
     placed = draft_vehicle(flights[:1], mass=MASS, frame=str(written))
     assert {name for name, value in placed.values.items() if value.is_assumed} == {"torque_ratio", "inertia_z"}
     assert none.values["thrust"].is_assumed
@@ -235,11 +237,11 @@ def test_fast_commands_show_the_exponent_of_their_thrust(tmp_path: Path) -> None
 
 def test_curves_of_firmwares() -> None:
     """ArduPilot: expo between MOT_SPIN_MIN and MOT_SPIN_MAX. Betaflight: square of the duty cycle, with idle of 5.5 %."""
-    ardupilot = _ardupilot_law(raw_log("dataflash", MOT_SPIN_MIN=0.15, MOT_SPIN_MAX=0.95, MOT_THST_EXPO=0.65))
+    ardupilot = _ardupilot_thrust_law(raw_log("dataflash", MOT_SPIN_MIN=0.15, MOT_SPIN_MAX=0.95, MOT_THST_EXPO=0.65))
     np.testing.assert_allclose(
         ardupilot.share(np.array((0.1, 0.55, 0.95))), (0.0, 0.65 / 4 + 0.35 / 2, 1.0), atol=1e-12
     )
-    betaflight = _betaflight_law(raw_log("blackbox", motorOutput="158,2047"))
+    betaflight = _betaflight_thrust_law(raw_log("blackbox", motorOutput="158,2047"))
     duty = (110.0 + 0.4 * 1889.0) / 1999.0
     assert betaflight.share(np.array(0.4)) / betaflight.share(np.array(1.0)) == pytest.approx(duty**2)
     assert betaflight.slope(0.4) == pytest.approx(2.0 * 0.4 * 1889.0 / 1999.0 / duty, rel=1e-4)
@@ -303,7 +305,7 @@ def test_a_frame_is_given_by_name_or_robot_file(tmp_path: Path) -> None:
     assert any("--frame" in question for question in assumed.questions)
     named = draft_vehicle([path], mass=MASS, arm=0.1, mapping=slow, frame="quad_plus")
     np.testing.assert_allclose(named.places[0], (0.0, -0.1, 0.0), atol=1e-12)
-    (tmp_path / "robot.yaml").write_text(robot_text(named, name="plus"))
+    (tmp_path / "robot.yaml").write_text(robot_yaml_with_origins(named, name="plus"))
     again = draft_vehicle([path], mass=MASS, mapping=slow, frame=str(tmp_path / "robot.yaml"))
     np.testing.assert_allclose(again.places, named.places, atol=1e-5)
     assert "arm" not in again.values
@@ -342,7 +344,7 @@ def test_a_logged_torque_ratio_that_no_body_can_have_is_not_used() -> None:
     notes = list[str]()
     for ratio, used in ((0.01, True), (0.05, False)):
         layout = RotorLayout(count=4, torque_ratio=ratio)
-        torque_ratio, inertia = _yaw_numbers(layout, effect, 3e-7, values, notes)
+        torque_ratio, inertia = _torque_ratio_and_yaw_inertia(layout, effect, 3e-7, values, notes)
         assert (torque_ratio.value == ratio) is used
         assert inertia.value < 2e-3 * (1.0 + 1e-9)
     assert len(notes) == 1

@@ -1,4 +1,6 @@
-"""Columns of rotors, commands and voltage that are not what they claim to be."""
+"""Columns of rotors, commands and voltage that are not what they claim to be.
+Rotor columns that are no rotor speeds, or come at another time, though their thrust carries the vehicle.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +10,10 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 ROTORS, COMMANDS = ([f"{name}_{n}" for n in range(1, 5)] for name in ("rotor", "cmd"))
@@ -84,3 +89,51 @@ def test_spins_that_are_all_reversed_are_told(table: pd.DataFrame, tmp_path: Pat
         DataError, match="probable order is rotor_2, rotor_1, rotor_3, rotor_4, with all spins reversed"
     ):
         load_flight(write(turned.drop(columns=COMMANDS), tmp_path / "b.csv"), wrong, mapping=None, bandwidth=10.0)
+
+
+LAW_ROTORS = [f"rotor_{n}" for n in range(1, 5)]
+LAW_COMMANDS = [f"cmd_{n}" for n in range(1, 5)]
+HOVER = float(np.sqrt(0.6 * 9.81 / 4.8e-6))
+
+
+@pytest.fixture(scope="module")
+def law_table() -> pd.DataFrame:
+    """Return a flight with drag and a thrust 5 % less than declared, which are no business of this check."""
+    return flight(3, seconds=12.0, rate=100.0, noise=1.0, drag=0.2, thrust_scale=0.95)
+
+
+def load(law_table: pd.DataFrame, folder: Path) -> tuple[str, ...]:
+    return load_flight(write(law_table, folder / "a.csv"), ROBOT, mapping=None, bandwidth=10.0).notes
+
+
+def test_a_pulse_width_a_duty_cycle_and_a_thrust_are_no_speeds(law_table: pd.DataFrame, tmp_path: Path) -> None:
+    """Each is scaled so that it hovers: 1000 µs and more at rest, the square of the speed, its root."""
+    share = law_table[LAW_ROTORS] / HOVER
+    rest = {"pulse": 0.6 * HOVER + 0.4 * HOVER * share, "square": HOVER * share**2, "root": HOVER * share**0.5}
+    assert load(law_table, tmp_path) == ()
+    for values in rest.values():
+        for names in (LAW_ROTORS, LAW_COMMANDS):
+            wrong = law_table.drop(columns=LAW_ROTORS)
+            wrong[names] = values.to_numpy()
+            match = rf"measured force rises .* times as steeply with {names[0]}\.\.4 .* pulse width, a duty cycle or a thrust"
+            with pytest.raises(DataError, match=match):
+                load(wrong, tmp_path)
+
+
+def test_the_slope_of_speeds_is_one_and_of_a_root_two(law_table: pd.DataFrame, tmp_path: Path) -> None:
+    """Thrust goes with the square of the speed, so that its slope over the declared thrust of w^n is 1 / n."""
+    log = read_flight_log(write(law_table, tmp_path / "a.csv"))
+    for power in (0.5, 1.0, 2.0):
+        states = HOVER * (law_table[LAW_ROTORS].to_numpy() / HOVER) ** power
+        low, high = interval_of_thrust_slope(log, total_rotor_force(ROBOT, states), None)
+        assert low < 1.0 / power < high
+        assert high / low < 1.4
+
+
+def test_a_hover_tells_nothing(law_table: pd.DataFrame, tmp_path: Path) -> None:
+    """Where the thrust is noise, the slope is between 0 and infinity."""
+    hover, rng = law_table.copy(), np.random.default_rng(2)
+    hover[["acc_x", "acc_y", "acc_z"]] = (0.0, 0.0, 9.81) + 0.05 * rng.standard_normal((len(law_table), 3))
+    log = read_flight_log(write(hover, tmp_path / "a.csv"))
+    states = HOVER * (1.0 + 0.003 * rng.standard_normal((len(law_table), 4)))
+    assert interval_of_thrust_slope(log, total_rotor_force(ROBOT, states), None) == (0.0, np.inf)

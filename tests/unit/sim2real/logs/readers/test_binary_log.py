@@ -15,6 +15,7 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import split_flight_number
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.teststand.inertia_study import read_throw
+from tests.refusals import assert_refused
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 from tests.unit.sim2real.ulog_files import read_topics, topics, write_ulog
 
@@ -60,8 +61,7 @@ def test_a_file_with_two_flights_gives_each_by_its_number(table: pd.DataFrame, t
     path = two_flights(table, tmp_path / "day.ulg")
     with pytest.raises(DataError, match=r"holds 2 flights; give one of them: .*day\.ulg#1 \(5\.\d to .*day\.ulg#2 "):
         read_flight_log(path)
-    with pytest.raises(DataError, match="holds 2 flights, numbered from 1"):
-        read_flight_log(f"{path}#3")
+    assert_refused(DataError, "holds 2 flights, numbered from 1", read_flight_log, f"{path}#3")
     logs = read_flights([path])
     assert [log.name for log in logs] == ["day#1", "day#2"]
     assert [np.ptp(log.time) for log in logs] == pytest.approx([12.0, 8.0], abs=0.1)
@@ -76,8 +76,7 @@ def test_a_file_with_two_flights_gives_each_by_its_number(table: pd.DataFrame, t
 def test_a_throw_is_one_flight_of_its_file(table: pd.DataFrame, tmp_path: Path) -> None:
     """A file with two flights lists them; a selected one is read, and is no throw, as it carries its weight."""
     path = two_flights(table, tmp_path / "day.ulg")
-    with pytest.raises(DataError, match=r"give one of them: .*day\.ulg#1"):
-        read_throw(path)
+    assert_refused(DataError, r"give one of them: .*day\.ulg#1", read_throw, path)
     with pytest.raises(DataError, match=r"day\.ulg#2: is no throw"):
         read_throw(Path(f"{path}#2"))
 
@@ -173,8 +172,7 @@ def test_a_log_without_attitude_integrates_the_gyro_and_keeps_body_axes(table: p
 ])  # fmt: skip
 def test_a_log_without_a_needed_quantity_is_refused(lost, named, table: pd.DataFrame) -> None:
     results = {name: part for name, part in topics(table).items() if name not in lost}
-    with pytest.raises(DataError, match=named):
-        read_topics(results)
+    assert_refused(DataError, named, read_topics, results)
 
 
 def test_commands_too_small_to_carry_a_vehicle_are_no_flight(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -194,5 +192,4 @@ def test_a_log_whose_motion_covers_a_part_of_it_is_refused(table: pd.DataFrame) 
     results["battery_status"]["timestamp"] = results["battery_status"]["timestamp"] * 1000
     assert read_topics(results).time.size > 2000
     results["esc_status"]["timestamp"] = results["esc_status"]["timestamp"] * 1000
-    with pytest.raises(DataError, match="of the whole log"):
-        read_topics(results)
+    assert_refused(DataError, "of the whole log", read_topics, results)

@@ -15,6 +15,7 @@ from aerial_gym.sim2real.logs.readers import follow
 from aerial_gym.sim2real.logs.readers.flight_log import open_log, read_flight_log, read_flights
 from aerial_gym.sim2real.logs.readers.follow import file_lines
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
+from tests.refusals import assert_refused
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 
@@ -98,15 +99,13 @@ def test_a_bad_table_is_refused_with_the_place_and_the_way_out(table, tmp_path, 
 def test_a_column_that_appears_twice_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
     path = write(table, tmp_path / "a.csv")
     path.write_text(path.read_text().replace("acc_y", "acc_x", 1))
-    with pytest.raises(DataError, match=r"column 'acc_x' appears twice"):
-        read_flight_log(path)
+    assert_refused(DataError, r"column 'acc_x' appears twice", read_flight_log, path)
 
 
 def test_files_that_are_no_text_or_not_there(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"none\.csv: no such file"):
         read_flight_log(tmp_path / "none.csv")
-    with pytest.raises(DataError, match=r"is a folder"):
-        read_flight_log(tmp_path)
+    assert_refused(DataError, r"is a folder", read_flight_log, tmp_path)
     (tmp_path / "b.csv").write_bytes(b"\xff\xfd\x00\x01" * 50)
     with pytest.raises(DataError, match=r"cannot be read as text"):
         read_flight_log(tmp_path / "b.csv")
@@ -184,12 +183,10 @@ def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
     assert {"aerial_gym", "idsia_nanodrone"} < set(mapping_names())
     with pytest.raises(UnknownNameError, match=r"no log mapping 'px4'\. Known: aerial_gym, .*idsia_nanodrone"):
         find_mapping("px4")
-    with pytest.raises(ConfigError, match=r"must be one of si, ms"):
-        ColumnsCfg(columns=("t",), unit="furlong")
+    assert_refused(ConfigError, r"must be one of si, ms", ColumnsCfg, columns=("t",), unit="furlong")
     with pytest.raises(ConfigError, match=r"attitude\.columns .*must name 4 columns"):
         mapping(attitude=ColumnsCfg(columns=("q_x", "q_y", "q_z")))
-    with pytest.raises(ConfigError, match=r"body_frame = 'up': must be one of flu, frd"):
-        mapping(body_frame="up")
+    assert_refused(ConfigError, r"body_frame = 'up': must be one of flu, frd", mapping, body_frame="up")
     with pytest.raises(ConfigError, match=r"attitude_body_frame = 'ned': must be one of flu, frd"):
         mapping(attitude_body_frame="ned")
     (tmp_path / "m.yaml").write_text("summary: x\ntimes: {columns: [t]}\n")

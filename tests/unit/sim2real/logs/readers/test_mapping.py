@@ -14,6 +14,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.predict.channels import find_channels
+from tests.refusals import assert_refused
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 BASE = {
@@ -76,8 +77,7 @@ def test_an_attitude_that_is_not_logged_is_integrated_from_the_gyro(table: pd.Da
     noted = {Finding("mapping_note", "", {"text": "no attitude"}), Finding("attitude_integrated")}
     assert set(log.notes) == noted
     moving = layout(attitude=None, rotor_speed=rotors, lin_vel={"columns": ["v_x", "v_y", "v_z"]}, lacks="none logged")
-    with pytest.raises(DataError, match=r"has no attitude. none logged"):
-        read(table, tmp_path, moving)
+    assert_refused(DataError, r"has no attitude. none logged", read, table, tmp_path, moving)
 
 
 def test_the_other_vehicle_comes_from_its_own_file_and_its_gaps_stay(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -158,8 +158,7 @@ def test_the_lowest_place_of_a_flight_is_no_ground(table: pd.DataFrame, tmp_path
     path = write(table, tmp_path / "a.csv")
     for size in (0.0, 0.1):
         assert load_flight(path, ROBOT, mapping=layout(lift_off_m=size, **fields), bandwidth=5.0).on_ground is None
-    with pytest.raises(ConfigError, match=r"lift_off_m = -0.1: must be >= 0"):
-        layout(lift_off_m=-0.1)
+    assert_refused(ConfigError, r"lift_off_m = -0.1: must be >= 0", layout, lift_off_m=-0.1)
 
 
 @pytest.mark.parametrize(("command", "error", "message"), [
