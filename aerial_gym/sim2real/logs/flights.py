@@ -32,13 +32,11 @@ from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
-from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
+from aerial_gym.sim2real.logs.rotor_model import SETTLE_S, fit_line_behind_lag, mean_time_constant, total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     DERIVED_BAND,
-    apply_lag,
     check_gaps,
-    interpolate_columns,
     log_at_equal_steps,
     lowpass,
     without_bad_quaternions,
@@ -46,8 +44,6 @@ from aerial_gym.sim2real.logs.signals import (
 from aerial_gym.sim2real.logs.stream_delays import correct_row_delays
 
 MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
-SETTLE_S = 0.5  # Time until rotors that follow commands forget their initial state [s]
-LAG_STEPS = 4  # Linear fits of the rotor lag behind commands that are shares
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
 
@@ -238,7 +234,7 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
                 f"{log.path}: has {log.rotor_speed.shape[1]} rotor speeds and {share.shape[1]} commands; both need "
                 "one for each rotor"
             )
-        idle, slope = _line_behind_lag(share, log.rotor_speed, robot, sample_rate(log))
+        idle, slope = fit_line_behind_lag(share, log.rotor_speed, robot, sample_rate(log))
         command, full = idle + slope * share, idle + slope
     elif force is None:
         raise DataError(
@@ -261,28 +257,6 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
     values = {"full": full, "unit": unit, "by_speeds": log.rotor_speed is not None}
     note = Finding("relative_commands_scaled", "", values)
     return replace(log, rotor_command=command, relative_commands=False, notes=(*log.notes, note))
-
-
-def _line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float) -> tuple[float, float]:
-    """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, late and with a lag.
-
-    A lag or delay that is left out weakens the slope. Gauss-Newton steps begin at the declared lag H(s): the derivative by the
-    time constant is ``-H (1 - H) u / tau``, that by the delay ``-d/dt``.
-    """
-    tau, delay, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0, 0.0
-    settled, time = slice(min(round(SETTLE_S * rate), len(share) // 2), None), np.arange(len(share)) / rate
-    for _ in range(LAG_STEPS):
-        kept = float(np.exp(-1.0 / (rate * tau)))
-        lagged = apply_lag(share, kept, share[0])
-        by_lag = apply_lag(share - lagged, kept, np.zeros(share.shape[1]))
-        late, by_lag = (interpolate_columns(time - delay, time, one) for one in (lagged, by_lag))
-        columns = (np.ones_like(share), late, by_lag, -np.gradient(late, 1.0 / rate, axis=0))
-        regressors = np.column_stack([one[settled].ravel() for one in columns])
-        values = np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0]
-        idle, slope, quick, more = (float(x) for x in values)
-        tau *= float(np.clip(1.0 - quick / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
-        delay += float(np.clip(more / slope, -tau, tau)) if slope > 0.0 else 0.0
-    return idle, slope
 
 
 def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground: Flags | None = None) -> Flight:

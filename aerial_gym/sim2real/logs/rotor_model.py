@@ -1,4 +1,4 @@
-"""Forces of the declared rotors at logged states: speeds [rad/s], or thrusts [N] in force mode.
+"""Forces of the declared rotors at logged states: speeds [rad/s], or thrusts [N] in force mode; and their lag.
 
 Letters: T rows of a log, R rotors.
 """
@@ -11,7 +11,10 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.effects.rotor_failures import nominal_lag
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.signals import apply_lag
+from aerial_gym.sim2real.logs.signals import apply_lag, interpolate_columns
+
+SETTLE_S = 0.5  # Time until rotors that follow commands forget their initial state [s]
+LAG_STEPS = 4  # Linear fits of the rotor lag behind commands that are shares
 
 
 def rotor_thrusts(robot: RobotCfg, speed: Array) -> Array:
@@ -61,3 +64,25 @@ def simulate_lag(robot: RobotCfg, command: Array, rate: float) -> Array:
     """Return the commands (T, R) after the declared first-order lag, at a rate [Hz]."""
     kept = float(np.exp(-1.0 / (rate * mean_time_constant(robot))))
     return apply_lag(command, kept, command[0])
+
+
+def fit_line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float) -> tuple[float, float]:
+    """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, late and with a lag.
+
+    A lag or delay that is left out weakens the slope. Gauss-Newton steps begin at the declared lag H(s): the derivative by the
+    time constant is ``-H (1 - H) u / tau``, that by the delay ``-d/dt``.
+    """
+    tau, delay, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0, 0.0
+    settled, time = slice(min(round(SETTLE_S * rate), len(share) // 2), None), np.arange(len(share)) / rate
+    for _ in range(LAG_STEPS):
+        kept = float(np.exp(-1.0 / (rate * tau)))
+        lagged = apply_lag(share, kept, share[0])
+        by_lag = apply_lag(share - lagged, kept, np.zeros(share.shape[1]))
+        late, by_lag = (interpolate_columns(time - delay, time, one) for one in (lagged, by_lag))
+        columns = (np.ones_like(share), late, by_lag, -np.gradient(late, 1.0 / rate, axis=0))
+        regressors = np.column_stack([one[settled].ravel() for one in columns])
+        values = np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0]
+        idle, slope, quick, more = (float(x) for x in values)
+        tau *= float(np.clip(1.0 - quick / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
+        delay += float(np.clip(more / slope, -tau, tau)) if slope > 0.0 else 0.0
+    return idle, slope

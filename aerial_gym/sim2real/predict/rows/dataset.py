@@ -15,7 +15,8 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude
-from aerial_gym.sim2real.logs.flights import SETTLE_S, Flight
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.rotor_model import SETTLE_S
 from aerial_gym.sim2real.logs.signals import lowpass, lowpass_columns, num_edge_rows
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
