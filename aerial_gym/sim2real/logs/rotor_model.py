@@ -69,20 +69,22 @@ def simulate_lag(robot: RobotCfg, command: Array, rate: float) -> Array:
 def fit_line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float) -> tuple[float, float]:
     """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, late and with a lag.
 
-    A lag or delay that is left out weakens the slope. Gauss-Newton steps begin at the declared lag H(s): the derivative by the
-    time constant is ``-H (1 - H) u / tau``, that by the delay ``-d/dt``.
+    A delay that is left out weakens the slope, slower falls than rises lift the mean. Gauss-Newton steps begin at the declared
+    lag H(s): the derivative by the time constant is ``-H (1 - H) u / tau``, its parts above and below the speed are those of
+    rises and falls; the derivative by the delay is ``-d/dt``.
     """
     tau, delay, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0, 0.0
     settled, time = slice(min(round(SETTLE_S * rate), len(share) // 2), None), np.arange(len(share)) / rate
     for _ in range(LAG_STEPS):
-        kept = float(np.exp(-1.0 / (rate * tau)))
+        kept, still = float(np.exp(-1.0 / (rate * tau))), np.zeros(share.shape[1])
         lagged = apply_lag(share, kept, share[0])
-        by_lag = apply_lag(share - lagged, kept, np.zeros(share.shape[1]))
-        late, by_lag = (interpolate_columns(time - delay, time, one) for one in (lagged, by_lag))
-        columns = (np.ones_like(share), late, by_lag, -np.gradient(late, 1.0 / rate, axis=0))
+        away = share - lagged
+        parts = [apply_lag(part, kept, still) for part in (np.maximum(away, 0.0), np.minimum(away, 0.0))]
+        late, rises, falls = (interpolate_columns(time - delay, time, one) for one in (lagged, *parts))
+        columns = (np.ones_like(share), late, rises, falls, -np.gradient(late, 1.0 / rate, axis=0))
         regressors = np.column_stack([one[settled].ravel() for one in columns])
         values = np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0]
-        idle, slope, quick, more = (float(x) for x in values)
-        tau *= float(np.clip(1.0 - quick / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
+        idle, slope, up, down, more = (float(x) for x in values)
+        tau *= float(np.clip(1.0 - 0.5 * (up + down) / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
         delay += float(np.clip(more / slope, -tau, tau)) if slope > 0.0 else 0.0
     return idle, slope

@@ -79,7 +79,8 @@ def _resample(stream: Stream, rows: Array) -> Array:
 
 def _mean_of_held_values(rows: Array, time: Array, values: Array, step: float) -> Array:
     """Return the means over each row's step [s] of values (T, K) that hold until the next sample."""
-    begins, ends = np.append(time, time[-1] + 1.0), np.append(rows[1:], rows[-1] + step)
+    ends = np.append(rows[1:], rows[-1] + step)
+    begins = np.append(time, max(time[-1], ends[-1]) + step)
     total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values * np.diff(begins)[:, None], axis=0)))
     both = interpolate_columns(np.append(rows, ends).clip(time[0]), begins, total)
     lengths = np.subtract(*np.split(np.append(rows, ends).clip(time[0]), 2)[::-1])

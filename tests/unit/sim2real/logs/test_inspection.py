@@ -285,3 +285,21 @@ def test_mcap_holds_every_sample(table: pd.DataFrame, tmp_path: Path) -> None:
     attitude = results["vehicle_attitude"]
     np.testing.assert_array_equal([m.log_time // 1000 for _, _, m in messages], attitude["timestamp"])
     np.testing.assert_array_equal([json.loads(m.data)["q[0]"] for _, _, m in messages], attitude["q[0]"])
+
+
+def test_a_full_command_is_that_of_steady_speeds_if_rotors_fall_slower_than_they_rise() -> None:
+    """Falls that take 1.6 times as long lift the mean speed of a quick flight."""
+    robot, time, rng = robot_by_name("tinyprop"), np.arange(0.0, 10.0, 0.001), np.random.default_rng(0)
+    angle, phase = 2.0 * np.pi * rng.uniform(0.5, 6.0, (6, 4)), rng.uniform(0.0, 6.0, (6, 4))
+    share = 0.5 + 0.06 * np.sin(angle * time[:, None, None] + phase).sum(axis=1)
+    speed, lag = np.empty_like(share), mean_time_constant(robot)
+    speed[0] = share[0]
+    for k in range(len(share) - 1):
+        away = share[k] - speed[k]
+        speed[k + 1] = speed[k] + np.where(away > 0.0, 1e-3 / lag, 1e-3 / (1.6 * lag)) * away
+    log = FlightLog(
+        path="a", time=time[::5], attitude=np.tile((0.0, 0.0, 0.0, 1.0), (2000, 1)), relative_commands=True,
+        rotor_speed=300.0 + 1500.0 * speed[::5], rotor_command=share[::5],
+    )  # fmt: skip
+    (note,) = scale_relative_commands(log, robot).notes
+    assert note.values["full"] == pytest.approx(1800.0, rel=0.003)
