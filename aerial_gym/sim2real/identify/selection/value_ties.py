@@ -13,7 +13,7 @@ from itertools import chain, combinations
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import VehicleEffect
+from aerial_gym.physics.effects import RotorSensorEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import has_several_starts, neutral_params
@@ -74,7 +74,9 @@ def find_value_ties(
 
     ``names`` are the effects that may act; ``beside`` holds the tolerances, with the channel weights.
     """
-    own = [name for name in fit.effects if _is_on_declared_value(name, predictor, declared)]
+    own = [
+        name for name in fit.effects if _is_on_declared_value(name, predictor, declared) or _scales_rotor_speeds(name)
+    ]
     relatives = {name for one in fit.effects for name in (one, *_relatives(one))}
     new = [name for name in names if name not in relatives and _is_on_declared_value(name, predictor, declared)]
     if not own or not new:
@@ -104,6 +106,11 @@ def _is_on_declared_value(name: str, predictor: Predictor, declared: ModelParams
     effect = EFFECTS.get(name)
     on_file = isinstance(effect, VehicleEffect) or (name in declared.effects and not effect.remembers)
     return on_file and not has_several_starts(name, predictor.robot)
+
+
+def _scales_rotor_speeds(name: str) -> bool:
+    """Return whether an effect scales measured rotor speeds, which act as a thrust and a rotor inertia of another size."""
+    return isinstance(EFFECTS.get(name), RotorSensorEffect)
 
 
 def _relatives(effect: str) -> set[str]:

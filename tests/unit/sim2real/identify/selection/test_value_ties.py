@@ -50,7 +50,7 @@ SINGLE = ({"mass": 1.1}, {"payload_mass"}, {"thrust_coefficient", "inertia_error
 def test_values_that_act_as_ratios_are_tied(factors, named, rivals, ambiguous, tmp_path: Path) -> None:
     """A tie with more causes than the named ones have is stated, and does not make them ambiguous."""
     result = select_hidden(tmp_path, VALUES, robot=declare_wrongly(**factors), seconds=6.0, drag=0.3)
-    assert set(result.effects) == named
+    assert set(result.effect_names) == named
     assert (frozenset(named), frozenset(rivals)) in effects_of_ties(result)
     for name in named:
         assert set(names_of_ties(name, result)) == (rivals if ambiguous else set())
@@ -61,9 +61,18 @@ def test_values_that_act_as_ratios_are_tied(factors, named, rivals, ambiguous, t
         assert tie.params["inertia_error"]["sx"] == pytest.approx(factor, rel=0.04)
 
 
+def test_a_scale_of_rotor_speeds_is_tied_with_a_thrust_where_no_command_tells_them_apart(tmp_path: Path) -> None:
+    names = ("rotor_speed_scale", "thrust_coefficient")
+    result = select_hidden(tmp_path, names, robot=declare_wrongly(thrust=0.85), seconds=6.0, drag=0.3)
+    assert result.effect_names == ("rotor_speed_scale",)
+    (tie,) = result.value_ties
+    assert tie.loss < 1.0
+    assert tie.params["thrust_coefficient"]["scale"] == pytest.approx(1.0 / 0.85, rel=0.01)
+
+
 @pytest.mark.slow
 def test_a_single_moment_of_inertia_has_no_tie(tmp_path: Path) -> None:
     result = select_hidden(tmp_path, VALUES, robot=declare_wrongly(roll_inertia=1.3), seconds=6.0, drag=0.3)
-    assert result.effects == ("inertia_error",)
+    assert result.effect_names == ("inertia_error",)
     assert result.value_ties == ()
     assert result.fit.params.effects["inertia_error"][0] == pytest.approx(1.0 / 1.3, rel=0.04)
