@@ -28,20 +28,26 @@ class ReplayCmd:
     bandwidth_hz: float = 10.0
     """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
 
+    setpoints: bool = False
+    """Fly the recorded setpoints with the vehicle's own control law, its parameters from the log, in short windows from
+    measured states; compare tracking and effort with the flight."""
+
+    corrected: str | None = None  # Corrected robot (robot.yaml of close-loop) that flies the setpoints as well
+    controller: str | None = None  # Registered controller for the setpoints; that of the log's firmware if not given
     seed: int = 0  # Seed of the resampling behind the 95 % intervals
     json: bool = False  # Print one JSON object on stdout instead of tables
 
     def run(self) -> int:
         """Replay the flights and print the figures; return the exit status."""
         from aerial_gym.sim2real import replay
-        from aerial_gym.sim2real.flight_replay import replay_rollout_rows
+        from aerial_gym.sim2real.flight_replay import replay_rollout_rows, round_trip_rows
         from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
         from aerial_gym.sim2real.wording import text
 
         with progress_bar() as progress:
             result = replay(
                 self.robot, self.flights, self.out, mapping=self.mapping, bandwidth=self.bandwidth_hz, seed=self.seed,
-                progress=progress,
+                setpoints=self.setpoints, corrected=self.corrected, controller=self.controller, progress=progress,
             )  # fmt: skip
         if self.json:
             print(json_line(result.as_mapping()))
@@ -53,6 +59,11 @@ class ReplayCmd:
         rows = [[row["variant"].replace("_", " "), *list(row.values())[1:]] for row in replay_rollout_rows(result)]
         head = ("variant", "quantity", "after [s]", "error")
         print_table(rows, head, title="open-loop error (rms over windows, 95 % interval)")
+        if rows := [list(row.values()) for row in round_trip_rows(result.round_trip)]:
+            head = ("setpoints", "quantity", "after [s]", "declared", "corrected", "change")
+            print_table(
+                rows, head, title="round trip: simulated minus measured flight (rms over windows, 95 % interval)"
+            )
         for note in result.notes[:SHOWN_NOTES]:
             console.print(f"note: {text(note)}")
         if (more := len(result.notes) - SHOWN_NOTES) > 0:

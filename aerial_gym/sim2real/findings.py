@@ -58,11 +58,13 @@ _BY_SEVERITY = {
         "may_be_noise adds_too_little wrong_corr_time rival_process learned_refused gain_by_chance few_flights_better "
         "gain_small channel_worse channel_worse_in_flights no_velocity no_force share_small "
         # rollouts
-        "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short"
+        "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short "
+        # round trip
+        "controller_stands_in setpoints_missing"
     ),
     Severity.INFO: (
         # verdict
-        "effect_immaterial gusts_are_random band_limited few_flights "
+        "controller_flown effect_immaterial gusts_are_random band_limited few_flights "
         # logs
         "rows_with_bad_stamps rows_not_of_header rows_without_numbers rows_without_quaternion "
         "samples_with_bad_stamps clock_set_back clock_wrapped rows_copied blocks_ordered fields_filled battery_without_voltage "

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
@@ -26,6 +27,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_ro
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
+from aerial_gym.sim2real.predict.round_trip.trip import TRIP_VEHICLES, UNITS_OF_TRIP, RoundTrip, fly_round_trip
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
@@ -44,12 +46,14 @@ class Replay:
     bandwidth: float
     evaluation: ModelEvaluation
     left_out: tuple[Finding, ...] = ()  # One finding for each unusable log
+    round_trip: RoundTrip | None = None  # Recorded setpoints flown in the model, if asked for
 
     @property
     def notes(self) -> list[Finding]:
         """Findings on logs left out, the vehicle, the logs and missing rollouts."""
         missing = reason_against_rollouts(self.flights)
         return [
+            *(() if self.round_trip is None else self.round_trip.findings),
             *self.left_out,
             *findings_on_rigid_joints(self.robot),
             *merge_findings_of_flights(self.flights),
@@ -63,6 +67,7 @@ class Replay:
             "left_out": [text(note) for note in self.left_out],
             "bandwidth_hz": self.bandwidth,
             "replay": self.evaluation.as_mapping(),
+            **({} if self.round_trip is None else {"round_trip": self.round_trip.as_mapping()}),
             "notes": [text(note) for note in self.notes],
         }
 
@@ -74,6 +79,9 @@ def replay(
     *,
     mapping: str | Path | None = None,
     bandwidth: float = 10.0,
+    setpoints: bool = False,
+    corrected: str | Path | None = None,
+    controller: str | None = None,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Replay:
@@ -87,6 +95,9 @@ def replay(
         out_dir: Output folder, written only if the run succeeds.
         mapping: Name or file of a log mapping; None for logs of this package's layout.
         bandwidth: Bandwidth of the comparison [Hz].
+        setpoints: Whether to fly the recorded setpoints as well (``RoundTrip``).
+        corrected: Corrected robot that flies the setpoints too, with the law of the declared one; None for none.
+        controller: Registered controller for the setpoints; None for that of the log's firmware.
         seed: Seed of the bootstrap.
         progress: Called with each stage and the completed share.
 
@@ -97,6 +108,8 @@ def replay(
     if not flights:
         raise DataError("needs at least one flight to replay")
     check_bandwidth(bandwidth)
+    if not setpoints and (corrected, controller) != (None, None):
+        raise ConfigError("corrected and controller: fly the recorded setpoints; give setpoints (--setpoints) as well")
     if out_dir is not None:
         check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
@@ -113,15 +126,25 @@ def replay(
         result = replay_flights(declared, results, bandwidth=bandwidth, seed=seed)
         left_out = tuple(Finding("flight_left_out", "", {"error": str(error)}) for error in refused)
         result = replace(result, left_out=left_out)
+        if setpoints:
+            vehicles = {"declared": declared} | ({} if corrected is None else {"corrected": robot_by_name(corrected)})
+            part = partial(_show_trip_progress, progress)
+            trip = fly_round_trip(vehicles, results, controller=controller, seed=seed, progress=part)
+            result = replace(result, round_trip=trip)
         if out_dir is not None:
             progress("writing the report", 0.9)
             config = {"command": "replay", "robot": str(robot), "flights": [str(path) for path in flights]}
             config |= {"mapping": mapping and str(mapping), "bandwidth_hz": bandwidth, "seed": seed}
+            config |= {"setpoints": setpoints, "corrected": corrected and str(corrected), "controller": controller}
             with atomic_run_folder(Path(out_dir)) as folder:
                 _write_report(folder, result)
                 write_record(folder, config, digests)
     progress("done", 1.0)
     return result
+
+
+def _show_trip_progress(progress: Progress, stage: str, share: float) -> None:
+    progress(stage, 0.4 + 0.5 * share)
 
 
 def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: float, seed: int = 0) -> Replay:
@@ -148,6 +171,28 @@ def replay_rollout_rows(result: Replay) -> list[dict[str, str]]:
     ]
 
 
+def round_trip_rows(trip: RoundTrip | None) -> list[dict[str, str]]:
+    """Return one row per level of setpoints, quantity and horizon: errors with intervals; empty without a round trip."""
+    from aerial_gym.sim2real.report.tables import format_rise, interval_text
+
+    rows = list[dict[str, str]]()
+    for level in () if trip is None else trip.levels:
+        for quantity in level.errors["declared"]:
+            rms = {vehicle: level.rms(vehicle, quantity) for vehicle in level.errors}
+            changes = level.rises(quantity) if "corrected" in rms else {}
+            name = f"{quantity.replace('_', ' ')} [{UNITS_OF_TRIP[quantity]}]"
+            for horizon in level.horizons:
+                cells = {
+                    vehicle: interval_text(rms[vehicle][horizon]) if vehicle in rms else "–"
+                    for vehicle in TRIP_VEHICLES
+                }
+                change = format_rise(changes[horizon]) if horizon in changes else "–"
+                rows.append(
+                    {"level": level.level, "quantity": name, "horizon": f"{horizon:g}", **cells, "change": change}
+                )
+    return rows
+
+
 def _write_report(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report import plots
     from aerial_gym.sim2real.report.figures import figures_of_errors
@@ -172,6 +217,7 @@ def _write_report(folder: Path, result: Replay) -> None:
         "bandwidth": result.bandwidth,
         "channels": channel_rows(result.evaluation, None),
         "rollouts": replay_rollout_rows(result),
+        "round_trip": round_trip_rows(result.round_trip),
         "figures": figures,
         "notes": [text(note) for note in result.notes],
         "shown_notes": SHOWN_NOTES,

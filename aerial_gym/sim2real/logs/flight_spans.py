@@ -11,7 +11,7 @@ import numpy as np
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array, Flags, true_spans
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import STATES
+from aerial_gym.sim2real.logs.raw_log import NO_MOTION, STATES
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 from aerial_gym.sim2real.logs.streams import Stream
 
@@ -40,7 +40,7 @@ class FlightSpan:
 
 def flight_spans(streams: Mapping[str, Stream], notes: list[Finding]) -> list[FlightSpan]:
     """Return the flights of at least ``SHORTEST_S`` in order; the whole log if arming and landing show none."""
-    measured = {name: stream for name, stream in streams.items() if name not in STATES}
+    measured = {name: stream for name, stream in streams.items() if name not in NO_MOTION}
     first, last = (bound(stream.time[end] for stream in _motion(measured)) for bound, end in ((max, 0), (min, -1)))
     for states in (STATES, STATES[:1], ()):
         known = [streams[name] for name in states if name in streams]
@@ -65,8 +65,8 @@ def _motion(streams: Mapping[str, Stream]) -> list[Stream]:
 def leave_out_partial_streams(streams: dict[str, Stream], notes: list[Finding]) -> dict[str, Stream]:
     """Return the streams that cover at least ``LEAST_COVERED`` of the time of the longest one; others become findings."""
     spans = {name: float(np.ptp(stream.time)) for name, stream in streams.items()}
-    longest = max((spans[name] for name in streams if name not in (*STATES, "battery")), default=0.0)
-    short = [name for name in streams if name not in STATES and spans[name] < LEAST_COVERED * longest]
+    longest = max((spans[name] for name in streams if name not in (*NO_MOTION, "battery")), default=0.0)
+    short = [name for name in streams if name not in NO_MOTION and spans[name] < LEAST_COVERED * longest]
     for name in short:
         values = {"topic": streams[name].channel.source, "covered_s": spans[name], "log_s": longest}
         notes.append(Finding("topic_covers_part", "", values))

@@ -148,8 +148,7 @@ def load_flights(
             check_airborne(log, stands, bandwidth)
             check_rotor_law(log, robot, stands)
             flight = complete_flight(log, notes, on_ground=stands)
-            taken = {other.name for other in flights}
-            name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
+            name = flight.name if all(flight.name != f.name for f in flights) else f"{real.parent.name}/{flight.name}"
             flights.append(replace(flight, name=name))
     return flights
 
@@ -208,7 +207,7 @@ def scale_commands_to_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog
         raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
     scale = _scale_to_thrust(log.rotor_command[high], log.specific_force[high, 2], robot)
     note = Finding("commands_scaled", "", {"factor": scale, "height_m": log.hover_above})
-    return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
+    return replace(log, rotor_command=scale * log.rotor_command, command_curve=None, notes=(*log.notes, note))
 
 
 def _scale_to_thrust(speed: Array, force: Array, robot: RobotCfg) -> float:
@@ -252,10 +251,10 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
                 f"{log.path}: its rotor commands are {share.mean():.2g} of full on average, too little to fly; give "
                 "a log of a flight, or map rotor_command with a gain"
             )
-        command = full * relative
-    unit = "N" if "force" in robot.rotor_traits else "rad/s"
-    values = {"full": full, "unit": unit, "by_speeds": log.rotor_speed is not None}
-    note = Finding("relative_commands_scaled", "", values)
+        command, slope = full * relative, full
+    values = {"full": full, "unit": "N" if "force" in robot.rotor_traits else "rad/s"}
+    note = Finding("relative_commands_scaled", "", values | {"by_speeds": log.rotor_speed is not None})
+    log = replace(log, command_curve=(full - slope, slope, 2.0 if values["unit"] == "N" else 1.0))
     return replace(log, rotor_command=command, relative_commands=False, notes=(*log.notes, note))
 
 
@@ -281,6 +280,7 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         said.append(Finding("on_ground", "", {"share": float(on_ground.mean())}))
     shared = {field.name: getattr(log, field.name) for field in fields(Recording)}
     completed = {"time": log.time - log.time[0], "specific_force": specific_force, "notes": tuple(said)}
+    completed["setpoints"] = {name: (time - log.time[0], one) for name, (time, one) in log.setpoints.items()}
     return Flight(
         **(shared | completed),
         name=log.name,

@@ -111,6 +111,19 @@ QUANTITIES = {
 
 STATES = ("armed", "landed")  # Quantities that are no measurements of motion
 
+SETPOINTS = {
+    "position_setpoint": 3,  # [m], world
+    "velocity_setpoint": 3,  # [m/s], world
+    "yaw_setpoint": 1,  # Heading [rad], world
+    "attitude_setpoint": 4,
+    "rate_setpoint": 3,  # Body rates [rad/s], body
+    "thrust_setpoint": 1,  # Collective thrust command as a share of the largest, before the firmware's thrust curve
+    "specific_thrust_setpoint": 1,  # Collective thrust per mass [m/s²]
+}
+"""Number of components of each setpoint; its samples keep their own times."""
+
+NO_MOTION = (*STATES, *SETPOINTS)  # Quantities that neither limit nor split a flight
+
 
 @dataclass(frozen=True, kw_only=True)
 class LogChannel:

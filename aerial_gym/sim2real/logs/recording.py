@@ -55,6 +55,14 @@ class Recording:
     ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
     wind: tuple[float, float, float] | None = None  # Known steady wind [m/s], world; None: still air is assumed
     streams: Mapping[str, StreamTiming] = field(default_factory=dict)  # By field name; empty if all have the rows' rate
+    setpoints: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    """Times on the clock of ``time`` [s] and values of each logged setpoint, a key of ``raw_log.SETPOINTS``."""
+
+    parameters: Mapping[str, float | str] = field(default_factory=dict)  # Of the firmware, by name
+    log_format: str = "csv"
+    command_curve: tuple[float, float, float] | None = None
+    """Numbers a, b, n of the scale ``w = a + b u^n`` from shares u to ``rotor_command``; None for other commands."""
+
     notes: tuple[Finding, ...] = ()  # Repairs and defects of the log, without subject
 
     @property

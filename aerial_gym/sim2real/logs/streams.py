@@ -91,7 +91,7 @@ def _stream(channel: LogChannel, checked: StampCorrection, notes: list[Finding])
     notes.extend(checked.late_block_findings(checked.late.tolist(), topic=channel.source))
     values = channel.values[checked.order] if checked.late.size else channel.values
     good = (np.abs(values) <= LARGEST).all(axis=1)  # which refuses NaN as well
-    if channel.quantity == "attitude":
+    if channel.quantity.startswith("attitude"):
         good &= np.abs(np.linalg.norm(np.nan_to_num(values), axis=1) - 1.0) <= NORM_OFF
     good = good[checked.kept]
     if good.sum() < 2:
@@ -101,7 +101,7 @@ def _stream(channel: LogChannel, checked: StampCorrection, notes: list[Finding])
         notes.append(Finding("samples_with_bad_stamps", "", left_out))
     if not good.all() or good.size < len(values):
         values = values[checked.kept][good]
-    if channel.quantity == "attitude":
+    if channel.quantity.startswith("attitude"):
         values = values * quaternion_signs(values)[:, None]
     steps = tuple(replace(step, row=int(good[: step.row].sum())) for step in checked.steps)
     return Stream(channel=channel, time=checked.time[good], values=values, steps=steps)
@@ -140,7 +140,7 @@ def _equalise_clock_steps(streams: dict[str, Stream]) -> dict[str, Stream]:
 
 
 def undo_resets(streams: Mapping[str, Stream], notes: list[Finding]) -> dict[str, Stream]:
-    """Return the streams without resets of attitude and position, by the motion across each reset.
+    """Return the streams without resets of attitude and position, by the motion across each reset; setpoints move alike.
 
     A reset of the attitude turns all earlier samples, so that they agree with the corrected estimate; one of the position
     moves all later samples. Velocities keep theirs, as flights end there.
@@ -150,6 +150,8 @@ def undo_resets(streams: Mapping[str, Stream], notes: list[Finding]) -> dict[str
         stream = streams.get(name)
         if stream is None or stream.channel.resets is None:
             continue
+        asked = streams.get(f"{name}_setpoint")
+        wanted = None if asked is None else asked.values.copy()
         values, rate = stream.values.copy(), streams.get({"attitude": "ang_vel", "position": "lin_vel"}[name])
         for place in np.unique(np.searchsorted(stream.time, stream.channel.resets - 0.5 * stream.sample_step)).tolist():
             if not 0 < place < stream.time.size:
@@ -159,15 +161,20 @@ def undo_resets(streams: Mapping[str, Stream], notes: list[Finding]) -> dict[str
                 expected = Rotation.from_quat(values[place - 1]) * Rotation.from_rotvec(way)
                 turn = Rotation.from_quat(values[place]) * expected.inv()
                 values[:place] = (turn * Rotation.from_quat(values[:place])).as_quat()
+                if asked is not None and wanted is not None and (before := asked.time < stream.time[place]).any():
+                    wanted[before] = (turn * Rotation.from_quat(wanted[before])).as_quat()
                 size = {"angle_deg": float(np.degrees(turn.magnitude()))}
             else:
                 jump = values[place] - values[place - 1] - way
                 values[place:] -= jump
+                if asked is not None and wanted is not None:
+                    wanted[asked.time >= stream.time[place]] -= jump
                 size = {"distance_m": float(np.linalg.norm(jump))}
             notes.append(Finding("reset_undone", "", {"quantity": name, "time_s": float(stream.time[place]), **size}))
-        if name == "attitude":
-            values = values * quaternion_signs(values)[:, None]
-        results[name] = replace(stream, values=values)
+        for one, new in ((stream, values), (asked, wanted)):
+            if one is not None and new is not None:
+                signs = quaternion_signs(new)[:, None] if name == "attitude" else 1.0
+                results[one.quantity] = replace(one, values=new * signs)
     return results
 
 

@@ -166,7 +166,7 @@ def rollout_errors_of_models(
         at = {run.num_steps(horizon): place for place, horizon in enumerate(kept)}
         given = np.array(list(variants.values()))[variant]
         for step, state, truth in run.simulate_steps(run.state_of_flight(0), at, given_attitude=given):
-            for name, values in _state_errors(state, truth).items():
+            for name, values in state_errors(state, truth).items():
                 errors[name][:, :, members, at[step]] = values.reshape(*shape, -1)
     placed, moving = (all(getattr(f, name) is not None for f in flights) for name in ("position", "lin_vel"))
     driven_by = "commands" if commanded else "measured rotor speeds"
@@ -383,7 +383,8 @@ def mean_over_neighbour_rows(values: Array, rows: int) -> Array:
     return convolve1d(values, weights / rows, axis=0, mode="nearest")
 
 
-def _state_errors(state: BodyState, truth: BodyState) -> dict[str, Array]:
+def state_errors(state: BodyState, truth: BodyState) -> dict[str, Array]:
+    """Return the distances of simulated from measured states by quantity, (W,)."""
     turn = quat_log(quat_multiply(quat_conjugate(truth.attitude), state.attitude))
     far = {"position": state.position - truth.position, "velocity": state.lin_vel - truth.lin_vel, "attitude": turn}
     most = {"position": FARTHEST, "velocity": FARTHEST, "attitude": np.pi}

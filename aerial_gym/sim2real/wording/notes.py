@@ -207,6 +207,13 @@ NOTES: dict[str, Template] = {
     "rollouts_lack_velocity": "No rollouts: {subject} without velocity or position.",
     "rollouts_lack_attitude": "No rollouts: {subject} without attitude, which the gyro alone does not give.",
     "rollouts_too_short": "No rollouts: no flight is airborne for {shortest_s:g} s at a time.",
+    "controller_flown": (
+        "Round trip by the law of {controller}: {logged} of its parameters come from the log, {assumed} are assumed."
+    ),
+    "controller_stands_in": (
+        "Round trip: the law of {firmware} is not known here. That of {controller}, with derived gains, stands in."
+    ),
+    "setpoints_missing": "Round trip: {subject} without complete setpoints for long enough.",
     "joint_effort": ("Joint {subject}: the effort error changes from {before_n_m:number} to {after_n_m:number} N m."),
     "joints_felt": _sentence_on_body_motion_errors,
 }

@@ -16,9 +16,10 @@ from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan, leave_out_partial_streams
-from aerial_gym.sim2real.logs.raw_log import QUANTITIES, STATES, LogChannel, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import NO_MOTION, QUANTITIES, SETPOINTS, LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping, to_package_frames
+from aerial_gym.sim2real.logs.readers.setpoints import setpoint_channels
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.row_grid import resample_streams, row_times, without_slow_rotor_data
@@ -37,7 +38,9 @@ def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict
     """Return the streams of a decoded log on one clock, and findings; raise ``DataError`` if they show no attitude."""
     notes = list(raw.notes)
     channels = LOG_READERS.get(raw.format).channels(raw)
-    streams = usable_streams([*_channels_of_mapping(raw, channels, mapping), *channels], notes)
+    mapped = _channels_of_mapping(raw, channels, mapping)
+    streams = usable_streams([*(one for one in mapped if one.quantity not in SETPOINTS), *channels], notes)
+    streams |= _setpoint_streams([*mapped, *setpoint_channels(raw)], streams)
     streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
     if not {"attitude", "ang_vel"} & streams.keys():
         left = [f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out"]
@@ -48,6 +51,13 @@ def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict
     return streams, notes
 
 
+def _setpoint_streams(channels: Sequence[LogChannel], streams: Mapping[str, Stream]) -> dict[str, Stream]:
+    """Return the setpoints among channels, on the clock of the streams; unusable ones are left out."""
+    asked = [channel for channel in channels if channel.quantity in SETPOINTS]
+    known = usable_streams([*(one.channel for one in list(streams.values())[:1]), *asked], [])
+    return {name: stream for name, stream in known.items() if name in SETPOINTS}
+
+
 def _channels_of_mapping(raw: RawLog, channels: Sequence[LogChannel], mapping: LogMapping | None) -> list[LogChannel]:
     """Return the channels that a mapping declares.
 
@@ -56,7 +66,7 @@ def _channels_of_mapping(raw: RawLog, channels: Sequence[LogChannel], mapping: L
     """
     if mapping is None:
         return []
-    names = {name: name for name in QUANTITIES} | {"rotor_share": "rotor_command"}
+    names = {name: name for name in (*QUANTITIES, *SETPOINTS)} | {"rotor_share": "rotor_command"}
     quantities = {names[name]: quantity for name, quantity in mapping.quantities().items() if name in names}
     return [_channel_of_mapping(raw, channels, name, quantity, mapping) for name, quantity in quantities.items()]
 
@@ -107,7 +117,7 @@ def flight_of_streams(
 
     Raise ``DataError`` if a needed quantity is missing.
     """
-    streams = {name: stream for name, stream in all_streams.items() if name not in STATES}
+    streams = {name: stream for name, stream in all_streams.items() if name not in NO_MOTION}
     timings = {
         name: StreamTiming(source=stream.channel.source, rate=stream.rate, latency=stream.channel.latency)
         for name, stream in streams.items()

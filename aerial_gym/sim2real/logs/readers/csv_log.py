@@ -18,7 +18,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.time_courses import check_motion_at_clock_steps
-from aerial_gym.sim2real.logs.raw_log import STATES
+from aerial_gym.sim2real.logs.raw_log import SETPOINTS, STATES
 from aerial_gym.sim2real.logs.readers.csv_table import (
     LARGEST,
     apply_column_conversion,
@@ -29,6 +29,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
     read_numbers,
 )
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, to_package_frames
+from aerial_gym.sim2real.logs.readers.setpoints import setpoints_in_package_axes
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 
@@ -86,6 +87,7 @@ def read_csv_log(path: Path, layout: LogMapping, *, hover: bool = False) -> CsvL
     values, known_facts = _quantities_of_table(table, time, layout, str(path), notes), read_facts(path)
     facts = known_facts or FlightFacts()
     states = {name: values.pop(name) for name in STATES if name in values}
+    asked = {name: values.pop(name) for name in SETPOINTS if name in values}
     integrated = "attitude" not in values and (layout.attitude is None or facts.attitude_integrated) and not hover
     if "attitude" not in values and hover:
         values["attitude"] = np.tile((0.0, 0.0, 0.0, 1.0), (time.size, 1))
@@ -109,6 +111,10 @@ def read_csv_log(path: Path, layout: LogMapping, *, hover: bool = False) -> CsvL
         streams=facts.streams,
         relative_commands=share is not None and relative,
         attitude_integrated=integrated,
+        setpoints={
+            name: (time[np.isfinite(one).all(axis=1)], one[np.isfinite(one).all(axis=1)])
+            for name, one in setpoints_in_package_axes(asked, layout).items()
+        },
         notes=tuple(notes),
         **{"other_position": companion, **heights, **to_package_frames(values, layout)},
     )
@@ -126,7 +132,7 @@ def _quantities_of_table(
         columns = [] if name == "time" else quantity_columns(table, quantity, name, path)
         if not columns:
             continue
-        gaps, held = name == "other_position", name in HELD
+        gaps, held = name == "other_position" or name in SETPOINTS, name in HELD
         try:
             raw = read_numbers(table, columns, quantity, time, path, notes, gaps=gaps, held=held)
         except DataError as error:

@@ -15,7 +15,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import SHORTEST_S, FlightSpan, flight_spans
-from aerial_gym.sim2real.logs.raw_log import QUANTITIES, LogChannel, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import QUANTITIES, SETPOINTS, LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.binary_log import flight_of_streams, streams_of_log
 from aerial_gym.sim2real.logs.readers.csv_log import read_csv_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
@@ -68,6 +68,8 @@ class LogFlights:
             log = flight_of_streams(
                 self.streams, span, path, notes, relative=relative, hover=self.hover, fastest=fastest
             )
+            asked = {name: (one.time, one.values) for name, one in self.streams.items() if name in SETPOINTS}
+            log = replace(log, setpoints=asked, parameters=self.raw.parameters, log_format=self.raw.format)
         return log if self.mapping is None else _with_mapping(log, self.mapping)
 
     def select(self, number: int | None) -> "LogFlights":
@@ -152,8 +154,11 @@ def _with_mapping(log: FlightLog, layout: LogMapping) -> FlightLog:
     notes = list(log.notes)
     if layout.lacks:
         notes.append(Finding("mapping_note", "", {"text": layout.lacks}))
+    scaled = layout.rotor_command
+    of_share = scaled is not None and scaled.columns == ("rotor_command",) and scaled.times is scaled.over is None
     return replace(
         log,
+        command_curve=(scaled.offset, scaled.gain, scaled.power) if scaled is not None and of_share else None,
         lift_off=layout.lift_off_m,
         hover_above=layout.hover_above_m,
         torques=log.torques and layout.torques,

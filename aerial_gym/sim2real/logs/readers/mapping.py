@@ -133,6 +133,27 @@ class LogMapping:
     other_position: ColumnsCfg | None = None
     """Position of another vehicle nearby [m], world."""
 
+    position_setpoint: ColumnsCfg | None = None
+    """Setpoint of the position [m], world; empty fields are allowed in all setpoints."""
+
+    velocity_setpoint: ColumnsCfg | None = None
+    """Velocity of the position setpoint [m/s], world."""
+
+    yaw_setpoint: ColumnsCfg | None = None
+    """Setpoint of the heading [rad], world."""
+
+    attitude_setpoint: ColumnsCfg | None = None
+    """Setpoint of the attitude, named as those of ``attitude``."""
+
+    rate_setpoint: ColumnsCfg | None = None
+    """Setpoint of the angular velocity [rad/s], body."""
+
+    thrust_setpoint: ColumnsCfg | None = None
+    """Collective thrust command as a share of the largest, 0 to 1, before the firmware's thrust curve."""
+
+    specific_thrust_setpoint: ColumnsCfg | None = None
+    """Collective thrust command per mass [m/s²], upwards positive."""
+
     companion: Mapping[str, str] = field(default_factory=dict)
     """Replacements in the file name that give the log of another vehicle, flown together on the same clock. Its position
     becomes ``other_position``."""
@@ -180,7 +201,8 @@ class LogMapping:
                 raise ConfigError(
                     f"LogMapping.{name} = {getattr(self, name)!r}: must be one of {', '.join(map(str, known))}"
                 )
-        for name, count in (*((key, 1) for key in SCALARS), ("attitude", 4), *((key, 3) for key in VECTORS)):
+        counts = dict.fromkeys(SCALARS, 1) | dict.fromkeys(VECTORS, 3) | dict.fromkeys(QUATERNIONS, 4)
+        for name, count in counts.items():
             quantity = getattr(self, name)
             if quantity is not None and len(quantity.columns) != count:
                 raise ConfigError(f"LogMapping.{name}.columns = {quantity.columns!r}: must name {count} columns")
@@ -218,8 +240,21 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 """Columns of each measured quantity in the layout of this package, beside the time ``t``."""
 
 HEIGHTS = ("ground_height", "ceiling_height")
-SCALARS = ("time", "battery", "armed", "landed", *HEIGHTS)
-VECTORS = ("position", "lin_vel", "ang_vel", "specific_force", "other_position")
+QUATERNIONS = ("attitude", "attitude_setpoint")
+SCALARS = (
+    "time",
+    "battery",
+    "armed",
+    "landed",
+    *HEIGHTS,
+    "yaw_setpoint",
+    "thrust_setpoint",
+    "specific_thrust_setpoint",
+)
+VECTORS = (
+    *("position", "lin_vel", "ang_vel", "specific_force", "other_position"),
+    *("position_setpoint", "velocity_setpoint", "rate_setpoint"),
+)
 
 
 def mapping_names() -> tuple[str, ...]:

@@ -211,3 +211,21 @@ def test_rotor_speeds_between_rows_keep_noise_and_motion() -> None:
     density = [welch(one[:, :2], 200.0, 100)[1][8:31].mean() for one in (values, white[200:601])]
     assert density[0] / density[1] == pytest.approx(1.0, abs=0.07)
     np.testing.assert_allclose(values[20:-20, 2], np.sin(2.0 * np.pi * 40.0 * rows[20:-20]), atol=0.02)
+
+
+def test_setpoints_turn_and_move_with_the_resets_of_their_measurement() -> None:
+    """A yaw reset of 0.3 rad turns all earlier attitude setpoints; a jump of the position moves all later setpoints."""
+    time = 0.01 * np.arange(200)
+    angle = np.where(time < 1.0, 0.0, 0.3)
+    turned = Rotation.from_euler("z", angle[:, None]).as_quat()
+    attitude = LogChannel(quantity="attitude", time=time, values=turned, source="a[0]", resets=np.array([1.0]))
+    asked = LogChannel(quantity="attitude_setpoint", time=time, values=turned, source="s[0]")
+    gyro = LogChannel(quantity="ang_vel", time=time, values=np.zeros((200, 3)), source="g[0]")
+    jumped = np.where(time < 1.0, 0.0, 2.0)[:, None] * np.ones(3)
+    position = LogChannel(quantity="position", time=time, values=jumped, source="p[0]", resets=np.array([1.0]))
+    wanted = LogChannel(quantity="position_setpoint", time=time, values=jumped, source="w[0]")
+    speed = LogChannel(quantity="lin_vel", time=time, values=np.zeros((200, 3)), source="v[0]")
+    streams = undo_resets(usable_streams([attitude, asked, gyro, position, wanted, speed], []), [])
+    heading = Rotation.from_quat(streams["attitude_setpoint"].values).as_euler("ZYX")[:, 0]
+    np.testing.assert_allclose(heading, 0.3, atol=1e-12)
+    np.testing.assert_allclose(streams["position_setpoint"].values, 0.0, atol=1e-12)

@@ -1,0 +1,1 @@
+"""Tests of ``aerial_gym.sim2real.predict.round_trip``."""
