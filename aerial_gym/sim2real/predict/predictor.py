@@ -19,6 +19,7 @@ from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_key
 from aerial_gym.sim2real.predict.replay.load import LoadLink
@@ -28,7 +29,7 @@ from aerial_gym.sim2real.predict.rows.flight_batch import Columns, FlightBatch
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances, sensor_errors, vehicle_for_replay
 
-KEPT_BYTES = 6e7  # Memory for stored predictions [bytes], as if they shared nothing; fits often return to one
+KEPT_BYTES = 2e7  # Memory for stored predictions [bytes], as if they shared nothing; fits often return to one
 MOST_TOLD = 512  # Number of models whose prediction keys are stored
 
 
@@ -90,6 +91,12 @@ class Predictor:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)
         return [np.stack(columns).T for columns in self._predictions[key]]
+
+    def clear_caches(self) -> None:
+        """Free the cached rows of effects, but not the predictions."""
+        for part in self._parts:
+            part.clear_caches()
+        give_back_memory()
 
     def residuals(self, params: ModelParams) -> list[Array]:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""

@@ -104,7 +104,7 @@ def linearise_candidates(
             candidates.append(
                 Tangent(name=name, named=named, start=params.effects[name], columns=drop_zero_channels(columns))
             )
-    give_back_memory()
+    predictor.clear_caches()
     return candidates
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import is_tolerance_of_logs
@@ -102,7 +101,7 @@ def tolerance_jacobian(
         moved = predictor.predict(replace(params, deviation=deviation))
         for column, m, b in zip(matrices, moved, base, strict=True):
             column[:, :, k] = (m - b) / STEP
-    give_back_memory()
+    predictor.clear_caches()
     return matrices
 
 

@@ -22,7 +22,6 @@ from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choos
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
 from aerial_gym.sim2real.identify.selection.value_ties import ValueTie, find_value_ties
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
@@ -128,7 +127,7 @@ def select_effects(
     reasons = {name: finding_on_untestable_effect(name, predictor.robot, predictor.flights, test) for name in sought}
     able = [name for name in sought if not reasons[name]]
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
-    give_back_memory()
+    predictor.clear_caches()
     final = FinalFit(predictor, declared, chosen)
     chosen, fit, spread = final.fit_determined()
     unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effect_names}

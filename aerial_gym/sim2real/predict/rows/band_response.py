@@ -51,6 +51,10 @@ class BandResponse:
 
         self._lead, self._late_motion = on_time, self._motion
 
+    def clear_cache(self) -> None:
+        """Free the cached rows in the band."""
+        self._known.clear()
+
     def accelerations_in_band(
         self,
         model: Model,

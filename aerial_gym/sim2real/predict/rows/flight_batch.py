@@ -84,15 +84,20 @@ class FlightBatch:
         self.data, self.tolerances, self._declared = data, tolerances, declared
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights, data.row_times)
-        self._forces, self._memories = EffectCache[Condition](), EffectCache[RotorSpeedsOfFlight]()
         self._in_band = BandResponse(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
         self._replayed: list[tuple[list[Array | None], float, Columns]] = []
-        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
-        self._hung: _LoadQuery | None = None
         self._params, self._in_step = params_from_robot(robot), None
         self._accelerometer = torch.tensor(robot.body.accelerometer, dtype=torch.float64)
+        self.clear_caches()
+
+    def clear_caches(self) -> None:
+        """Free the cached rows of effects, which are large after predictions with many different effects."""
+        self._forces, self._memories = EffectCache[Condition](), EffectCache[RotorSpeedsOfFlight]()
+        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
+        self._hung: _LoadQuery | None = None
+        self._in_band.clear_cache()
 
     @torch.inference_mode()
     def predict(self, params: ModelParams) -> list[Columns]:

@@ -53,3 +53,12 @@ def test_only_values_of_the_robot_file_count() -> None:
     deviation = make_deviation(robot, mass=3.5, gyro_bias_x=9.0, com_x=-2.9)
     assert deviations_beyond_tolerance(TOLERANCES, deviation, robot) == {"mass": 3.5}
     assert np.array_equal(deviation_of_vehicle(deviation, robot), make_deviation(robot, mass=3.5, com_x=-2.9))
+
+
+def test_no_moment_of_a_redeclared_robot_exceeds_the_sum_of_the_others() -> None:
+    """A flat body declared at the limit, whose flights ask for 10 % more about z: no rigid body is like that."""
+    robot = asymmetric_robot()
+    flat = replace(robot, body=replace(robot.body, inertia=((2e-3, 0.0, 0.0), (0.0, 3e-3, 0.0), (0.0, 0.0, 5e-3))))
+    deviation = make_deviation(flat, inertia_z=5.0)
+    moments = np.linalg.eigvalsh(redeclare(flat, TOLERANCES, deviation, "test").body.inertia)
+    np.testing.assert_allclose(moments, (2e-3, 3e-3, 5e-3), rtol=1e-4)
