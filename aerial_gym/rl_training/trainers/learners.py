@@ -11,11 +11,9 @@ from aerial_gym.rl_training.trainers.trainer import NativeTrainer
 if TYPE_CHECKING:
     import torch
 
-    from aerial_gym.rl_training.learning.apg import Apg
-    from aerial_gym.rl_training.learning.distill import Distill
-    from aerial_gym.rl_training.learning.ppo import Ppo
+    from aerial_gym.rl_training.learning.learner import Learner
+    from aerial_gym.rl_training.policies.actor_critic import ActorCritic
     from aerial_gym.rl_training.ranks import Ranks
-    from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
@@ -35,21 +33,17 @@ class PpoTrainer(NativeTrainer):
 
         start_triton_early(device)
 
-    def make_training(
-        self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None, *, fused: bool = True
-    ) -> "NativeTraining[Ppo]":
-        """Return a new training; ``fused`` runs the networks in fused kernels where possible."""
+    def make_learner(
+        self, cfg: TrainingCfg, task: "Task", network: "ActorCritic", ranks: "Ranks", *, fused: bool = True
+    ) -> "Learner":
+        """Return the learner; ``fused`` runs the networks in fused kernels where possible."""
         from aerial_gym.rl_training.learning.fused import FusedPpo, fusion_refusal
         from aerial_gym.rl_training.learning.ppo import Ppo
-        from aerial_gym.rl_training.policies.load import make_network
-        from aerial_gym.rl_training.ranks import ALONE
-        from aerial_gym.rl_training.trainers.native import NativeTraining
 
-        network = make_network(cfg, task)
         reason = fusion_refusal(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
         if reason is not None and task.device.type == "cuda":
             _log.info("the networks run as torch operations: %s", reason)
-        return NativeTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks or ALONE))
+        return (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks)
 
 
 class ApgTrainer(NativeTrainer):
@@ -60,17 +54,15 @@ class ApgTrainer(NativeTrainer):
     section, settings = "apg", ApgCfg
     differentiable = True
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining[Apg]":
-        """Return a new training; warn if the task has a variant with a reward whose slope does not vanish."""
+    def make_learner(self, cfg: TrainingCfg, task: "Task", network: "ActorCritic", ranks: "Ranks") -> "Learner":
+        """Return the learner; warn if the task has a variant with a reward whose slope does not vanish."""
         from aerial_gym.rl_training.learning.apg import Apg
-        from aerial_gym.rl_training.policies.load import make_network
-        from aerial_gym.rl_training.trainers.native import NativeTraining
         from aerial_gym.task import task_registry
 
         smooth = f"smooth_{cfg.task}"
         if smooth in task_registry.names():
             _log.warning("trainer apg: the reward of %s is flat far from its target. Train with %s", cfg.task, smooth)
-        return NativeTraining(cfg, task, Apg(cfg, task, make_network(cfg, task)))
+        return Apg(cfg, task, network)
 
 
 class DistillTrainer(NativeTrainer):
@@ -89,13 +81,12 @@ class DistillTrainer(NativeTrainer):
             raise ConfigError("trainer distill needs a policy to hand on: --teacher RUN, the folder of its training")
         load_policy(cfg.teacher)
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining[Distill]":
-        """Return a new training; raise ``ConfigError`` if the teacher does not fit the task."""
+    def make_learner(self, cfg: TrainingCfg, task: "Task", network: "ActorCritic", ranks: "Ranks") -> "Learner":
+        """Return the learner; raise ``ConfigError`` if the teacher does not fit the task."""
         from aerial_gym.rl_training.learning.distill import Distill
-        from aerial_gym.rl_training.policies.load import check_fits, load_policy, make_network
-        from aerial_gym.rl_training.trainers.native import NativeTraining
+        from aerial_gym.rl_training.policies.load import check_fits, load_policy
 
         assert cfg.teacher is not None
         teacher, teacher_cfg = load_policy(cfg.teacher, device=task.device)
         check_fits(teacher, task, teacher_cfg.task)
-        return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))
+        return Distill(cfg, task, network, teacher)

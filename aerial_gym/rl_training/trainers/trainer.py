@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+    from aerial_gym.rl_training.learning.learner import Learner
+    from aerial_gym.rl_training.policies.actor_critic import ActorCritic
     from aerial_gym.rl_training.policies.load import Weights
     from aerial_gym.rl_training.policies.policy import Policy
     from aerial_gym.rl_training.ranks import Ranks
@@ -93,8 +95,19 @@ class NativeTrainer(Trainer):
     captures_task = False
 
     @abstractmethod
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining":
-        """Return a new training."""
+    def make_learner(self, cfg: TrainingCfg, task: "Task", network: "ActorCritic", ranks: "Ranks") -> "Learner":
+        """Return the learner of a new network."""
+
+    def make_training(
+        self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None, **options: Any
+    ) -> "NativeTraining[Any]":
+        """Return a new training; ``options`` are those of ``make_learner``."""
+        from aerial_gym.rl_training.policies.load import make_network
+        from aerial_gym.rl_training.ranks import ALONE
+        from aerial_gym.rl_training.trainers.native import NativeTraining
+
+        learner = self.make_learner(cfg, task, make_network(cfg, task), ranks or ALONE, **options)
+        return NativeTraining(cfg, task, learner)
 
     def run(self, run: "TrainingRun") -> bool:
         """Repeat the learner until the end; return whether it was interrupted."""
