@@ -4,15 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from aerial_gym.config import CONFIG_DIR, family_files, load
-from aerial_gym.config.autopilots import (
-    BetaflightCfg,
-    BrescianiniCfg,
-    CrazyflieLeeCfg,
-    CrazyfliePidCfg,
-    MellingerCfg,
-    Px4Cfg,
-)
+from aerial_gym.config import CONFIG_DIR, autopilots, family_files, load
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.registry import Registry
@@ -56,21 +48,21 @@ for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
 for _law, _name in (("position", "position"), ("velocity", "velocity"), ("attitude", "attitude"), ("rates", "rate")):
     _cfg = CONTROLLERS.get(f"lee_{_law}_control")
     CONTROLLERS.register(
-        f"px4_{_name}_control", replace(_cfg, summary=f"{_cfg.summary}; the cascade of PX4", px4=Px4Cfg())
+        f"px4_{_name}_control", replace(_cfg, summary=f"{_cfg.summary}; the cascade of PX4", px4=autopilots.Px4Cfg())
     )
 
 _cfg = CONTROLLERS.get("lee_rates_control")
 CONTROLLERS.register(
     "betaflight_rate_control",
-    replace(_cfg, summary=f"{_cfg.summary}; the rate loop of Betaflight", betaflight=BetaflightCfg()),
+    replace(_cfg, summary=f"{_cfg.summary}; the rate loop of Betaflight", betaflight=autopilots.BetaflightCfg()),
 )
 
 _cfg = CONTROLLERS.get("lee_position_control")
 for _name, _kind, _own in (
-    ("mellinger", "Mellinger controller", {"mellinger": MellingerCfg()}),
-    ("pid", "PID cascade", {"crazyflie_pid": CrazyfliePidCfg()}),
-    ("lee", "Lee controller with integrals", {"crazyflie_lee": CrazyflieLeeCfg()}),
-    ("brescianini", "Brescianini controller", {"brescianini": BrescianiniCfg()}),
+    ("mellinger", "Mellinger controller", {"mellinger": autopilots.MellingerCfg()}),
+    ("pid", "PID cascade", {"crazyflie_pid": autopilots.CrazyfliePidCfg()}),
+    ("lee", "Lee controller with integrals", {"crazyflie_lee": autopilots.CrazyflieLeeCfg()}),
+    ("brescianini", "Brescianini controller", {"brescianini": autopilots.BrescianiniCfg()}),
 ):
     _summary = f"{_cfg.summary}; the {_kind} of the Crazyflie"
     CONTROLLERS.register(f"crazyflie_{_name}_control", replace(_cfg, summary=_summary, **_own))

@@ -5,16 +5,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from aerial_gym.control.lee import (
-    LeeGains,
-    acceleration_control,
-    attitude_control,
-    pose_control,
-    position_control,
-    rates_control,
-    steering_control,
-    velocity_control,
-)
+from aerial_gym.control import lee
 from aerial_gym.physics.state import BodyState
 
 
@@ -22,7 +13,7 @@ from aerial_gym.physics.state import BodyState
 class Law:
     """A geometric law and the meaning of its action."""
 
-    wrench: Callable[[BodyState, Tensor, LeeGains], Tensor]  # State, action and gains to the wanted wrench (E, 6), body
+    wrench: Callable[[BodyState, Tensor, lee.LeeGains], Tensor]  # From state, action and gains: wrench (E, 6), body
     action: tuple[str, ...]  # Meaning and unit of each entry of the action
     trim: str  # Axes of ``control.stability`` that the law controls
     lateral: bool = False  # Whether it commands lateral force, which needs rotors in more than one direction
@@ -33,12 +24,12 @@ _QUATERNION, _ALL = ("q_x [-]", "q_y [-]", "q_z [-]", "q_w [-]"), "x y z roll pi
 _THRUST = "thrust - 1 [weights]"
 
 LAWS: dict[str, Law] = {
-    "position": Law(position_control, (*_PLACE, "yaw [rad]"), _ALL),
-    "pose": Law(pose_control, (*_PLACE, *_QUATERNION), _ALL, lateral=True),
-    "steering": Law(steering_control, (*_VELOCITY, "yaw [rad]"), "roll pitch yaw vx vy vz p q r"),
-    "velocity": Law(velocity_control, (*_VELOCITY, _RATE), "roll pitch vx vy vz p q r"),
-    "acceleration": Law(acceleration_control, ("ax [m/s²]", "ay [m/s²]", "az [m/s²]", _RATE), "roll pitch p q r"),
-    "attitude": Law(attitude_control, (_THRUST, "roll [rad]", "pitch [rad]", _RATE), "roll pitch p q r"),
-    "rates": Law(rates_control, (_THRUST, "p [rad/s]", "q [rad/s]", "r [rad/s]"), "p q r"),
+    "position": Law(lee.position_control, (*_PLACE, "yaw [rad]"), _ALL),
+    "pose": Law(lee.pose_control, (*_PLACE, *_QUATERNION), _ALL, lateral=True),
+    "steering": Law(lee.steering_control, (*_VELOCITY, "yaw [rad]"), "roll pitch yaw vx vy vz p q r"),
+    "velocity": Law(lee.velocity_control, (*_VELOCITY, _RATE), "roll pitch vx vy vz p q r"),
+    "acceleration": Law(lee.acceleration_control, ("ax [m/s²]", "ay [m/s²]", "az [m/s²]", _RATE), "roll pitch p q r"),
+    "attitude": Law(lee.attitude_control, (_THRUST, "roll [rad]", "pitch [rad]", _RATE), "roll pitch p q r"),
+    "rates": Law(lee.rates_control, (_THRUST, "p [rad/s]", "q [rad/s]", "r [rad/s]"), "p q r"),
 }
 """The geometric laws. ``thrust`` and ``rotor_speed`` pass the action to the rotors instead."""

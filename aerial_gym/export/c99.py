@@ -12,15 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.export.c99_images import (
-    CONVOLVE,
-    ImageCode,
-    image_code,
-    image_comment,
-    image_parameters,
-    join_code,
-    layer_code,
-)
+from aerial_gym.export import c99_images
 from aerial_gym.export.layout import Layout, ObservationTerm
 from aerial_gym.export.module import C_FINITE, DeployablePolicy, action_transform
 from aerial_gym.sensors.encoder.file import Encoder
@@ -34,7 +26,7 @@ def policy_header(layout: Layout, *, work: int = 0) -> str:
     n, upper = layout.name, layout.name.upper()
     memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
     memory += f"\n    float work[2][{work}];" if layout.images else ""
-    looks = " * images\n" + "".join(image_comment(image) for image in layout.images) if layout.images else ""
+    looks = " * images\n" + "".join(c99_images.image_comment(image) for image in layout.images) if layout.images else ""
     seen = "\n".join(map(_observation_comment, layout.observation))
     given = "\n".join(f" *   {i:>9}  {name}" for i, name in enumerate(layout.command))
     return f"""/* A policy of {layout.task} for {layout.robot} with {layout.controller}; aerial_gym {layout.version}.
@@ -78,7 +70,7 @@ def step_declaration(layout: Layout) -> str:
     """Return the head of the function that flies."""
     seen, given = layout.num_observations, len(layout.command)
     head = f"int {layout.name}_step({layout.name}_state *state, const float observation[{seen}], "
-    return f"{head}{image_parameters(layout)}float command[{given}])"
+    return f"{head}{c99_images.image_parameters(layout)}float command[{given}])"
 
 
 def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
@@ -93,7 +85,7 @@ def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
     mean, std, limit = policy.normalization()
     scale = policy.scale.double()
     parts += [_c_array("shift", mean.double() / scale), _c_array("factor", scale / std.double())]
-    looks = image_code(policy, layout, _c_array)
+    looks = c99_images.image_code(policy, layout, _c_array)
     parts += looks.arrays
     linears = [layer for layer in body.layers if isinstance(layer, nn.Linear)]
     for i, layer in enumerate(linears):
@@ -107,7 +99,7 @@ def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
     clamped = "" if limit is None else f"\n        seen[i] = clamped(seen[i], {_c_number(limit)});"
     layers, before = [], "seen"
     if layout.images:
-        layers, before = [looks.code, join_code(policy, looks.widths)], "joined"
+        layers, before = [looks.code, c99_images.join_code(policy, looks.widths)], "joined"
     for i, (wide_in, wide_out) in enumerate(pairwise(widths)):
         layers += [
             f"    float layer_{i}[{wide_out}];",
@@ -125,7 +117,7 @@ def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
     outputs |= {"state->memory": layout.memory} if layout.memory else {}
     forget = f"\n    for (int i = 0; i < {layout.memory}; ++i) state->memory[i] = 0.0f;" if layout.memory else ""
     activation = _ACTIVATIONS[body.cfg.activation] if linears or layout.images else ""
-    activation += CONVOLVE if layout.images else ""
+    activation += c99_images.CONVOLVE if layout.images else ""
     logistic = "static float logistic(float x) { return 1.0f / (1.0f + expf(-x)); }\n" if cell is not None else ""
     return f"""#include "{n}.h"
 
@@ -193,7 +185,7 @@ def encoder_source(encoder: Encoder, name: str) -> str:
 #include <stdint.h>
 
 {chr(10).join(passed.arrays)}
-{C_FINITE}{_ACTIVATIONS[encoder.cfg.activation]}{CONVOLVE}
+{C_FINITE}{_ACTIVATIONS[encoder.cfg.activation]}{c99_images.CONVOLVE}
 {_DENSE}
 {_encoder_declaration(encoder, name)} {{
     int finite = {_finite_condition({"image": pixels})};
@@ -221,8 +213,10 @@ def _return_statements(outputs: Mapping[str, int]) -> str:
     return f"    if (!finite) {{ {bad} }}\n    return !finite;"
 
 
-def _encoder_code(encoder: Encoder, array: Callable[[str, Tensor], str]) -> ImageCode:
-    return layer_code(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), array, name="layer", out="latents")
+def _encoder_code(encoder: Encoder, array: Callable[[str, Tensor], str]) -> c99_images.ImageCode:
+    return c99_images.layer_code(
+        encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), array, name="layer", out="latents"
+    )
 
 
 _AFTER_ERROR = "Then reset the state, or restore a copy of it from before the step."

@@ -28,14 +28,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.environment import ContactCfg
-from aerial_gym.math.quaternion import (
-    quat_exp,
-    quat_multiply,
-    quat_normalize,
-    quat_rotate,
-    quat_rotate_inverse,
-    quat_to_matrix,
-)
+from aerial_gym.math import quaternion
 from aerial_gym.math.rows import cross_product_matrix
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
@@ -73,17 +66,19 @@ def apply_contact_impulses(
         share: From ``displacement_per_velocity_change``.
     """
     mass = model.vehicle.mass
-    rotation = quat_to_matrix(state.attitude)
-    turn = quat_rotate(state.attitude, state.ang_vel)
+    rotation = quaternion.quat_to_matrix(state.attitude)
+    turn = quaternion.quat_rotate(state.attitude, state.ang_vel)
     inertia = torch.zeros(mass.shape[0], 6, 6, dtype=mass.dtype, device=mass.device)
     inertia[:, :3, :3] = mass[:, None, None] * torch.eye(3, dtype=mass.dtype, device=mass.device)
     inertia[:, 3:, 3:] = rotation @ model.vehicle.inertia @ rotation.mT
     delta = _velocity_change(contacts, cfg, mass[:, None], inertia, (state.lin_vel, turn), dt, share)
     after = MassState(
         position=state.position + share * dt * delta[:, :3],
-        attitude=quat_normalize(quat_multiply(quat_exp(share * dt * delta[:, 3:]), state.attitude)),
+        attitude=quaternion.quat_normalize(
+            quaternion.quat_multiply(quaternion.quat_exp(share * dt * delta[:, 3:]), state.attitude)
+        ),
         lin_vel=state.lin_vel + delta[:, :3],
-        ang_vel=state.ang_vel + quat_rotate_inverse(state.attitude, delta[:, 3:]),
+        ang_vel=state.ang_vel + quaternion.quat_rotate_inverse(state.attitude, delta[:, 3:]),
         rotor_speed=state.rotor_speed,
         load=state.load,
     )

@@ -23,16 +23,9 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.math.rows import dot, inverse_3x3
+from aerial_gym.physics import rigid_body
 from aerial_gym.physics.effects import FluidEffect
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import (
-    air_velocity,
-    angular_acceleration,
-    body_wrench,
-    com_acceleration,
-    multiply_rows,
-    with_load,
-)
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command, stage_rates, vehicle_lag
 from aerial_gym.physics.state import BodyState
 
@@ -68,10 +61,10 @@ def force_free_motion_change(
 
 def _mean_ang_vel(mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float) -> Tensor:
     """Return the mean angular velocity of a step without force [rad/s], body, (E, 3), by Newton's method."""
-    half, impulse, spin, mean = 0.5 * dt, mass * lin_vel, multiply_rows(inertia, ang_vel), ang_vel
+    half, impulse, spin, mean = 0.5 * dt, mass * lin_vel, rigid_body.multiply_rows(inertia, ang_vel), ang_vel
     unit = torch.eye(3, dtype=mass.dtype, device=mass.device).expand(mass.shape[0], 3, 3)
     for _ in range(ITERATIONS):
-        turned, momentum = _half_rotation(half * mean, impulse), multiply_rows(inertia, mean)
+        turned, momentum = _half_rotation(half * mean, impulse), rigid_body.multiply_rows(inertia, mean)
         v = turned / mass
         missing = momentum - spin + half * (cross(mean, momentum) + cross(v, turned))
         w, p, v, spun = (rows.unsqueeze(1) for rows in (mean, turned, v, momentum))  # (E, 1, 3)
@@ -132,15 +125,18 @@ def to_body_state(model: Model, state: MassState) -> BodyState:
 def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     position, attitude, lin_vel, ang_vel, rotor_speed, _ = vars(state).values()
     return _accelerations(
-        model, state, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+        model, state, rigid_body.body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
     )
 
 
 def _accelerations(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """Return the accelerations of vehicle and load under a force and a torque."""
     (force, torque), attitude, ang_vel = wrench, state.attitude, state.ang_vel
-    acc, ang_acc = com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
-    return with_load(model, attitude, ang_vel, state.load, acc, ang_acc)
+    acc, ang_acc = (
+        rigid_body.com_acceleration(model, attitude, force),
+        rigid_body.angular_acceleration(model, ang_vel, torque),
+    )
+    return rigid_body.with_load(model, attitude, ang_vel, state.load, acc, ang_acc)
 
 
 def speeds_and_wrench_of_step(
@@ -156,7 +152,7 @@ def speeds_and_wrench_of_step(
     position, attitude, lin_vel, ang_vel, before, _ = vars(state).values()
     rotor_speed = follow_command(vehicle_lag(model.vehicle), before, rotor_command, dt)
     rotor_acc = (rotor_speed - before) / dt  # the mean over the step makes the rotors' momentum exact
-    return rotor_speed, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+    return rotor_speed, rigid_body.body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
 
 
 def advance_load(load: Tensor, swing: Tensor, dt: float) -> Tensor:
@@ -207,7 +203,7 @@ def euler_in_fluid(model: Model, state: MassState, rotor_command: RotorCommand, 
     acc, ang_acc, swing = _accelerations(model, middle, (force, torque))
     free_force, free_torque = wrench_of_coast(model, middle)
     acc = acc - quat_rotate(middle.attitude, free_force / model.vehicle.mass.unsqueeze(-1))
-    ang_acc = ang_acc - multiply_rows(model.inertia_inverse, free_torque)
+    ang_acc = ang_acc - rigid_body.multiply_rows(model.inertia_inverse, free_torque)
     pushed = replace(
         middle,
         lin_vel=middle.lin_vel + dt * acc,
@@ -222,7 +218,7 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
     """Return the state of a hull with added mass after a time [s] without force; a load moves on at its rate."""
     ((effect, params),) = model.effects[FluidEffect]
     attitude, load = state.attitude, state.load
-    through = air_velocity(model, state.position, attitude, state.lin_vel)
+    through = rigid_body.air_velocity(model, state.position, attitude, state.lin_vel)
     mass = model.vehicle.mass.unsqueeze(-1) + effect.added_mass(params)
     move, gain, turn, ang_vel = force_free_motion_change(mass, model.vehicle.inertia, through, state.ang_vel, dt)
     return replace(
@@ -238,9 +234,9 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
 def wrench_of_coast(model: Model, state: MassState) -> tuple[Tensor, Tensor]:
     """Return force [N] and torque [N m], body, each (E, 3), that give a hull without fluid the motion of ``coast``."""
     ((effect, params),) = model.effects[FluidEffect]
-    v, w = air_velocity(model, state.position, state.attitude, state.lin_vel), state.ang_vel
+    v, w = rigid_body.air_velocity(model, state.position, state.attitude, state.lin_vel), state.ang_vel
     added, mass = effect.added_mass(params), model.vehicle.mass.unsqueeze(-1)
-    momentum, spin = added * v, multiply_rows(model.vehicle.inertia, w)
+    momentum, spin = added * v, rigid_body.multiply_rows(model.vehicle.inertia, w)
     force = mass / (mass + added) * (added * torch.linalg.cross(w, v) - torch.linalg.cross(w, momentum))
     return force, -torch.linalg.cross(w, spin) - torch.linalg.cross(v, momentum)
 

@@ -11,17 +11,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym import interop
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import (
-    ReusableLaunch,
-    compile_ahead,
-    launch_side_by_side,
-    make_struct,
-    on_torch_stream,
-    split,
-    start_warp,
-)
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.math.warp_functions import vector_type
@@ -78,7 +70,7 @@ class _LaunchRecord:
     command: Tensor
     dt: float
     substeps: int
-    launches: list[ReusableLaunch]
+    launches: list[interop.ReusableLaunch]
 
 
 class WarpBackend:
@@ -155,7 +147,7 @@ class WarpBackend:
             raise CapabilityError("backend warp: a differentiable rollout knows no ground. Use backend 'torch'.")
         if hook is not None and self._differentiable:
             raise CapabilityError("backend warp: a differentiable rollout follows no obstacles. Use backend 'torch'.")
-        start_warp()
+        interop.start_warp()
         self._control, self._integrator, self._given_ground, self._hook, self._random, self._efforts = (
             control, integrator, ground, hook, random, efforts
         )  # fmt: skip
@@ -203,7 +195,7 @@ class WarpBackend:
                 differentiable=self._differentiable,
             )
         if not self._differentiable:
-            compile_ahead(self.kernel, wp.device_from_torch(self._device), block_dim=BLOCK_DIM)
+            interop.compile_ahead(self.kernel, wp.device_from_torch(self._device), block_dim=BLOCK_DIM)
         self._binding: _LaunchRecord | None = None
 
     def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:
@@ -338,7 +330,7 @@ class WarpBackend:
             memory = make_memory(self._model, dt, random=self._random)
             rows = {"numbers": memory.numbers.T.contiguous(), "past": memory.past.flatten(1).T.contiguous()}
             self._memory = memory = replace(memory, **rows)
-        return make_struct(MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(memory.random))
+        return interop.make_struct(MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(memory.random))
 
     def _law_memory_arrays(self, dt: float) -> Any:
         """Return ``LawArrays``; None for a law without memory."""
@@ -353,7 +345,7 @@ class WarpBackend:
                 name: memory if memory.numel() else memory.new_zeros(self._num_envs, 1) for name, memory in rows.items()
             }
             self.law_memory = replace(fresh, **{name: memory.T.contiguous() for name, memory in rows.items()})
-        return make_struct(LawArrays, **self.law_memory.tensors())
+        return interop.make_struct(LawArrays, **self.law_memory.tensors())
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place: one launch on torch's current stream, without waiting."""
@@ -367,8 +359,8 @@ class WarpBackend:
             bound = None
         if bound is None or bound.state is not state or bound.command is not command or bound.substeps != substeps:
             bound = self._binding = self._bind(state, command, dt, substeps)
-        with on_torch_stream(command):
-            launch_side_by_side(bound.launches)
+        with interop.on_torch_stream(command):
+            interop.launch_side_by_side(bound.launches)
 
     def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _LaunchRecord:
         """Record the launches for tensors of fixed addresses, so that a step creates no views."""
@@ -382,7 +374,7 @@ class WarpBackend:
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
-                ReusableLaunch(
+                interop.ReusableLaunch(
                     self.kernel,
                     dim=count,
                     inputs=[*inputs, first, self._memory_arrays, self._hook_data, *creep],
@@ -398,7 +390,7 @@ class WarpBackend:
         if self._device.type == "cuda":
             return [(0, self._num_envs)]
         threads = min(torch.get_num_threads(), max(1, self._num_envs * substeps // MIN_STEPS_PER_THREAD))
-        return split(self._num_envs, threads)
+        return interop.split(self._num_envs, threads)
 
     def _arrays(self, state: BodyState) -> list[wp.array]:
         kinds = self._tensor_types()[:-1]

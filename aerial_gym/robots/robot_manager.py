@@ -30,21 +30,13 @@ from aerial_gym.physics.torch_backend import TorchBackend
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
+from aerial_gym.robots import state_keys
 from aerial_gym.robots.contact_sources import ContactSources, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.finite_watch import NonFiniteRows
 from aerial_gym.robots.initial_state import ActionStore, InitialState
 from aerial_gym.robots.parameter_draws import draw_code
 from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise, check_base_draws
-from aerial_gym.robots.state_keys import (
-    JointStates,
-    RobotTensors,
-    declare_effect_scene,
-    declare_efforts,
-    declare_robot_tensors,
-    make_slung_load,
-    watch_parameter_writes,
-)
 
 
 @with_usual_settings
@@ -85,7 +77,7 @@ class RobotManager:
             control=robot.control,
         )  # fmt: skip
         gtd.define_size("U", len(self.action_names))
-        self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state, robot.joints)
+        self.tensors: state_keys.RobotTensors = state_keys.declare_robot_tensors(gtd, root_state, robot.joints)
         self.differentiable: DifferentiableBackend | None = None
         if gradients is not None:
             if not isinstance(self.backend, TorchBackend):
@@ -96,11 +88,11 @@ class RobotManager:
         self._randomized = self._declare_draws(randomize or {})
         self._stale = False
         drawn = [] if self._randomized is None else self._randomized.random_effects
-        watch_parameter_writes(gtd, self._effects, drawn, notice=self._note_write)
+        state_keys.watch_parameter_writes(gtd, self._effects, drawn, notice=self._note_write)
         self._pushing = ContactSources(robot, gtd, around)
-        self._load = make_slung_load(gtd, self._effects, self.tensors.state)
+        self._load = state_keys.make_slung_load(gtd, self._effects, self.tensors.state)
         limited = self.articulation is not None and self.articulation.solves_limits
-        efforts = declare_efforts(gtd, robot.joints) if limited and robot.joints is not None else None
+        efforts = state_keys.declare_efforts(gtd, robot.joints) if limited and robot.joints is not None else None
         self.backend.allocate(
             self._build_model(),
             self.controller,
@@ -122,10 +114,10 @@ class RobotManager:
             rest_speed=rest_speed, actions=self.tensors.actions, prev_actions=self.tensors.prev_actions,
             random=random, noticed=self.noticed,
         )  # fmt: skip
-        self._joints: JointStates | None = None
+        self._joints: state_keys.JointStates | None = None
         if robot.joints is not None:
             assert isinstance(self.tensors.state, ArticulatedState)
-            self._joints = JointStates(robot.joints, gtd, self.tensors.state, random, efforts)
+            self._joints = state_keys.JointStates(robot.joints, gtd, self.tensors.state, random, efforts)
         self._update = self._make_update()
         self._step_begin = ActionStore(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
@@ -157,7 +149,7 @@ class RobotManager:
             ))  # fmt: skip
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
-        self.felt = declare_effect_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
+        self.felt = state_keys.declare_effect_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
 
     def _note_write(self) -> None:
         self._stale = True

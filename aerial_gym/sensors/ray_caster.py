@@ -15,18 +15,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym import interop
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import vector_view
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg, ScannedCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import (
-    ReusableLaunch,
-    launch_side_by_side,
-    make_struct,
-    on_torch_stream,
-    split,
-    with_usual_settings,
-)
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow_inputs, record_relative_twist
@@ -46,7 +39,7 @@ GPU_TILE, CPU_TILE = (4, 8), (8, 16)  # Rows and columns of pixels whose rays ar
 BLOCK_DIM = 64  # Threads of a block; 128 is 1 % and 256 is 7 to 24 % slower (docs/results/rendering.md)
 
 
-@with_usual_settings
+@interop.with_usual_settings
 class RayCaster:
     """The sensors of one kind in every environment, with all views made at construction."""
 
@@ -75,7 +68,7 @@ class RayCaster:
         self._num_frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
         self._frame = torch.full((envs,), self._num_frames - 1, dtype=torch.int32, device=device)
         """Index of the ray pattern of the last image, int32, (E,)."""
-        sensors = make_struct(
+        sensors = interop.make_struct(
             SensorsOnCarrier, position=vector_view("position", carrier.position, (envs, 3), device=device),
             attitude=vector_view("attitude", carrier.attitude, (envs, 4), device=device),
             mount_position=self.places.position, mount_attitude=self.places.attitude, link=carrier.number,
@@ -94,7 +87,7 @@ class RayCaster:
             self._prepare.append(record_relative_twist(self._flow, scene, sensors))
         self._launches = self._record_rays(scene)
 
-    def _record_preparations(self, scene: Scene, sensors: SensorsOnCarrier) -> list[ReusableLaunch]:
+    def _record_preparations(self, scene: Scene, sensors: SensorsOnCarrier) -> list[interop.ReusableLaunch]:
         """Record the launches before the rays: sensor poses, and parts in the sensors' frames."""
         mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)
@@ -104,7 +97,7 @@ class RayCaster:
         if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
             launches.append(
-                ReusableLaunch(write_sensor_poses, dim=mounts, inputs=[sensors], outputs=where, device=device)
+                interop.ReusableLaunch(write_sensor_poses, dim=mounts, inputs=[sensors], outputs=where, device=device)
             )
         if scene.num_parts and self._scan is not None:
             launches.append(self._scan.record_view(self._view, self._largest_range()))
@@ -112,7 +105,7 @@ class RayCaster:
             out, dim = [self._view.rows, self._view.kind], (mounts, scene.num_parts)
             inputs = [scene.arrays, sensors, self._largest_range()]
             launches.append(
-                ReusableLaunch(write_parts_in_sensor_frames, dim=dim, inputs=inputs, outputs=out, device=device)
+                interop.ReusableLaunch(write_parts_in_sensor_frames, dim=dim, inputs=inputs, outputs=out, device=device)
             )
         return launches
 
@@ -121,7 +114,7 @@ class RayCaster:
         cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
         return self.cfg.max_range / cosine
 
-    def _record_rays(self, scene: Scene) -> list[ReusableLaunch]:
+    def _record_rays(self, scene: Scene) -> list[interop.ReusableLaunch]:
         """Record the launches that trace the rays."""
         cfg, on_gpu = self.cfg, self._device.type == "cuda"
         height, width = GPU_TILE if on_gpu else CPU_TILE
@@ -153,15 +146,15 @@ class RayCaster:
         inputs = [self._view, rays, _distance_limits(cfg), self._make_noise(), light, self.num_sensors, due, images]
         mounts = self._view.kind.shape[0] // self._groups
 
-        def record(kernel: wp.Kernel, dim: int, *more: int) -> ReusableLaunch:
+        def record(kernel: wp.Kernel, dim: int, *more: int) -> interop.ReusableLaunch:
             device = wp.device_from_torch(self._device)
             given = [*inputs, *more]
-            return ReusableLaunch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM)
+            return interop.ReusableLaunch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM)
 
         if on_gpu:
             return [record(make_warp_kernel(outputs), mounts * rays.num_tiles * 32)]
         kernel, per_tile = make_tile_kernel(outputs, self._view.kind.shape[1]), height * width
-        chunks = split(mounts * rays.num_tiles, torch.get_num_threads())
+        chunks = interop.split(mounts * rays.num_tiles, torch.get_num_threads())
         return [record(kernel, count, per_tile, first) for first, count in chunks]
 
     def _make_images(self, scene: Scene) -> object:
@@ -185,10 +178,10 @@ class RayCaster:
             self._image_number.add_(self.due)
         if self._num_frames > 1:
             self._frame.add_(self.due).remainder_(self._num_frames)
-        with on_torch_stream(self.images.distance):
+        with interop.on_torch_stream(self.images.distance):
             for launch in self._prepare:
                 launch.launch()
-            launch_side_by_side(self._launches)
+            interop.launch_side_by_side(self._launches)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""

@@ -20,17 +20,11 @@ from aerial_gym.interop import on_device, with_usual_settings
 from aerial_gym.math.random import Purpose, uniform_draw
 from aerial_gym.registry.state import add_prefix, check_state, config_digests, copy_tensors, restore_tensors
 from aerial_gym.robots.finite_watch import FiniteWatch
+from aerial_gym.task import resolve
 from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.images import ImageBuffers, TaskImages
-from aerial_gym.task.resolve import (
-    check_gradients,
-    resolve_action,
-    resolve_groups,
-    resolve_rewards,
-    resolve_terminations,
-)
 from aerial_gym.task.rotor_range import with_rotor_range
 from aerial_gym.task.step.actor import ActionConverter, declare_delay
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
@@ -98,7 +92,7 @@ class Task:
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device
         self._gtd = env.gtd
-        action, params = resolve_action(cfg, command)
+        action, params = resolve.resolve_action(cfg, command)
         self.num_actions = num_commands if action.width is None else action.width  # Entries of an action, V
         self._buffers = ImageBuffers(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
         self.values = self._make_values(num_commands)
@@ -112,12 +106,12 @@ class Task:
         difficulty = None if self.curriculum is None else self.curriculum.difficulty
         meaning = "how far the curriculum has come from its lowest (0) to its highest (1) level; 0 without one"
         self.values.declare("difficulty", meaning=meaning, view=difficulty, rows=False)
-        groups = resolve_groups(cfg, self.values, num_commands=num_commands)
-        rewards = resolve_rewards(cfg, self.values, command)
+        groups = resolve.resolve_groups(cfg, self.values, num_commands=num_commands)
+        rewards = resolve.resolve_rewards(cfg, self.values, command)
         if self.values.graph is not None:
             observed = [term for entries in groups.values() for term, _, _ in entries]
-            check_gradients([term for term, _ in rewards.values()], observed, self.values, images=cfg.images)
-        terminations = resolve_terminations(cfg, self.values, command)
+            resolve.check_gradients([term for term, _ in rewards.values()], observed, self.values, images=cfg.images)
+        terminations = resolve.resolve_terminations(cfg, self.values, command)
         self._observer = Observer(groups, self.values, env.random, cfg.faults)
         self.num_observations = self._observer.width(POLICY)  # Entries of an observation of the group `policy`, O
         self._judge = Judge(

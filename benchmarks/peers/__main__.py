@@ -9,14 +9,7 @@ import tyro
 
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
-from aerial_gym.workloads.measure import (
-    RunFailedError,
-    absence_reason,
-    device_name,
-    format_value,
-    interpreters,
-    provenance,
-)
+from aerial_gym.workloads import measure
 from benchmarks.markdown import table
 from benchmarks.peers.runs import CASES, PEERS, Measurement, Ratio, measure_case, ratios, schedule
 
@@ -40,13 +33,14 @@ class PeersCmd:
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a measurement failed."""
-        pythons = interpreters(self.peer, PEERS, default=sys.executable, flag="--peer")
+        pythons = measure.interpreters(self.peer, PEERS, default=sys.executable, flag="--peer")
         for case in self.cases:
             if case not in CASES:
                 raise ConfigError(f"no case {case!r}. Known: {', '.join(CASES)}")
-        device, beside = device_name(resolve_device(self.device)), provenance()
+        device, beside = measure.device_name(resolve_device(self.device)), measure.provenance()
         skipped = {
-            name: absence_reason(name, PEERS.get(name), pythons[name], self.device, flag="--peer") for name in PEERS
+            name: measure.absence_reason(name, PEERS.get(name), pythons[name], self.device, flag="--peer")
+            for name in PEERS
         }
         for sentence in filter(None, skipped.values()):
             print(sentence, file=sys.stderr)
@@ -75,13 +69,13 @@ class PeersCmd:
                 try:
                     python = pythons.get(str(owner), sys.executable)
                     new = measure_case(case, owner, python, flags, threads=cores)
-                except RunFailedError as error:
+                except measure.RunFailedError as error:
                     broken.add((owner, case))
                     print(f"{owner} failed in case {case}: {error}", file=sys.stderr)
                     continue
                 result.append(new)
                 done = f"round {turn + 1}/{self.rounds}  {case:<9}{new.name:<11}"
-                print(f"{done}{new.call} a call: {format_value(new.steps_per_s)} steps/s", file=sys.stderr)
+                print(f"{done}{new.call} a call: {measure.format_value(new.steps_per_s)} steps/s", file=sys.stderr)
         return result, bool(broken)
 
 
@@ -89,9 +83,9 @@ def ratios_table(rows: list[Ratio]) -> str:
     """Return the table for people: a line per peer and case, two columns per number of substeps of ours."""
     lines: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        start = [row.peer.case, row.peer.name, row.peer.call, format_value(row.peer.steps_per_s)]
+        start = [row.peer.case, row.peer.name, row.peer.call, measure.format_value(row.peer.steps_per_s)]
         line = lines.setdefault((row.peer.case, row.peer.name), start)
-        line += [format_value(row.package.steps_per_s), f"{row.ratio:.2f}"]
+        line += [measure.format_value(row.package.steps_per_s), f"{row.ratio:.2f}"]
     calls = dict.fromkeys(row.package.call for row in rows)
     own = [head for call in calls for head in (f"ours, {call} a call", "ratio")]
     return table(("case", "peer", "steps a call", "steps/s", *own), lines.values())

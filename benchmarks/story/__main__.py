@@ -25,16 +25,7 @@ import yaml
 from aerial_gym.config import family_files
 from aerial_gym.errors import AerialGymError
 from aerial_gym.rl_training import load_policy, load_settings, settings_for, train
-from benchmarks.story.setpoint_flight import (
-    CONTROL_RATE,
-    HIDDEN,
-    draw_setpoints,
-    fly_setpoints,
-    nominal_vehicle,
-    setpoint_distances,
-    tracking_errors,
-    true_vehicle,
-)
+from benchmarks.story import setpoint_flight
 from benchmarks.undeclared.logs import write_log
 from benchmarks.undeclared.sensors import NO_BIAS
 from benchmarks.undeclared.simulate import PlantRecord
@@ -111,13 +102,13 @@ class Story:
         kept = folder / ("score_as_declared.json" if as_declared else "score.json")
         if kept.exists():
             return json.loads(kept.read_text())
-        points = draw_setpoints(SCORED, seed=1_000_003)
+        points = setpoint_flight.draw_setpoints(SCORED, seed=1_000_003)
         record = self._fly_policy(folder, points, seed=1_000_003, as_declared=as_declared)
-        away = setpoint_distances(record, points)
+        away = setpoint_flight.setpoint_distances(record, points)
         typical = away[:, away.mean(axis=0).argsort()[SCORED // 2]]
         score = {
-            **asdict(tracking_errors(record, points)),
-            "trace": [float(value) for value in typical[:: CONTROL_RATE // 50]],
+            **asdict(setpoint_flight.tracking_errors(record, points)),
+            "trace": [float(value) for value in typical[:: setpoint_flight.CONTROL_RATE // 50]],
         }
         kept.write_text(json.dumps(score))
         return score
@@ -125,9 +116,11 @@ class Story:
     def _fly_policy(self, folder: Path, points: Array, *, seed: int, as_declared: bool = False) -> PlantRecord:
         """Return the flights of a policy through points (P, F, 3)."""
         policy, _ = load_policy(folder, device="cpu")
-        declared = nominal_vehicle(ROBOT)
-        true, bias = (declared, NO_BIAS) if as_declared else true_vehicle(declared, seed=self.vehicle_seed)
-        return fly_setpoints(policy, declared=declared, true=true, bias=bias, points=points, seed=seed)
+        declared = setpoint_flight.nominal_vehicle(ROBOT)
+        true, bias = (
+            (declared, NO_BIAS) if as_declared else setpoint_flight.true_vehicle(declared, seed=self.vehicle_seed)
+        )
+        return setpoint_flight.fly_setpoints(policy, declared=declared, true=true, bias=bias, points=points, seed=seed)
 
     def _start_close_loop(self, seed: int, policy: Path) -> subprocess.Popen[bytes] | None:
         """Log flights of a policy and start the loop on them."""
@@ -136,12 +129,12 @@ class Story:
         if (result / "verdict.json").exists():
             return None
         folder.mkdir(parents=True, exist_ok=True)
-        points = draw_setpoints(FITTED + JUDGED, seed=seed)
+        points = setpoint_flight.draw_setpoints(FITTED + JUDGED, seed=seed)
         record = self._fly_policy(policy, points, seed=seed)
         logs = [folder / f"flight_{i + 1}.csv" for i in range(FITTED + JUDGED)]
         for i, path in enumerate(logs):
             write_log(path, record, i, slice(None))
-        (folder / "truth.json").write_text(json.dumps(HIDDEN))
+        (folder / "truth.json").write_text(json.dumps(setpoint_flight.HIDDEN))
         command = [sys.executable, "-c", "from aerial_gym.cli.main import entry; entry()", "close-loop", "--ranges"]
         parts = ("--robot", ROBOT, "--train", *logs[:FITTED], "--test", *logs[FITTED:], "--out", result)
         told = (folder / "close_loop.log").open("wb")

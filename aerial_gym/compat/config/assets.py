@@ -8,15 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.compat.config.fields import (
-    STANDS_FOR,
-    Changes,
-    ConfigTable,
-    Values,
-    idle_field,
-    native_field,
-    same_fields,
-)
+from aerial_gym.compat.config import fields
 from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, MotionCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
@@ -32,18 +24,18 @@ def _script_state(position: Any, euler: Any) -> list[float]:
 
 
 def _ratio_changes(end: str) -> Any:
-    def write(values: Values) -> Changes:
+    def write(values: fields.Values) -> fields.Changes:
         state = values["min_state_ratio" if end == "low" else "max_state_ratio"]
         return {f"position_ratio_{end}": tuple(state[0:3]), f"euler_{end}": tuple(state[3:6])}
 
     return write
 
 
-def _shape_changes(values: Values) -> Changes:
+def _shape_changes(values: fields.Values) -> fields.Changes:
     """Return the shapes of a folder's URDF files, or the replacements of a folder of that simulator."""
     folder, file = Path(str(values["asset_folder"])), values["file"]
     if not folder.is_dir() and folder.name in STANDARD_FOLDERS:
-        like = getattr(CLASSES[STANDARD_FOLDERS[folder.name]], STANDS_FOR)
+        like = getattr(CLASSES[STANDARD_FOLDERS[folder.name]], fields.STANDS_FOR)
         return {"shapes": like.shapes, "family": like.family}
     files = [folder / file] if file else sorted(folder.glob("*.urdf"))
     if not files or not all(path.is_file() for path in files):
@@ -61,34 +53,34 @@ def _asset_folder(cfg: AssetCfg) -> str:
     return f"{AERIAL_GYM_DIRECTORY}/{_FOLDER}/{cfg.name}"
 
 
-TABLE = ConfigTable(
+TABLE = fields.ConfigTable(
     kind="asset",
     fields=(
-        *same_fields(num_assets="count"),
-        native_field("asset_folder", "shapes", _asset_folder, _shape_changes,
+        *fields.same_fields(num_assets="count"),
+        fields.native_field("asset_folder", "shapes", _asset_folder, _shape_changes,
                 "URDF files; folders of that simulator stand for the same shapes here"),
-        native_field("file", "shapes", lambda _: None, _shape_changes, "one file of the folder; None takes all"),
-        native_field("min_state_ratio", "position_ratio_low, euler_low",
+        fields.native_field("file", "shapes", lambda _: None, _shape_changes, "one file of the folder; None takes all"),
+        fields.native_field("min_state_ratio", "position_ratio_low, euler_low",
                 lambda c: _script_state(c.position_ratio_low, c.euler_low), _ratio_changes("low"), "entries 0 to 5"),
-        native_field("max_state_ratio", "position_ratio_high, euler_high",
+        fields.native_field("max_state_ratio", "position_ratio_high, euler_high",
                 lambda c: _script_state(c.position_ratio_high, c.euler_high), _ratio_changes("high"), "entries 0 to 5"),
-        *same_fields(keep_in_env="keep"),
-        native_field("semantic_id", "semantic_id", lambda c: c.semantic_id,
+        *fields.same_fields(keep_in_env="keep"),
+        fields.native_field("semantic_id", "semantic_id", lambda c: c.semantic_id,
                 remark="-1: the instance's own id, counted in each environment"),
-        native_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shape_changes, "URDF files only"),
-        native_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shape_changes, "URDF files only"),
-        native_field("fix_base_link", "motion", lambda c: c.motion.kind == "none",
+        fields.native_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shape_changes, "URDF files only"),
+        fields.native_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shape_changes, "URDF files only"),
+        fields.native_field("fix_base_link", "motion", lambda c: c.motion.kind == "none",
                 lambda v: {"motion": MotionCfg(kind="none" if v["fix_base_link"] else "twist")},
                 "not fixed: flies with env_actions"),
-        *(idle_field(name, value, "PhysX") for name, value in (
+        *(fields.idle_field(name, value, "PhysX") for name, value in (
             ("collision_mask", 1), ("disable_gravity", True), ("replace_cylinder_with_capsule", False),
             ("flip_visual_attachments", False), ("density", 0.001), ("angular_damping", 0.1), ("linear_damping", 0.1),
             ("max_angular_velocity", 100.0), ("max_linear_velocity", 100.0), ("armature", 0.001),
             ("collapse_fixed_joints", True), ("place_force_sensor", False), ("force_sensor_parent_link", ""),
             ("force_sensor_transform", None), ("vhacd_enabled", False),
         )),
-        *(idle_field(name, None, "read nowhere there either") for name in ("min_position_ratio", "max_position_ratio")),
-        *(idle_field(name, value, "rays and contact share a shape; its colour is its `color:`") for name, value in (
+        *(fields.idle_field(name, None, "read nowhere there either") for name in ("min_position_ratio", "max_position_ratio")),
+        *(fields.idle_field(name, value, "rays and contact share a shape; its colour is its `color:`") for name, value in (
             ("use_collision_mesh_instead_of_visual", False), ("use_mesh_materials", False), ("color", None),
             ("body_semantic_label", 0), ("link_semantic_label", 0), ("specific_filepath", None), ("name", None),
         )),

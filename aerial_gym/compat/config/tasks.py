@@ -7,17 +7,7 @@ from functools import cache
 from operator import attrgetter
 from typing import Any
 
-from aerial_gym.compat.config.fields import (
-    STANDS_FOR,
-    Changes,
-    ConfigTable,
-    Values,
-    class_only_field,
-    idle_field,
-    native_field,
-    same_fields,
-    unchangeable_field,
-)
+from aerial_gym.compat.config import fields
 from aerial_gym.config.task import POLICY, CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.control import CONTROLLERS
@@ -56,8 +46,8 @@ def _reward_numbers(cfg: TaskCfg) -> dict[str, float]:
     return entries | ({} if cfg.crash_reward is None else {"crash": cfg.crash_reward.value})
 
 
-def _reward_changes(values: Values) -> Changes:
-    entries: Changes = {}
+def _reward_changes(values: fields.Values) -> fields.Changes:
+    entries: fields.Changes = {}
     for key, value in values["reward_parameters"].items():
         name, _, number = key.partition(".")
         place = f"rewards.{name}.weight" if number == "weight" else f"rewards.{name}.params.{number}"
@@ -70,7 +60,7 @@ def _target_limit_reader(name: str) -> Any:
     return lambda cfg: None if cfg.command is None else cfg.command.params.get(name)
 
 
-def _target_changes(values: Values) -> Changes:
+def _target_changes(values: fields.Values) -> fields.Changes:
     low, high = values["target_min_ratio"], values["target_max_ratio"]
     if low is None or high is None:
         raise ConfigError("target_min_ratio and target_max_ratio: give both, or neither")
@@ -85,32 +75,32 @@ _CURRICULUM = (
 )  # fmt: skip
 assert {name for name, _ in _CURRICULUM} | {"start_level"} == set(CurriculumCfg.__dataclass_fields__)
 
-TABLE = ConfigTable(
+TABLE = fields.ConfigTable(
     kind="task",
     fields=(
-        *(native_field(f"{kind}_name", kind, attrgetter(kind),
+        *(fields.native_field(f"{kind}_name", kind, attrgetter(kind),
                   remark="the name of something registered, here or by the script")
           for kind in ("sim", "env", "robot", "controller")),
-        *same_fields("num_envs"),
-        native_field("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
+        *fields.same_fields("num_envs"),
+        fields.native_field("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
                 remark="an episode has exactly as many steps; there one more"),
-        native_field("reward_parameters", "rewards", _reward_numbers, _reward_changes,
+        fields.native_field("reward_parameters", "rewards", _reward_numbers, _reward_changes,
                 "by the names of the task file, reward and number (near.height); four tasks there ignored theirs"),
-        native_field("target_min_ratio", "command: low", _target_limit_reader("low"), _target_changes,
+        fields.native_field("target_min_ratio", "command: low", _target_limit_reader("low"), _target_changes,
                 "of the generator drawn_point"),
-        native_field("target_max_ratio", "command: high", _target_limit_reader("high"), _target_changes, "likewise"),
-        *(native_field(f"curriculum.{script_name}", f"curriculum.{native}",
+        fields.native_field("target_max_ratio", "command: high", _target_limit_reader("high"), _target_changes, "likewise"),
+        *(fields.native_field(f"curriculum.{script_name}", f"curriculum.{native}",
                   lambda c, native=native: None if c.curriculum is None else getattr(c.curriculum, native))
           for native, script_name in _CURRICULUM),
-        unchangeable_field("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
-        unchangeable_field("action_space_dim", _num_actions, "follows from the action and the controller"),
-        class_only_field("device", "make_task(device=...)", lambda _: "auto"),
-        class_only_field("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
-        class_only_field("return_state_before_reset", 'info["final_observation"]', lambda _: False),
-        idle_field("privileged_observation_space_dim", 0, "a group of observations of its own name, such as `critic`"),
-        idle_field("args", {}, "the command line is the script's own"),
-        idle_field("use_warp", True, "sensors always are Warp's"),
-        idle_field("headless", True, "there is no viewer window"),
+        fields.unchangeable_field("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
+        fields.unchangeable_field("action_space_dim", _num_actions, "follows from the action and the controller"),
+        fields.class_only_field("device", "make_task(device=...)", lambda _: "auto"),
+        fields.class_only_field("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
+        fields.class_only_field("return_state_before_reset", 'info["final_observation"]', lambda _: False),
+        fields.idle_field("privileged_observation_space_dim", 0, "a group of observations of its own name, such as `critic`"),
+        fields.idle_field("args", {}, "the command line is the script's own"),
+        fields.idle_field("use_warp", True, "sensors always are Warp's"),
+        fields.idle_field("headless", True, "there is no viewer window"),
     ),
 )  # fmt: skip
 """Translation of the attributes of a task configuration class."""
@@ -124,4 +114,4 @@ def task_class_config(name: str) -> type:
 
 def translate_task(cls: Any, name: str) -> TaskCfg:
     """Return the translated task of a configuration class; a class of no registered task modifies the task of a name."""
-    return TABLE.translate(cls, getattr(cls, STANDS_FOR, task_registry.get(name)))
+    return TABLE.translate(cls, getattr(cls, fields.STANDS_FOR, task_registry.get(name)))

@@ -23,16 +23,8 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.crazyflie import brescianini, geometric, mellinger, pid
+from aerial_gym.control.crazyflie import brescianini, geometric, mellinger, parameters, pid
 from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, rotor_counts
-from aerial_gym.control.crazyflie.parameters import (
-    GainsOfVehicle,
-    GainsOfVehicleInCounts,
-    brescianini_gains,
-    integral_gains,
-    mellinger_gains,
-    pid_gains,
-)
 from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import thrust_wrench
@@ -46,7 +38,7 @@ class _Crazyflie(StatefulController):
     """Common part of the controllers: parameters and timing."""
 
     _widths: tuple[int, int]  # Numbers of memory of the inner and the outer level
-    _derived_type: type[GainsOfVehicle] = GainsOfVehicle  # Type of the derived gains
+    _derived_type: type[parameters.GainsOfVehicle] = parameters.GainsOfVehicle  # Type of the derived gains
     _make_gains: Callable[[Any, Any], Any]  # From the autopilot's parameters and derived gains to the gains
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
@@ -66,8 +58,8 @@ class _Crazyflie(StatefulController):
 class _CrazyflieInCounts(_Crazyflie):
     """Common part of controllers with output in counts: the power distribution."""
 
-    _derived_type = GainsOfVehicleInCounts
-    _derived: GainsOfVehicleInCounts
+    _derived_type = parameters.GainsOfVehicleInCounts
+    _derived: parameters.GainsOfVehicleInCounts
 
     def _speeds(self, thrust: Tensor, moment: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), for a thrust (E, 1) and moments (E, 3) [counts]."""
@@ -86,7 +78,7 @@ def target_at_rest(action: Tensor) -> mellinger.FlatTarget:
 class MellingerController(_CrazyflieInCounts):
     """``crazyflie_mellinger_control``."""
 
-    _widths, _make_gains = (mellinger.WIDTH, 0), mellinger_gains
+    _widths, _make_gains = (mellinger.WIDTH, 0), parameters.mellinger_gains
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for position [m] and yaw [rad], (E, 4)."""
@@ -106,7 +98,7 @@ class MellingerController(_CrazyflieInCounts):
 class PidController(_CrazyflieInCounts):
     """``crazyflie_pid_control``."""
 
-    _widths, _make_gains = (pid.INNER_NUMBERS, pid.OUTER_NUMBERS), pid_gains
+    _widths, _make_gains = (pid.INNER_NUMBERS, pid.OUTER_NUMBERS), parameters.pid_gains
 
     @property
     def hover_setpoint(self) -> Tensor:
@@ -130,7 +122,7 @@ class PidController(_CrazyflieInCounts):
 class CrazyflieLeeController(_Crazyflie):
     """``crazyflie_lee_control``; its thrust and torque go through the allocation, so that any multirotor flies."""
 
-    _widths, _make_gains = (geometric.WIDTH, 0), integral_gains
+    _widths, _make_gains = (geometric.WIDTH, 0), parameters.integral_gains
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for position [m] and yaw [rad], (E, 4)."""
@@ -142,7 +134,7 @@ class CrazyflieLeeController(_Crazyflie):
 class BrescianiniController(_Crazyflie):
     """``crazyflie_brescianini_control``; its thrust and torque go through the allocation, so that any multirotor flies."""
 
-    _widths, _make_gains = (0, 0), brescianini_gains
+    _widths, _make_gains = (0, 0), parameters.brescianini_gains
 
     @property
     def hover_setpoint(self) -> Tensor:

@@ -19,16 +19,7 @@ from aerial_gym.control.filters.biquad import apply_filter
 from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import from_vehicle_frame, thrust_wrench, unit_x
-from aerial_gym.control.px4.cascade import (
-    RATE_NUMBERS,
-    attitude_from_thrust,
-    limit_velocity,
-    mix,
-    rate_setpoint,
-    rate_torque,
-    update_integral,
-    velocity_control,
-)
+from aerial_gym.control.px4 import cascade
 from aerial_gym.control.px4.parameters import derive_parameters, make_filters, signal_of_thrust_share
 from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.timing import make_timing
@@ -55,7 +46,7 @@ class Px4Controller(StatefulController):
         self.gains = derive_parameters(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
         self.filters = make_filters(px4, timing)
         self._full, self._low, self._span = _thrust_and_speed_ranges(vehicle)
-        inner = RATE_NUMBERS + 6 * len(self.filters.notches)
+        inner = cascade.RATE_NUMBERS + 6 * len(self.filters.notches)
         self.set_needs(timing, num_rotors=vehicle.num_rotors, inner=inner, outer=OUTER_NUMBERS, num_setpoint=4)
 
     @property
@@ -86,7 +77,7 @@ class Px4Controller(StatefulController):
             heading, yaw_rate = torch.stack((torch.cos(yaw), torch.sin(yaw), still), dim=-1), still
             velocity = gains.position.position * (action[:, :3] - state.position)
         thrust, memory = self._thrust(state, velocity, memory, begins)
-        rates = self._rate_setpoint(state, attitude_from_thrust(thrust, heading), yaw_rate)
+        rates = self._rate_setpoint(state, cascade.attitude_from_thrust(thrust, heading), yaw_rate)
         return torch.cat((thrust.norm(dim=-1, keepdim=True), rates), dim=-1), memory
 
     def _thrust(self, state: BodyState, velocity: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
@@ -95,13 +86,13 @@ class Px4Controller(StatefulController):
         span = self.timing.outer_period
         measured = torch.where(begins, 0.0, (state.lin_vel - before) / span)
         smooth = smooth + self.filters.acceleration * (measured - smooth)
-        error = limit_velocity(velocity, self.gains.position) - state.lin_vel
-        _, thrust, integral = velocity_control(error, integral, smooth, self.gains.position, span)
+        error = cascade.limit_velocity(velocity, self.gains.position) - state.lin_vel
+        _, thrust, integral = cascade.velocity_control(error, integral, smooth, self.gains.position, span)
         return thrust, torch.cat((integral, state.lin_vel, smooth), dim=-1)
 
     def _rate_setpoint(self, state: BodyState, wanted: Tensor, yaw_rate: Tensor) -> Tensor:
         gains = self.gains
-        return rate_setpoint(
+        return cascade.rate_setpoint(
             state.attitude, wanted, yaw_rate, gain=gains.attitude, yaw_weight=gains.yaw_weight, limit=gains.rate_limit
         )
 
@@ -120,8 +111,10 @@ class Px4Controller(StatefulController):
         measured = torch.where(begins, 0.0, (rate - before) / span)
         ang_acc = ang_acc + filters.ang_acc * (measured - ang_acc)
         wanted, error = setpoint[:, 1:], setpoint[:, 1:] - rate
-        torque = rate_torque(error, wanted, ang_acc, integral, (gains.rate, gains.rate_derivative, gains.rate_forward))
-        integral = update_integral(integral, error, short, gains.rate_integral, gains.integral_limit, span)
+        torque = cascade.rate_torque(
+            error, wanted, ang_acc, integral, (gains.rate, gains.rate_derivative, gains.rate_forward)
+        )
+        integral = cascade.update_integral(integral, error, short, gains.rate_integral, gains.integral_limit, span)
         yaw = yaw + filters.yaw_torque * (torque[:, 2:] - yaw)
         torque = torch.cat((torque[:, :2], yaw), dim=-1)
         thrust, short = self._mix(torque, setpoint[:, :1])
@@ -137,7 +130,7 @@ class Px4Controller(StatefulController):
             lifting = inverse[..., 2:3] * unit_thrust.unsqueeze(1)
             columns = torch.cat((turning, lifting), dim=-1) / full.unsqueeze(-1)
             wanted = torch.cat((torque, collective), dim=-1)
-            mixed = mix(columns, wanted, self.allocation.low / full, airmode=self._airmode)
+            mixed = cascade.mix(columns, wanted, self.allocation.low / full, airmode=self._airmode)
             return mixed.signal * full, mixed.short
         allotted = self.allocation.allot(thrust_wrench((collective * unit_thrust)[:, 0], torque * unit_torque))
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)

@@ -22,17 +22,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
+from aerial_gym.physics.articulated import joint_laws
 from aerial_gym.physics.articulated.dynamics import EquationsOfMotion, equations_of_motion, solve
-from aerial_gym.physics.articulated.joint_laws import (
-    ROUNDS,
-    Drive,
-    DriveLimitAndFrictionProblem,
-    Effort,
-    EffortLimits,
-    JointLaw,
-    LimitState,
-    joint_effort,
-)
 from aerial_gym.physics.articulated.link_loads import LinkDamping, LinkFluid, add_damping, add_fluid
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.state import JointEfforts
@@ -41,13 +32,13 @@ from aerial_gym.physics.state import JointEfforts
 def implicit_euler(
     tree: Tree,
     links: Links,
-    laws: Sequence[JointLaw],
+    laws: Sequence[joint_laws.JointLaw],
     state: TreeState,
     dt: float,
     *,
     gravity: float,
-    drive: Drive | None = None,
-    friction: Drive | None = None,
+    drive: joint_laws.Drive | None = None,
+    friction: joint_laws.Drive | None = None,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
     damping: LinkDamping | None = None,
@@ -79,21 +70,21 @@ def implicit_euler(
                 system = add_fluid(tree, system, state.attitude, fluid)
             return system if damping is None else add_damping(tree, system, damping, dt)
 
-    def step(acts: Effort, swings: TreeState) -> TreeState:
+    def step(acts: joint_laws.Effort, swings: TreeState) -> TreeState:
         return _implicit_step(tree, state, build_equations(swings), acts, dt)
 
     return step_within_limits(step, laws, drive, friction, state, dt, centered=fluid is not None, applied=applied)
 
 
 def step_within_limits(
-    step: Callable[[Effort, TreeState], TreeState],
-    laws: Sequence[JointLaw],
-    drive: Drive | None,
-    friction: Drive | None,
+    step: Callable[[joint_laws.Effort, TreeState], TreeState],
+    laws: Sequence[joint_laws.JointLaw],
+    drive: joint_laws.Drive | None,
+    friction: joint_laws.Drive | None,
     state: TreeState,
     dt: float,
     *,
-    rounds: int = ROUNDS,
+    rounds: int = joint_laws.ROUNDS,
     centered: bool = False,
     applied: JointEfforts | None = None,
 ) -> TreeState:
@@ -107,16 +98,16 @@ def step_within_limits(
         centered: Whether velocity terms use the rates in the middle of the step without drives and friction, too.
         applied: Receives the applied efforts.
     """
-    acts = joint_effort(laws, state.joint_pos, state.joint_vel)
+    acts = joint_laws.joint_effort(laws, state.joint_pos, state.joint_vel)
     bounded = [(law, law is friction) for law in (drive, friction) if law is not None]
     if not bounded:
         end = step(acts, state)
         return step(acts, state_with_middle_rates(state, end)) if centered else end
     own, rubs = zip(*bounded, strict=True)
-    ends = EffortLimits.at_end_of_step(own, state.joint_pos, dt)
-    problem = DriveLimitAndFrictionProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
+    ends = joint_laws.EffortLimits.at_end_of_step(own, state.joint_pos, dt)
+    problem = joint_laws.DriveLimitAndFrictionProblem(laws=ends, friction=rubs, acts=acts, state=state, rounds=rounds)
 
-    def solve_step(swings: TreeState, guess: TreeState) -> tuple[LimitState, TreeState]:
+    def solve_step(swings: TreeState, guess: TreeState) -> tuple[joint_laws.LimitState, TreeState]:
         solution = problem.solve(lambda effort: step(effort, swings), guess)
         return solution, step(problem.total_effort(solution), swings)
 
@@ -139,7 +130,9 @@ def state_with_middle_rates(state: TreeState, end: TreeState) -> TreeState:
     )
 
 
-def _implicit_step(tree: Tree, state: TreeState, system: EquationsOfMotion, acts: Effort, dt: float) -> TreeState:
+def _implicit_step(
+    tree: Tree, state: TreeState, system: EquationsOfMotion, acts: joint_laws.Effort, dt: float
+) -> TreeState:
     """Return the state after a step under equations of motion and implicit efforts of joints."""
     effort, stiff = (torch.nn.functional.pad(rows, (6, 0)) for rows in acts.at_end_of_step(state.joint_vel, dt))
     now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + effort)
@@ -167,7 +160,7 @@ def advance_state(state: TreeState, lin_vel: Tensor, ang_vel: Tensor, joint_vel:
 def rk4(
     tree: Tree,
     links: Links,
-    laws: Sequence[JointLaw],
+    laws: Sequence[joint_laws.JointLaw],
     state: TreeState,
     dt: float,
     *,
@@ -179,7 +172,7 @@ def rk4(
     """Return the state after one classical Runge-Kutta step; arguments as for ``implicit_euler``."""
 
     def slope(at: TreeState) -> tuple[Tensor, ...]:
-        acts = joint_effort(laws, at.joint_pos, at.joint_vel).value
+        acts = joint_laws.joint_effort(laws, at.joint_pos, at.joint_vel).value
         system = equations_of_motion(
             tree, links, at, gravity=gravity, wrench=wrench, effort=acts if effort is None else acts + effort
         )

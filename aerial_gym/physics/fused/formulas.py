@@ -19,18 +19,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate
-from aerial_gym.physics import rigid_body
-from aerial_gym.physics.effects import (
-    CommandEffect,
-    Condition,
-    DelayEffect,
-    Effect,
-    EffectsByKind,
-    LoadEffect,
-    SubstepStart,
-    SuspensionMotion,
-    WindEffect,
-)
+from aerial_gym.physics import effects, rigid_body
 from aerial_gym.physics.fused.packing import effect_values_type, rotor_types_of_model
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.integrators import MassState, coast, wrench_of_coast
@@ -42,7 +31,7 @@ if TYPE_CHECKING:
     from aerial_gym.physics.fused.packing import StructField
 
 
-Acts = Callable[[Effect], bool] | None  # Condition for an effect to act; None: all act
+Acts = Callable[[effects.Effect], bool] | None  # Condition for an effect to act; None: all act
 
 
 class VehicleRows(SimpleNamespace):
@@ -94,7 +83,7 @@ def vehicle_rows(model: Model, plant: SimpleNamespace) -> Vehicle:
 class EffectValues:
     """Parameters and memory of one effect among those of all effects."""
 
-    effect: Effect
+    effect: effects.Effect
     params: slice
     memory: slice
 
@@ -110,9 +99,9 @@ def places_of_effect_values(model: Model) -> list[EffectValues]:
     return [EffectValues(p.effect, p.params, slice(first + p.memory.start, first + p.memory.stop)) for p in places]
 
 
-def row_effects(model: Model, values: Tensor, acts: Acts = None) -> EffectsByKind:
+def row_effects(model: Model, values: Tensor, acts: Acts = None) -> effects.EffectsByKind:
     """Return the effects of a step with traced parameters and memory; memory that moves with the body is left out."""
-    return EffectsByKind(
+    return effects.EffectsByKind(
         (own.effect, values[:, own.params] if own.effect.moves_with_body else own.rows(values))
         for own in places_of_effect_values(model)
         if acts is None or acts(own.effect)
@@ -244,7 +233,7 @@ _ROTOR_FIELDS = ("rotor_", "thrust_map", "torque_map", "reverse_")  # Beginnings
 
 def _breakdown(
     model: Model, motion: Mapping[str, Tensor], rotor_speed: Tensor, rotor_acc: Tensor
-) -> tuple[Condition, rigid_body.ForceBreakdown]:
+) -> tuple[effects.Condition, rigid_body.ForceBreakdown]:
     condition = rigid_body.condition_of_motion(model, *motion.values(), rotor_speed, rotor_acc)
     return condition, rigid_body.force_breakdown(model, condition)
 
@@ -259,7 +248,7 @@ def make_wind(model: Model, acts: Acts = None) -> wp.Function:
 
     def wind(position: Tensor, values: Tensor) -> Tensor:
         velocity = torch.zeros_like(position)
-        for effect, own in row_effects(model, values, acts)[WindEffect]:
+        for effect, own in row_effects(model, values, acts)[effects.WindEffect]:
             velocity = velocity + effect.wind(position, own)
         return velocity
 
@@ -304,7 +293,7 @@ def make_memory_update(model: Model) -> wp.Function:
     types, kind = rotor_types_of_model(model), effect_values_type(model)
 
     def remember(plant: SimpleNamespace, now: SimpleNamespace, values: Tensor) -> Tensor:
-        moment = SubstepStart(**vars(now), vehicle=vehicle_rows(model, plant))
+        moment = effects.SubstepStart(**vars(now), vehicle=vehicle_rows(model, plant))
         places = places_of_effect_values(model)
         memory = [own.effect.remember(moment, own.rows(values)) for own in places]
         return torch.cat((values[:, : places[-1].params.stop], *memory), dim=1)
@@ -319,7 +308,7 @@ def make_command_effects(model: Model) -> wp.Function:
 
     def lead(plant: SimpleNamespace, values: Tensor, command: Tensor) -> Tensor:
         vehicle = vehicle_rows(model, plant)
-        for effect, own in row_effects(model, values)[CommandEffect]:
+        for effect, own in row_effects(model, values)[effects.CommandEffect]:
             command = effect.command(command, vehicle, own)
         return command
 
@@ -331,13 +320,13 @@ def make_delay(model: Model) -> wp.Function:
     """Return the function from values to the delay of commands [s]."""
 
     def delay(values: Tensor) -> Tensor:
-        ((effect, own),) = row_effects(model, values)[DelayEffect]
+        ((effect, own),) = row_effects(model, values)[effects.DelayEffect]
         return effect.delay(own)
 
     return trace_to_warp("delay", {"values": effect_values_type(model)}, delay, [float], constants={})
 
 
-def make_pull(effect: LoadEffect, suspension: Any, load: Any, vector: Any, params: Any) -> wp.Function:
+def make_pull(effect: effects.LoadEffect, suspension: Any, load: Any, vector: Any, params: Any) -> wp.Function:
     """Return ``effect.pull`` as a function (suspension, load, parameters) -> force and n''.
 
     Args:
@@ -349,7 +338,7 @@ def make_pull(effect: LoadEffect, suspension: Any, load: Any, vector: Any, param
     """
 
     def pull(at: SimpleNamespace, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        return effect.pull(SuspensionMotion(**vars(at)), load, params)
+        return effect.pull(effects.SuspensionMotion(**vars(at)), load, params)
 
     arguments = {"at": suspension, "load": load, "params": params}
     return trace_to_warp("pull", arguments, pull, [vector, vector], constants={}, shared=["at.gravity"])

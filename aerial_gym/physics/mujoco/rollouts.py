@@ -13,16 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.physics.articulated.tree import Links, Tree
-from aerial_gym.physics.mujoco.bodies import (
-    COM,
-    GRAVITY,
-    INERTIA,
-    MASS,
-    Bodies,
-    compile_template_body,
-    import_optional,
-    principal_axes,
-)
+from aerial_gym.physics.mujoco import bodies
 from aerial_gym.physics.mujoco.mjcf import Floor, check_solids, solver_numbers
 from aerial_gym.physics.mujoco.trees import MujocoTrees, template_mjcf
 
@@ -32,7 +23,7 @@ class Rollouts:
 
     def __init__(self, models: Sequence[Any], num_envs: int, *control: str) -> None:
         """Allocate the rollout of N ``MjModel`` of equal structure; ``control`` are entries of ``mjtState`` in its order."""
-        self.mujoco, rollout = (import_optional(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
+        self.mujoco, rollout = (bodies.import_optional(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
         self.models, self._num_envs, xml_model = list(models), num_envs, models[0]
         self._scratch = self.mujoco.MjData(xml_model)
         self.replace_models({})
@@ -92,7 +83,7 @@ class Rollouts:
         self, changed: list[int], places: list[int], mass: Tensor, com: Tensor, inertia: Tensor, gravity: Tensor
     ) -> None:
         """Write masses [kg], (K, L), centres of mass [m], inertias [kg m²] and free fall [m/s²], (K, 3), into K models."""
-        moments, turns = principal_axes(self.mujoco, inertia)
+        moments, turns = bodies.principal_axes(self.mujoco, inertia)
         for k, *of_model, fall in zip(changed, *(t.numpy() for t in (mass, com, moments, turns, gravity)), strict=True):
             model = self.models[k]
             model.body_mass[places], model.body_ipos[places], model.body_inertia[places], axes = of_model
@@ -109,7 +100,7 @@ class Rollouts:
             self.mujoco.mj_setConst(self.models[k], self._scratch)
 
 
-class RolloutBodies(Bodies):
+class RolloutBodies(bodies.Bodies):
     """A MuJoCo model for each row of parameters."""
 
     def __init__(
@@ -117,7 +108,7 @@ class RolloutBodies(Bodies):
     ) -> None:
         """Make the models with the parameters of ``body_rows``, (N, 14), for steps of ``dt`` [s]."""
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
-        first = compile_template_body(import_optional("mujoco", backend="mujoco"), floor, cfg, dt)
+        first = bodies.compile_template_body(bodies.import_optional("mujoco", backend="mujoco"), floor, cfg, dt)
         self._rollouts = Rollouts([copy(first) for _ in rows], num_envs, "mjSTATE_XFRC_APPLIED")
         self._rows = torch.full_like(rows, torch.nan)
         self.set_parameters(rows)
@@ -129,14 +120,14 @@ class RolloutBodies(Bodies):
             return
         new = rows[changed]
         self._rows[changed] = new
-        inertia = new[:, INERTIA].unflatten(-1, (1, 3, 3))
-        mass = new[:, MASS : MASS + 1]
-        gravity = torch.zeros_like(new[:, COM])
-        gravity[:, 2] = -new[:, GRAVITY]
+        inertia = new[:, bodies.INERTIA].unflatten(-1, (1, 3, 3))
+        mass = new[:, bodies.MASS : bodies.MASS + 1]
+        gravity = torch.zeros_like(new[:, bodies.COM])
+        gravity[:, 2] = -new[:, bodies.GRAVITY]
         self._rollouts.write_bodies(changed, [1], mass, torch.zeros_like(inertia[..., 0]), inertia, gravity)
         if self._floor is not None:
             centers = np.asarray(self._floor.spheres)[:, :3]
-            for k, com in zip(changed, new[:, COM].numpy(), strict=True):
+            for k, com in zip(changed, new[:, bodies.COM].numpy(), strict=True):
                 self._rollouts.models[k].geom_pos[1:] = centers - com
         self._rollouts.update_constants(changed)
 
@@ -173,7 +164,7 @@ class RolloutTrees(MujocoTrees):
 
     def _compile(self, envs: list[int], tree: Tree, dt: float) -> dict[int, Any]:
         """Compile template models of some environments; each kind is compiled once."""
-        mujoco, kinds, models = import_optional("mujoco", backend="mujoco"), {}, {}
+        mujoco, kinds, models = bodies.import_optional("mujoco", backend="mujoco"), {}, {}
         for env in envs:
             kind = (
                 ()

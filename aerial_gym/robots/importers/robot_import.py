@@ -14,16 +14,7 @@ from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.check import check_robot
-from aerial_gym.robots.importers import mjcf, sdf, urdf
-from aerial_gym.robots.importers.file_vehicle import (
-    ENDS,
-    FileRotor,
-    FileVehicle,
-    buoyant_forces,
-    make_collision,
-    read_xml,
-    round_vec3,
-)
+from aerial_gym.robots.importers import file_vehicle, mjcf, sdf, urdf
 
 ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"  # Names of links of a URDF without motors that are taken for rotors
 
@@ -90,18 +81,22 @@ def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: fl
             f"(accept_losses of RotorHints){move}"
         )
     inertia = vehicle.body.inertia
-    weight = buoyant_forces(vehicle, gravity)
+    weight = file_vehicle.buoyant_forces(vehicle, gravity)
     effects = {**vehicle.effects, **weight.effects}
     robot = RobotCfg(
         summary=f"robot of {path.name}",
         body=BodyCfg(
             mass=vehicle.body.mass,
-            inertia=(round_vec3(inertia[0]), round_vec3(inertia[1]), round_vec3(inertia[2])),
-            com=round_vec3(vehicle.body.com),
+            inertia=(
+                file_vehicle.round_vec3(inertia[0]),
+                file_vehicle.round_vec3(inertia[1]),
+                file_vehicle.round_vec3(inertia[2]),
+            ),
+            com=file_vehicle.round_vec3(vehicle.body.com),
             source=f"{where}: all links, joints welded at zero, by the parallel axis theorem",
         ),
-        collision=make_collision(vehicle.shapes, where),
-        joints=JointsCfg(layout=vehicle.joints, source=f"{where}: its joints but those of rotors; {ENDS}")
+        collision=file_vehicle.make_collision(vehicle.shapes, where),
+        joints=JointsCfg(layout=vehicle.joints, source=f"{where}: its joints but those of rotors; {file_vehicle.ENDS}")
         if vehicle.joints
         else None,
         control=ControlCfg(buoyancy=weight.force, source=weight.source) if weight.force else ControlCfg(),
@@ -114,10 +109,10 @@ def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: fl
     )
 
 
-def _read_file(path: Path, hints: RotorHints) -> tuple[str, FileVehicle]:
+def _read_file(path: Path, hints: RotorHints) -> tuple[str, file_vehicle.FileVehicle]:
     if not path.is_file():
         raise ConfigError(f"{path}: no such file")
-    root = read_xml(path)
+    root = file_vehicle.read_xml(path)
     if path.suffix == ".xacro" or "xacro" in "".join(child.tag for child in root):
         raise ConfigError(f"{path}: is a xacro. Expand it first: xacro {path.name} > robot.urdf")
     if root.tag == "robot":
@@ -133,7 +128,7 @@ def _read_file(path: Path, hints: RotorHints) -> tuple[str, FileVehicle]:
     raise ConfigError(f"{path}: its first tag is <{root.tag}>: must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)")
 
 
-def _rotor_fields(vehicle: Sequence[FileRotor], hints: RotorHints, where: str) -> dict[str, Any]:
+def _rotor_fields(vehicle: Sequence[file_vehicle.FileRotor], hints: RotorHints, where: str) -> dict[str, Any]:
     """Return the fields of ``RobotCfg`` that hold rotors."""
     other = hints.rotors_of
     if not vehicle:
@@ -154,8 +149,8 @@ def _rotor_fields(vehicle: Sequence[FileRotor], hints: RotorHints, where: str) -
     several = {f"type_{number}": kind for number, kind in enumerate(types, 1)} if len(types) > 1 else {}
     layout = tuple(
         MountCfg(
-            position=round_vec3(rotor.position),
-            axis=round_vec3(rotor.axis),
+            position=file_vehicle.round_vec3(rotor.position),
+            axis=file_vehicle.round_vec3(rotor.axis),
             spin=int(spin or 0),
             rotor=f"type_{types.index(kind) + 1}" if several else None,
             link=rotor.link,

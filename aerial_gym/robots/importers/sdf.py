@@ -14,6 +14,7 @@ from aerial_gym.assets.urdf import weld
 from aerial_gym.config.robot import BoxCfg, CollisionShape
 from aerial_gym.config.shape import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots.importers import sdf_inertia
 from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
@@ -38,15 +39,6 @@ from aerial_gym.robots.importers.motors import (
     sideways_drag_effect,
 )
 from aerial_gym.robots.importers.motors import motor_assumptions as motors_assumed
-from aerial_gym.robots.importers.sdf_inertia import (
-    SIZES,
-    collision_shape,
-    link_assumptions,
-    link_weight,
-    list_ignored_numbers,
-    load_collision_mesh,
-    shape_lengths,
-)
 from aerial_gym.robots.importers.sdf_tree import MODEL, TRUE, Element, Scope, SdfTree
 
 _MODEL: dict[str, Tags] = {
@@ -61,7 +53,7 @@ _MODEL: dict[str, Tags] = {
         "collision": {
             **{tag: {} for tag in ("pose", "density")},
             "geometry": {
-                **{kind: {tag: {} for tag in tags} for kind, tags in SIZES.items()},
+                **{kind: {tag: {} for tag in tags} for kind, tags in sdf_inertia.SIZES.items()},
                 "mesh": {"uri": {}, "scale": {}},
             },
         },
@@ -78,7 +70,7 @@ def read_sdf(path: Path) -> FileVehicle:
     """Return the vehicle of an SDF file: the model with motors, or the first one."""
     root = read_xml(path)
     tree, vehicle = _find_vehicle(root, path)
-    weights = {name: link_weight(tree, name) for name in tree.links}
+    weights = {name: sdf_inertia.link_weight(tree, name) for name in tree.links}
     if not sum(weight.mass for weight in weights.values()) > 0.0:
         raise ConfigError(f"{tree.where}: no link has a mass")
     from_root = np.linalg.inv(tree.pose(tree.root_link))
@@ -102,7 +94,9 @@ def read_sdf(path: Path) -> FileVehicle:
         notes=(*motor_notes(motors), *reader.lines_on_unused(), *_unread_elements(root, vehicle, tree)),
         assumed=(
             *motors_assumed(motors),
-            *group_lines_by_kind((label, name) for name in tree.links for label in link_assumptions(tree, name)),
+            *group_lines_by_kind(
+                (label, name) for name in tree.links for label in sdf_inertia.link_assumptions(tree, name)
+            ),
             *reader.loose_links(),
         ),
         losses=tuple(reader.parts_lost()),
@@ -220,7 +214,7 @@ class _SdfReader:
         if self._unread:
             yield f"collision meshes: {', '.join(self._unread)}"
         yield from group_lines_by_kind(
-            (label, name) for name in self.tree.links for label in list_ignored_numbers(self.tree, name)
+            (label, name) for name in self.tree.links for label in sdf_inertia.list_ignored_numbers(self.tree, name)
         )
 
     def loose_links(self) -> Iterator[str]:
@@ -238,13 +232,13 @@ class _SdfReader:
                     yield shape
 
     def _collision_shape(self, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
-        geometry = collision_shape(collision)
+        geometry = sdf_inertia.collision_shape(collision)
         at = f"{self.tree.where}: collision of {link}"
-        if geometry is None or geometry.tag not in (*SIZES, "mesh"):
+        if geometry is None or geometry.tag not in (*sdf_inertia.SIZES, "mesh"):
             return None
         if geometry.tag == "mesh":
             return self._box_around_mesh(geometry, collision, link, pose)
-        sizes = shape_lengths(geometry, at)
+        sizes = sdf_inertia.shape_lengths(geometry, at)
         if geometry.tag in ("ellipsoid", "cone"):
             around = (
                 [2.0 * r for r in sizes] if geometry.tag == "ellipsoid" else [2.0 * sizes[0], 2.0 * sizes[0], sizes[1]]
@@ -263,7 +257,7 @@ class _SdfReader:
         self, shape: Element, collision: Element, link: str, pose: np.ndarray
     ) -> CollisionShape | None:
         try:
-            low, high = load_collision_mesh(self.tree, link, shape).bounds
+            low, high = sdf_inertia.load_collision_mesh(self.tree, link, shape).bounds
             return _box_in_frame(pose, 0.5 * (low + high), high - low)
         except ConfigError as error:  # the hull of a model is often a file of its own, which is not at hand
             self._unread.append(f"{collision.get('name')} ({error})")

@@ -27,20 +27,7 @@ from aerial_gym.assets.urdf import link_poses, load_urdf, read_urdf, urdf_body
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.config.shape import BASE, FIRST_INSTANCE_ID, PartCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import (
-    FileJoint,
-    FileRotor,
-    FileVehicle,
-    LinkMass,
-    Tags,
-    WeightlessMass,
-    joint_configs,
-    joint_moving_each_link,
-    moves_thrust_line,
-    part_collision_shape,
-    read_xml,
-    unread_elements,
-)
+from aerial_gym.robots.importers import file_vehicle
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
     Motor,
@@ -155,16 +142,16 @@ _EFFECTS: tuple[tuple[str, tuple[str, ...], _Rule], ...] = (
 """Effects, the attributes that each needs, and its parameters."""
 
 
-_SHAPE: Tags = {"origin": {}, "geometry": {kind: {} for kind in ("box", "sphere", "cylinder", "mesh")}}
-_JOINT: Tags = {tag: {} for tag in ("origin", "parent", "child", "axis")}
-_MOVING: Tags = {tag: {} for tag in ("limit", "dynamics")}
+_SHAPE: file_vehicle.Tags = {"origin": {}, "geometry": {kind: {} for kind in ("box", "sphere", "cylinder", "mesh")}}
+_JOINT: file_vehicle.Tags = {tag: {} for tag in ("origin", "parent", "child", "axis")}
+_MOVING: file_vehicle.Tags = {tag: {} for tag in ("limit", "dynamics")}
 
 _OFF = ("true", "1")
 
 
 def read_urdf_vehicle(
     path: Path, rotor_links: str, lag: float | None, *, take_properties: bool, joints: bool = False
-) -> FileVehicle:
+) -> file_vehicle.FileVehicle:
     """Return the vehicle of a URDF file.
 
     Args:
@@ -174,7 +161,7 @@ def read_urdf_vehicle(
     """
     body, robot = urdf_body(path), read_urdf(path)
     poses = link_poses(robot)
-    root = read_xml(path)
+    root = file_vehicle.read_xml(path)
     where = f"URDF {path.name}"
     plugins = [("", plugin) for plugin in root.iter("plugin")]
     motors = read_motors(plugins, where)
@@ -185,7 +172,7 @@ def read_urdf_vehicle(
     told = read_properties(root, body.mass, len(names) if take_properties else 0, lag, where)
     rotors = [_rotor_of_motor(motor, robot, poses, on, where) for motor in motors]
     rotors += [
-        FileRotor(
+        file_vehicle.FileRotor(
             name=n,
             position=_mass_centre_of_links(robot, [n], poses),
             axis=poses[n][:3, 2],
@@ -201,11 +188,11 @@ def read_urdf_vehicle(
     tilting = {joint.name: _rotors_on_joint(joint, rotors, robot, poses) for joint in welded}
     still = [joint.name for joint in welded if not tilting[joint.name]]
     sideways = sideways_drag_effect(motors)
-    return FileVehicle(
+    return file_vehicle.FileVehicle(
         body=body,
         rotors=rotors,
         shapes=_collision_shapes(path, list(robot.link_map), on),
-        joints=joint_configs(moving),
+        joints=file_vehicle.joint_configs(moving),
         weightless=_links_without_gravity(root, robot, poses, on),
         effects={**sideways, **told.effects},
         effects_source=f"{where}: rotorDragCoefficient" if sideways else told.source,
@@ -226,7 +213,7 @@ def read_urdf_vehicle(
 
 def _unread_elements(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
     """Yield the unused elements; visual shapes count only on links without collision shapes."""
-    used: Tags = {
+    used: file_vehicle.Tags = {
         "link": {"inertial": {tag: {} for tag in ("origin", "mass", "inertia")}, "collision": _SHAPE, "visual": _SHAPE},
         "joint": {**_JOINT, **(_MOVING if joints else {})},
         "gazebo": {"plugin": MOTOR_TAGS, "turnGravityOff": {}, "gravity": {}},
@@ -235,7 +222,7 @@ def _unread_elements(root: ElementTree.Element, *, joints: bool) -> Iterator[str
     seen = [v for link in root.iter("link") if link.find("collision") is not None for v in link.findall("visual")]
     rest = [plugin for plugin in root.iter("plugin") if not is_motor(plugin)]
     named = [plugin for plugin in rest if force_source_to_omit(plugin) is not None]
-    yield from unread_elements(root, used, left_out=[*seen, *rest], named=named)
+    yield from file_vehicle.unread_elements(root, used, left_out=[*seen, *rest], named=named)
 
 
 def _has_inner_floating_joint(robot: "URDF") -> bool:
@@ -247,7 +234,7 @@ def _has_inner_floating_joint(robot: "URDF") -> bool:
 
 def _links_without_gravity(
     root: ElementTree.Element, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str]
-) -> list[WeightlessMass]:
+) -> list[file_vehicle.WeightlessMass]:
     """Return the links whose weight Gazebo leaves out."""
     results = []
     for name, link in robot.link_map.items():
@@ -257,14 +244,16 @@ def _links_without_gravity(
         if off and link.inertial is not None and link.inertial.mass:
             mass = float(link.inertial.mass)
             results.append(
-                WeightlessMass(mass=mass, position=_mass_centre_of_links(robot, [name], poses), link=on[name])
+                file_vehicle.WeightlessMass(
+                    mass=mass, position=_mass_centre_of_links(robot, [name], poses), link=on[name]
+                )
             )
     return results
 
 
 def _rotor_of_motor(
     motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str
-) -> FileRotor:
+) -> file_vehicle.FileRotor:
     """Return position and axis of a motor: centre of mass of its link with the links fixed to it, and the link's z axis."""
     if motor.link not in poses or motor.joint not in robot.joint_map:
         raise ConfigError(
@@ -274,14 +263,14 @@ def _rotor_of_motor(
     group = [motor.link]
     for link in group:  # grows while it is walked
         group += [j.child for j in robot.joint_map.values() if j.type == "fixed" and j.parent == link]
-    return FileRotor(
+    return file_vehicle.FileRotor(
         name=motor.link, position=_mass_centre_of_links(robot, group, poses), axis=poses[motor.link][:3, 2],
         spin=motor.spin, rotor=motor.rotor, link=on[motor.link],
     )  # fmt: skip
 
 
 def _rotors_on_joint(
-    joint: "Joint", rotors: Sequence[FileRotor], robot: "URDF", poses: dict[str, np.ndarray]
+    joint: "Joint", rotors: Sequence[file_vehicle.FileRotor], robot: "URDF", poses: dict[str, np.ndarray]
 ) -> list[str]:
     """Return the rotors whose thrust line a joint would move."""
     above = {other.child: other.parent for other in robot.joint_map.values()}
@@ -291,7 +280,7 @@ def _rotors_on_joint(
         link: str | None = rotor.name
         while link is not None and link != joint.child:
             link = above.get(link)
-        if link is not None and moves_thrust_line(rotor, joint.type, axis, poses[joint.child][:3, 3]):
+        if link is not None and file_vehicle.moves_thrust_line(rotor, joint.type, axis, poses[joint.child][:3, 3]):
             results.append(rotor.name)
     return results
 
@@ -312,7 +301,7 @@ def _mass_centre_of_links(robot: "URDF", links: Sequence[str], poses: dict[str, 
 
 def _find_joints(
     robot: "URDF", poses: dict[str, np.ndarray], spun: set[str], where: str
-) -> tuple[list[FileJoint], dict[str, str], list[str]]:
+) -> tuple[list[file_vehicle.FileJoint], dict[str, str], list[str]]:
     """Return the joints that move, parents first, the one that moves each link, and notes."""
     above = {joint.child: joint for joint in robot.joint_map.values()}
     moving, notes = {}, []
@@ -325,16 +314,18 @@ def _find_joints(
             notes.append(f"joint {joint.name}: mimics another one, and is welded")
             continue
         moving[joint.name] = joint.name
-    on = joint_moving_each_link(
+    on = file_vehicle.joint_moving_each_link(
         list(poses), lambda link: (above[link].name, above[link].parent) if link in above else None, moving
     )
-    weights: dict[str, list[LinkMass]] = {}
+    weights: dict[str, list[file_vehicle.LinkMass]] = {}
     for name, link in robot.link_map.items():
         own = link.inertial
         if own is not None and own.mass:
             pose = poses[name] if own.origin is None else poses[name] @ own.origin
             inertia = np.zeros((3, 3)) if own.inertia is None else np.asarray(own.inertia, dtype=float)
-            weights.setdefault(on[name], []).append(LinkMass(mass=float(own.mass), pose=pose, inertia=inertia))
+            weights.setdefault(on[name], []).append(
+                file_vehicle.LinkMass(mass=float(own.mass), pose=pose, inertia=inertia)
+            )
     results, waiting = [], [joint for joint in robot.joint_map.values() if joint.name in moving]
     placed = {BASE}
     while waiting:
@@ -345,12 +336,14 @@ def _find_joints(
     return results, on, notes
 
 
-def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[LinkMass]) -> FileJoint:
+def _file_joint(
+    joint: "Joint", pose: np.ndarray, parent: str, weights: list[file_vehicle.LinkMass]
+) -> file_vehicle.FileJoint:
     limit, dynamics = joint.limit, joint.dynamics
     limits = None
     if joint.type != "continuous" and limit is not None and limit.lower is not None and limit.upper is not None:
         limits = float(limit.lower), float(limit.upper)
-    return FileJoint(
+    return file_vehicle.FileJoint(
         name=joint.name, parent=parent, kind="prismatic" if joint.type == "prismatic" else "revolute",
         axis=pose[:3, :3] @ np.asarray(joint.axis, dtype=float), position=pose[:3, 3], limits=limits,
         damping=0.0 if dynamics is None else float(dynamics.damping or 0.0),
@@ -361,14 +354,14 @@ def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Lin
 def _collision_shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionShape]:
     """Return the collision shapes of all links, each on its link; none of a file without geometry."""
     if all(link == BASE for link in on.values()):
-        return [part_collision_shape(part) for part in _geometry_parts(path, {})]
+        return [file_vehicle.part_collision_shape(part) for part in _geometry_parts(path, {})]
     results = []
     for start in range(0, len(names), FIRST_INSTANCE_ID):  # semantic ids tell the links apart
         some = names[start : start + FIRST_INSTANCE_ID]
         ids = {name: k for k, name in enumerate(some)}
         for part in _geometry_parts(path, ids):
             if part.semantic_id is not None:
-                results.append(replace(part_collision_shape(part), link=on[some[part.semantic_id]]))
+                results.append(replace(file_vehicle.part_collision_shape(part), link=on[some[part.semantic_id]]))
     return results
 
 
