@@ -13,14 +13,7 @@ from torch import Tensor
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.math.quaternion import (
-    euler_from_quat,
-    quat_conjugate,
-    quat_from_euler,
-    quat_multiply,
-    quat_rotate,
-    quat_rotate_inverse,
-)
+from aerial_gym.math import quaternion
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import effects_from_config, state_at_rest
 from aerial_gym.physics.effects.sensor_errors import imu_errors
@@ -79,15 +72,15 @@ def test_a_reset_draws_bias_and_misalignment_uniformly() -> None:
     seed, count = 5, 20_000
     rig = ImuRig(replace(NOISY, euler=(0.5, -0.4, 2.0)), count, seed=seed)
     measured = rig.reset()
-    nominal = quat_conjugate(quat_from_euler(torch.tensor([0.5, -0.4, 2.0]))).expand(count, 4)
-    turn = euler_from_quat(quat_multiply(nominal, rig.imu.mount_attitude))
+    nominal = quaternion.quat_conjugate(quaternion.quat_from_euler(torch.tensor([0.5, -0.4, 2.0]))).expand(count, 4)
+    turn = quaternion.euler_from_quat(quaternion.quat_multiply(nominal, rig.imu.mount_attitude))
     draws = torch.cat((rig.imu.bias, turn), dim=-1)
     bound = torch.tensor([*NOISY.accel_initial_bias, *NOISY.gyro_initial_bias, *map(radians, NOISY.misalignment_deg)])
     assert (draws.abs() <= bound + 1e-6).all()
     assert (draws.abs().amax(0) > 0.99 * bound).all()
     assert_spread(draws, bound / sqrt(3.0))
     upwards = torch.tensor([0.0, 0.0, G]).expand(count, 3)
-    felt = torch.cat((quat_rotate_inverse(rig.imu.mount_attitude, upwards), torch.zeros(count, 3)), dim=-1)
+    felt = torch.cat((quaternion.quat_rotate_inverse(rig.imu.mount_attitude, upwards), torch.zeros(count, 3)), dim=-1)
     noise = (measured - rig.imu.bias - felt).square()  # a normal draw depends on the square of its first uniform one
     columns = torch.cat((draws, draws.roll(1, dims=0), noise, initial_states(seed, count)), dim=-1)
     assert (torch.corrcoef(columns.T) - torch.eye(columns.shape[1])).abs().max() < 5.0 / count**0.5
@@ -124,11 +117,11 @@ def test_sensors_saturate() -> None:
 def test_a_first_sample_is_that_of_a_vehicle_without_acceleration() -> None:
     """However fast it moves and turns: R^T g z, and the angular velocity; the next sample differs from this state."""
     rig = ImuRig(replace(IDEAL, position=(0.3, 0.2, 0.1)), dt=0.01)
-    attitude, turn = quat_from_euler(torch.tensor([[0.3, -0.2, 1.0]])), torch.tensor([[1.0, -2.0, 3.0]])
+    attitude, turn = quaternion.quat_from_euler(torch.tensor([[0.3, -0.2, 1.0]])), torch.tensor([[1.0, -2.0, 3.0]])
     rig.move(attitude, torch.tensor([[5.0, -4.0, 3.0]]), turn)
-    upwards = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, G]]))
+    upwards = quaternion.quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, G]]))
     close(rig.reset(), torch.cat((upwards, turn), dim=-1), 3e-6)
-    point = quat_rotate(attitude, torch.linalg.cross(turn, torch.tensor([[0.3, 0.2, 0.1]])))
+    point = quaternion.quat_rotate(attitude, torch.linalg.cross(turn, torch.tensor([[0.3, 0.2, 0.1]])))
     close(rig.imu.state_tensors()["point_vel"], torch.tensor([[5.0, -4.0, 3.0]]) + point, 1e-6)
 
 
@@ -189,7 +182,7 @@ def test_a_rolled_mount_feels_the_lever_arm_in_its_own_axes() -> None:
     Rolled by +90 degrees an IMU has its y along the body's z and its z along minus the body's y: (f_x, f_z, -f_y)."""
     pose = Pose(
         position=torch.tensor([0.2, 0.0, 0.1], dtype=torch.float64),
-        attitude=quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64)),
+        attitude=quaternion.quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64)),
     )
     w, dw = 2.0, 3.0
     rig = ImuRig(replace(IDEAL, position=(9.0, 9.0, 9.0), euler=(1.0, 1.0, 1.0)), pose=pose)  # the mount replaces these

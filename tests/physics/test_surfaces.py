@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym import physics
 from aerial_gym.assets.height_probe import FARTHEST, HeightProbe
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg
@@ -16,15 +17,6 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.physics import (
-    EFFECTS,
-    BodyState,
-    TorchBackend,
-    WarpBackend,
-    accelerations,
-    build_model,
-    vehicle_from_config,
-)
 from aerial_gym.physics.model import Model
 from tests.builders import simulation
 from tests.physics.rotor_types import FORCE, REVERSIBLE, with_rotor
@@ -44,20 +36,20 @@ def level_robot(rotor=FORCE):
 
 
 def make_model(*names: str, rotor=FORCE, **scene: float) -> Model:
-    vehicle = vehicle_from_config(level_robot(rotor), num_envs=1, dtype=F64)
-    rows = [(EFFECTS.get(name), torch.tensor([[K[name]]], dtype=F64)) for name in names]
-    return build_model(vehicle, rows, **{"ground_height": 0.0, "ceiling_height": None, **scene})
+    vehicle = physics.vehicle_from_config(level_robot(rotor), num_envs=1, dtype=F64)
+    rows = [(physics.EFFECTS.get(name), torch.tensor([[K[name]]], dtype=F64)) for name in names]
+    return physics.build_model(vehicle, rows, **{"ground_height": 0.0, "ceiling_height": None, **scene})
 
 
-def body_state(height: float, state: float, attitude: list[float] = UPRIGHT) -> BodyState:
+def body_state(height: float, state: float, attitude: list[float] = UPRIGHT) -> physics.BodyState:
     zero = torch.zeros(1, 3, dtype=F64)
     position = torch.tensor([[0.3, -0.2, height]], dtype=F64)
     turn, rotors = torch.tensor([attitude], dtype=F64), torch.full((1, 4), state, dtype=F64)
-    return BodyState(position=position, attitude=turn, lin_vel=zero, ang_vel=zero.clone(), rotor_speed=rotors)
+    return physics.BodyState(position=position, attitude=turn, lin_vel=zero, ang_vel=zero.clone(), rotor_speed=rotors)
 
 
-def push(model: Model, state: BodyState) -> Tensor:
-    return MASS * accelerations(model, state).specific_force[0]
+def push(model: Model, state: physics.BodyState) -> Tensor:
+    return MASS * physics.accelerations(model, state).specific_force[0]
 
 
 def gain(name: str, distance: float) -> float:
@@ -131,12 +123,12 @@ def test_without_anything_below_the_height_is_the_farthest() -> None:
     assert heights([[0.0, 0.0, 2.0]], parked=True) == pytest.approx([2.0 - float(FARTHEST)])
 
 
-@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+@pytest.mark.parametrize("backend", [physics.TorchBackend, physics.WarpBackend])
 def test_each_environment_has_its_own_ground_and_follows_it(backend) -> None:
-    vehicle = vehicle_from_config(level_robot(), num_envs=3)
+    vehicle = physics.vehicle_from_config(level_robot(), num_envs=3)
     ground = torch.tensor([[0.38], [0.3], [-4.5]])
-    model = build_model(
-        vehicle, [(EFFECTS.get("ground_effect"), torch.full((3, 1), K["ground_effect"]))], ground_height=ground
+    model = physics.build_model(
+        vehicle, [(physics.EFFECTS.get("ground_effect"), torch.full((3, 1), K["ground_effect"]))], ground_height=ground
     )
     stepper = backend()
     stepper.allocate(model, make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81), integrator="euler")

@@ -8,20 +8,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.crazyflie import brescianini
+from aerial_gym.control.crazyflie import brescianini, pid
 from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
 from aerial_gym.control.crazyflie.distribution import rotor_counts, rotor_signs
 from aerial_gym.control.crazyflie.geometric import WIDTH as INTEGRALS
 from aerial_gym.control.crazyflie.geometric import IntegralGains, geometric_control
 from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
-from aerial_gym.control.crazyflie.pid import (
-    OUTER_NUMBERS,
-    PidGains,
-    PidLevel,
-    initial_memory_of_attitude_loops,
-    inner_loop,
-    outer_loop,
-)
 from aerial_gym.control.lee import LeeGains, position_control
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.physics import vehicle_from_config
@@ -135,15 +127,15 @@ def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
 def pid_pair(vectors: dict[str, Tensor]) -> Pair:
     """Return thrust and moments [counts], (STEPS, RUNS, 4), of runs of ten steps, of which two move position and velocity."""
     rows, own = _split(made.pid_states(), 3, 3, 3, 3, 3, 1), default_pid_gains(made.RUNS)
-    outer, inner, told, result = torch.zeros(made.RUNS, OUTER_NUMBERS, dtype=torch.float64), None, None, []
+    outer, inner, told, result = torch.zeros(made.RUNS, pid.OUTER_NUMBERS, dtype=torch.float64), None, None, []
     for k, step in enumerate(zip(*(part.unbind(1) for part in rows), strict=True)):
         angles, at, moving, gyro, goal, yaw = step
         state = _state(quat_from_euler(torch.deg2rad(angles)), at, moving, gyro)
         if told is None or k % 5 == 0:
-            told, outer = outer_loop(state, goal, outer, own, dt=5 * DT)
+            told, outer = pid.outer_loop(state, goal, outer, own, dt=5 * DT)
         if inner is None:  # the firmware begins with no rates before
-            inner = torch.cat((initial_memory_of_attitude_loops(state)[:, :9], torch.zeros_like(at)), dim=-1)
-        moment, inner = inner_loop(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
+            inner = torch.cat((pid.initial_memory_of_attitude_loops(state)[:, :9], torch.zeros_like(at)), dim=-1)
+        moment, inner = pid.inner_loop(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
         result.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
     return torch.stack(result), _nose_down(vectors["pid"]).transpose(0, 1)
 
@@ -212,17 +204,19 @@ def power_pair(vectors: dict[str, Tensor]) -> Pair:
     return rotor_counts(counts[:, :1], counts[:, 1:], signs.tolist()), vectors["power"]
 
 
-def default_pid_gains(num_envs: int) -> PidGains:
+def default_pid_gains(num_envs: int) -> pid.PidGains:
     """Return the gains that the Crazyflie comes with: ``pid_rate``, ``pid_attitude``, ``velCtlPid``, ``posCtlPid``."""
 
     def rows(*numbers: float) -> Tensor:
         return torch.tensor(numbers, dtype=torch.float64).expand(num_envs, -1)
 
-    def level(p: tuple[float, ...], i: tuple[float, ...], d: tuple[float, ...], limit: tuple[float, ...]) -> PidLevel:
-        return PidLevel(proportional=rows(*p), integral=rows(*i), derivative=rows(*d), limit=rows(*limit))
+    def level(
+        p: tuple[float, ...], i: tuple[float, ...], d: tuple[float, ...], limit: tuple[float, ...]
+    ) -> pid.PidLevel:
+        return pid.PidLevel(proportional=rows(*p), integral=rows(*i), derivative=rows(*d), limit=rows(*limit))
 
     none, far = (0.0, 0.0, 0.0), (5000.0, 5000.0, 5000.0)
-    return PidGains(
+    return pid.PidGains(
         position=level((2.0, 2.0, 2.0), (0.0, 0.0, 0.5), none, far),
         velocity=level((25.0, 25.0, 25.0), (1.0, 1.0, 15.0), none, far),
         attitude=level((6.0, 6.0, 6.0), (3.0, 3.0, 1.0), (0.0, 0.0, 0.35), (20.0, 20.0, 360.0)),

@@ -6,16 +6,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.lee import canonical_quat
-from aerial_gym.control.px4.cascade import (
-    PositionGains,
-    attitude_from_thrust,
-    limit_velocity,
-    mix,
-    rate_setpoint,
-    rate_torque,
-    update_integral,
-    velocity_control,
-)
+from aerial_gym.control.px4 import cascade
 from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made
 from tests.cross.firmware.draws import load_vectors
@@ -55,16 +46,16 @@ def rate_pair(vectors: dict[str, Tensor]) -> Pair:
     integral, result, sizes = torch.zeros_like(p), [], []
     for k in range(made.STEPS):
         w, w_d, a, s = (flip_axes(x[k]) for x in (rate, wanted, ang_acc, short))
-        result.append(rate_torque(w_d - w, w_d, a, integral, (p, d, forward)))
+        result.append(cascade.rate_torque(w_d - w, w_d, a, integral, (p, d, forward)))
         sizes.append((p * (w_d - w)).abs() + integral.abs() + (d * a).abs() + 1.0)
-        integral = update_integral(integral, w_d - w, s, i, limit, dt[k])
+        integral = cascade.update_integral(integral, w_d - w, s, i, limit, dt[k])
     return torch.stack(result), flip_axes(vectors["torque"].transpose(0, 1)), torch.stack(sizes)
 
 
 def attitude_pair(vectors: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Return the body rates [rad/s], (N, 3), for ``attitude_cases``."""
     attitude, wanted, yaw_rate, gain, weight, limit = attitude_cases()
-    rates = rate_setpoint(attitude, wanted, yaw_rate, gain=gain, yaw_weight=weight, limit=limit)
+    rates = cascade.rate_setpoint(attitude, wanted, yaw_rate, gain=gain, yaw_weight=weight, limit=limit)
     return rates, flip_axes(vectors["rate"])
 
 
@@ -79,7 +70,7 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
     gains, states = made.position_states()
     position, velocity, integral_gain, derivative, *limits = split(gains, 3, 3, 3, 3, *[1] * 8)
     speed, up, down, least, most, margin, tilt, hover = limits
-    actual = PositionGains(
+    actual = cascade.PositionGains(
         position=position, velocity=velocity, integral=integral_gain, derivative=derivative, speed=speed, up=up, down=down,
         least_thrust=least.clamp_min(1e-3), most_thrust=most, margin=margin, tilt=tilt, hover=hover,
         gravity=torch.full_like(hover, GRAVITY),
@@ -89,11 +80,11 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
     for k in range(made.STEPS):
         at, moving, measured, goal = (flip_axes(part[k]) for part in steps[:4])
         yaw, dt, is_velocity = (part[k] for part in steps[4:])
-        error = limit_velocity(torch.where(is_velocity > 0.5, goal, position * (goal - at)), actual) - moving
+        error = cascade.limit_velocity(torch.where(is_velocity > 0.5, goal, position * (goal - at)), actual) - moving
         sizes.append((velocity * error).abs().amax(-1, keepdim=True) + integral.abs().amax(-1, keepdim=True) + 1.0)
-        acceleration, thrust, integral = velocity_control(error, integral, measured, actual, dt)
+        acceleration, thrust, integral = cascade.velocity_control(error, integral, measured, actual, dt)
         heading = torch.stack((torch.cos(yaw[:, 0]), -torch.sin(yaw[:, 0]), torch.zeros_like(yaw[:, 0])), dim=-1)
-        result.append((acceleration, thrust, canonical_quat(attitude_from_thrust(thrust, heading))))
+        result.append((acceleration, thrust, canonical_quat(cascade.attitude_from_thrust(thrust, heading))))
     reference = vectors["position"].transpose(0, 1)
     parts = (
         flip_axes(reference[..., :3]),
@@ -118,5 +109,5 @@ def mixer_pair() -> tuple[Tensor, Tensor]:
     actual = torch.zeros_like(reference)
     for mode in range(3):
         rows = airmode == mode
-        actual[rows] = mix(parts[rows] * down, wanted[rows] * down, low[rows], airmode=mode).signal
+        actual[rows] = cascade.mix(parts[rows] * down, wanted[rows] * down, low[rows], airmode=mode).signal
     return actual, reference

@@ -9,20 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym import physics
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.hover import hover_action, trim_axes
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import (
-    BodyState,
-    TorchBackend,
-    Vehicle,
-    WarpBackend,
-    build_model,
-    state_at_rest,
-    vehicle_from_config,
-)
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.check.flights import StableStep, largest_stable_step
@@ -49,10 +41,10 @@ def test_an_own_law_flies_alike_on_both_backends(own_law: str) -> None:
     """At its own rate, with delayed actions, from random states, 40 steps; some rotors reach their limits."""
     cfg = replace(CONTROLLERS.get(own_law), rate_hz=50.0, action_delay=0.02)
     start, ends = random_state(8, seed=3, rotor_speed=400.0), []
-    for backend in (TorchBackend(), WarpBackend()):
-        vehicle = vehicle_from_config(ROBOT, num_envs=8)
-        backend.allocate(build_model(vehicle), make_controller(cfg, vehicle, 9.81, dt=DT), integrator="euler")
-        state = BodyState(**{name: rows.float() for name, rows in vars(start).items()})
+    for backend in (physics.TorchBackend(), physics.WarpBackend()):
+        vehicle = physics.vehicle_from_config(ROBOT, num_envs=8)
+        backend.allocate(physics.build_model(vehicle), make_controller(cfg, vehicle, 9.81, dt=DT), integrator="euler")
+        state = physics.BodyState(**{name: rows.float() for name, rows in vars(start).items()})
         backend.step(state, torch.tensor([[0.5, 0.3, -0.2, 0.1]]).repeat(8, 1), DT, 40)
         ends.append(state)
     for name, rows in vars(ends[0]).items():
@@ -61,12 +53,14 @@ def test_an_own_law_flies_alike_on_both_backends(own_law: str) -> None:
 
 def test_its_integral_carries_an_unknown_load(own_law: str) -> None:
     """With a vehicle 20 % heavier than declared it climbs as commanded; ``4 I = 0.2 g`` is what the integral then carries."""
-    declared = vehicle_from_config(ROBOT, num_envs=1)
-    law, backend = make_controller(CONTROLLERS.get(own_law), declared, 9.81, dt=DT), WarpBackend()
+    declared = physics.vehicle_from_config(ROBOT, num_envs=1)
+    law, backend = make_controller(CONTROLLERS.get(own_law), declared, 9.81, dt=DT), physics.WarpBackend()
     backend.allocate(
-        build_model(replace(declared, mass=declared.rows_for_all_envs(1.2 * declared.mass[0]))), law, integrator="euler"
+        physics.build_model(replace(declared, mass=declared.rows_for_all_envs(1.2 * declared.mass[0]))),
+        law,
+        integrator="euler",
     )
-    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float32)
+    state = physics.state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float32)
     backend.step(state, torch.tensor([[0.5, 0.0, 0.0, 0.0]]), DT, 4000)
     assert float(state.lin_vel[0, 2]) == pytest.approx(0.5, abs=1e-3)
     assert backend.law_memory is not None
@@ -123,7 +117,9 @@ def test_an_own_law_states_its_action_at_hover(own_law: str, caplog: pytest.LogC
             self.hover_action = (9.81 * float(self.mass[0]), 0.0, 0.0, 0.0, 0.0)
             self.set_needs(self.timing, num_rotors=4, num_setpoint=4)
 
-        def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        def outer(
+            self, state: physics.BodyState, action: Tensor, memory: Tensor, begins: Tensor
+        ) -> tuple[Tensor, Tensor]:
             error = action[:, 4:] - state.position[:, 2:] - 1.5 * state.lin_vel[:, 2:]
             return torch.cat((action[:, :1] + self.mass.unsqueeze(-1) * error, action[:, 1:4]), dim=-1), memory
 
@@ -131,7 +127,7 @@ def test_an_own_law_states_its_action_at_hover(own_law: str, caplog: pytest.LogC
     CONTROLLERS.register("thrust_and_rates", ControllerCfg(summary="thrust and rates", law="thrust_and_rates"))
     check(DT, "thrust_and_rates")
     assert caplog.text == ""
-    vehicle = vehicle_from_config(ROBOT, num_envs=1)
+    vehicle = physics.vehicle_from_config(ROBOT, num_envs=1)
     law = make_controller(CONTROLLERS.get("thrust_and_rates"), vehicle, 9.81, dt=DT)
     assert hover_action(law, 2.0).tolist() == pytest.approx([9.81 * ROBOT.body.mass, 0.0, 0.0, 0.0, 2.0])
     assert hover_height("thrust_and_rates") == pytest.approx(0.0, abs=1e-6)
@@ -146,7 +142,7 @@ def hover_height(law: str) -> float:
 
 
 def test_an_unknown_law_is_refused_with_the_known_ones(own_law: str) -> None:
-    vehicle = vehicle_from_config(ROBOT, num_envs=1)
+    vehicle = physics.vehicle_from_config(ROBOT, num_envs=1)
     with pytest.raises(ConfigError, match=r"ControllerCfg.law = 'climb': unknown. Known: thrust, .*, climb_rate"):
         make_controller(replace(CONTROLLERS.get(own_law), law="climb"), vehicle, 9.81, dt=DT)
     with pytest.raises(ConfigError, match="needs a time step"):
@@ -159,10 +155,10 @@ class GainLaw:
     action_names = ("share [-]",)
     calls = 0
 
-    def __init__(self, vehicle: Vehicle, gain: float) -> None:
+    def __init__(self, vehicle: physics.Vehicle, gain: float) -> None:
         self.gain = vehicle.rows_for_all_envs([[gain]])  # (E, 1, 1)
 
-    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+    def rotor_command(self, state: physics.BodyState, action: Tensor) -> Tensor:
         self.calls += 1
         return 500.0 * action.expand(-1, 4) * (1.0 + self.gain[:, 0])
 
@@ -170,11 +166,11 @@ class GainLaw:
 @pytest.mark.parametrize(("gain", "traces"), [(0.5, 1), (0.0, 2)])
 def test_a_changed_model_traces_the_law_again_only_if_its_structure_changed(gain: float, traces: int) -> None:
     """A gain of 0 is folded into the kernel; a gain of 0.5 is a number of it, which can change."""
-    vehicle, backend = vehicle_from_config(ROBOT, num_envs=2), WarpBackend()
-    law, state = GainLaw(vehicle, gain), state_at_rest(2, 4, device=torch.device("cpu"), dtype=torch.float32)
-    backend.allocate(build_model(vehicle), law, integrator="euler")
+    vehicle, backend = physics.vehicle_from_config(ROBOT, num_envs=2), physics.WarpBackend()
+    law, state = GainLaw(vehicle, gain), physics.state_at_rest(2, 4, device=torch.device("cpu"), dtype=torch.float32)
+    backend.allocate(physics.build_model(vehicle), law, integrator="euler")
     law.gain[0].fill_(0.25)
-    backend.set_model(build_model(replace(vehicle, mass=vehicle.rows_for_all_envs(2.0 * vehicle.mass[0]))))
+    backend.set_model(physics.build_model(replace(vehicle, mass=vehicle.rows_for_all_envs(2.0 * vehicle.mass[0]))))
     assert law.calls == traces
     backend.step(state, torch.full((2, 1), 0.8), DT, 1000)
     torch.testing.assert_close(state.rotor_speed, torch.full((2, 4), 500.0), rtol=1e-5, atol=0.0)

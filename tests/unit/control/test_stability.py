@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from aerial_gym import ROBOTS, SIMS
+from aerial_gym import ROBOTS, SIMS, physics
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
@@ -16,14 +16,6 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop, linear_loop, make
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import (
-    EFFECTS,
-    TorchBackend,
-    build_model,
-    rotor_state_for_thrust,
-    state_at_rest,
-    vehicle_from_config,
-)
 from aerial_gym.physics.law_memory import rotor_command_and_memory
 from tests.builders import simulation
 
@@ -54,13 +46,15 @@ def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight(delay: float
     """A small turn dies out by the radius in each step: over 400 steps, when the quicker modes are gone, by its 400th power."""
     loop = RateLoopCfg(rate_hz=100.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=20.0)
     cfg = replace(CONTROLLERS.get("pid_rates_control"), rate_hz=50.0, rate_loop=loop, delay=0.01, action_delay=0.004)
-    robot, backend, dt = ROBOTS.get("base_quadrotor"), TorchBackend(), 0.002
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    late = (EFFECTS.get("actuation_delay"), torch.tensor([[delay]], dtype=torch.float64))
+    robot, backend, dt = ROBOTS.get("base_quadrotor"), physics.TorchBackend(), 0.002
+    vehicle = physics.vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    late = (physics.EFFECTS.get("actuation_delay"), torch.tensor([[delay]], dtype=torch.float64))
     robot = replace(robot, effects={"actuation_delay": {"delay": delay}}, effects_source="test")
-    backend.allocate(build_model(vehicle, [late]), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler")
-    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float64)
-    state.rotor_speed.fill_(rotor_state_for_thrust(robot.rotor, 0.25 * 9.81 / 4))
+    backend.allocate(
+        physics.build_model(vehicle, [late]), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler"
+    )
+    state = physics.state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float64)
+    state.rotor_speed.fill_(physics.rotor_state_for_thrust(robot.rotor, 0.25 * 9.81 / 4))
     state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 1e-3]], dtype=torch.float64))
     sizes = []
     for steps in (1600, 400):

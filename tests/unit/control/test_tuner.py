@@ -9,6 +9,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from aerial_gym import physics
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.config.loader import build
 from aerial_gym.config.randomize import RandomizeCfg
@@ -21,23 +22,14 @@ from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat
-from aerial_gym.physics import (
-    EFFECTS,
-    TorchBackend,
-    Vehicle,
-    build_model,
-    rotor_state_for_thrust,
-    state_at_rest,
-    vehicle_from_config,
-)
 from aerial_gym.robots import ROBOTS
 
 F64 = torch.float64
 X500 = ROBOTS.get("x500")
 
 
-def vehicles() -> Vehicle:
-    vehicle = vehicle_from_config(X500, num_envs=4, dtype=F64)
+def vehicles() -> physics.Vehicle:
+    vehicle = physics.vehicle_from_config(X500, num_envs=4, dtype=F64)
     turn, slow = torch.tensor([1.0, 2.0, 1.0, 0.7], dtype=F64), torch.tensor([1.0, 1.0, 1.6, 0.5], dtype=F64)
     lag = slow.unsqueeze(-1) * vehicle.time_constant_down
     return replace(vehicle, inertia=turn[:, None, None] * vehicle.inertia, time_constant_up=lag, time_constant_down=lag)
@@ -76,7 +68,7 @@ def test_poles_and_bandwidth_are_met_with_lag_and_dead_time_in_every_environment
 def test_the_sampled_loop_has_the_placed_poles() -> None:
     """Its eigenvalues ``exp(s dt)``: half a step of holding is all but what sampling does, to the square of the time step."""
     quick = replace(X500, rotor=replace(X500.rotor, time_constant_up=0.02, time_constant_down=0.02))
-    vehicle, missed = vehicle_from_config(quick, num_envs=1, dtype=F64), []
+    vehicle, missed = physics.vehicle_from_config(quick, num_envs=1, dtype=F64), []
     for dt in (0.008, 0.004):
         attitude = tune_attitude(vehicle, bandwidth=8.0, damping=0.7, delay=0.0, dt=dt)
         position = tune_position(attitude, bandwidth=1.0, damping=0.8)
@@ -109,10 +101,10 @@ def test_a_flight_with_lag_and_dead_time_has_the_bandwidth() -> None:
     law = make_controller(CONTROLLERS.get("lee_attitude_control"), vehicle, 9.81, dt=dt)
     inertia = vehicle.inertia.diagonal(dim1=1, dim2=2)
     law.gains = replace(law.gains, attitude=inertia * result.proportional, rate=inertia * result.derivative)
-    late = (EFFECTS.get("actuation_delay"), torch.full((4, 1), delay, dtype=F64))
-    backend, state = TorchBackend(), state_at_rest(4, 4, device=torch.device("cpu"), dtype=F64)
-    backend.allocate(build_model(vehicle, [late]), law, integrator="rk4")
-    state.rotor_speed.fill_(rotor_state_for_thrust(X500.rotor, X500.body.mass * 9.81 / 4))
+    late = (physics.EFFECTS.get("actuation_delay"), torch.full((4, 1), delay, dtype=F64))
+    backend, state = physics.TorchBackend(), physics.state_at_rest(4, 4, device=torch.device("cpu"), dtype=F64)
+    backend.allocate(physics.build_model(vehicle, [late]), law, integrator="rk4")
+    state.rotor_speed.fill_(physics.rotor_state_for_thrust(X500.rotor, X500.body.mass * 9.81 / 4))
     rolls, times = [], []
     for step in range(600):
         time = torch.tensor(step * dt, dtype=F64)
@@ -141,7 +133,7 @@ def test_more_than_the_lag_allows_is_refused_with_what_it_does() -> None:
 
 
 def lee_controller(robot: RobotCfg, *, dt: float = 0.01, control: ControlCfg | None = None) -> LeeController:
-    vehicle = vehicle_from_config(robot, num_envs=2, dtype=F64)
+    vehicle = physics.vehicle_from_config(robot, num_envs=2, dtype=F64)
     control = robot.control if control is None else control
     return make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=dt, control=control)
 
@@ -208,7 +200,7 @@ def test_without_yaw_torque_yaw_is_left_alone() -> None:
 
 def test_authority_is_the_torque_at_which_a_rotor_meets_its_limit() -> None:
     """tinyprop at hover: 0.915 N a rotor, 0.285 N below its limit, arms of 0.16 m, 0.01 m of drag torque per thrust."""
-    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1, dtype=F64)
+    vehicle = physics.vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1, dtype=F64)
     spare = 1.2 - 0.373 * 9.81 / 4
     expected = 4 * spare * torch.tensor([0.16, 0.16, 0.01], dtype=F64)
     torch.testing.assert_close(Allocation(vehicle, 9.81).torque_authority(0.373 * 9.81), expected)
@@ -229,7 +221,7 @@ def test_a_file_with_ranges_of_gains_is_told_where_they_went(field: str) -> None
 
 
 def test_what_is_missing_or_impossible_is_named() -> None:
-    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1)
+    vehicle = physics.vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1)
     with pytest.raises(ConfigError, match=r"derived from the time step. Give dt"):
         make_controller(CONTROLLERS.get("lee_rates_control"), vehicle, 9.81)
     with pytest.raises(ConfigError, match=r"ControlCfg.phase_margin = 1.6: must be > 0 and < pi/2"):

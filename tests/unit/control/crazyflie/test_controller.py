@@ -11,6 +11,7 @@ from math import acos
 import pytest
 import torch
 
+from aerial_gym import physics
 from aerial_gym.config.autopilots import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -24,14 +25,6 @@ from aerial_gym.control.gains import derive_inclination
 from aerial_gym.control.lee import unit_z
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_rotate
-from aerial_gym.physics import (
-    BodyState,
-    TorchBackend,
-    build_model,
-    rotor_state_for_thrust,
-    state_at_rest,
-    vehicle_from_config,
-)
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
@@ -46,45 +39,47 @@ BRESCIANINI, LEE = "crazyflie_brescianini_control", "crazyflie_lee_control"
 
 def make_law(name: str, robot: RobotCfg = X500, dt: float = DT, **changes):
     cfg = replace(CONTROLLERS.get(name), **changes)
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    vehicle = physics.vehicle_from_config(robot, num_envs=1, dtype=F64)
     return make_controller(cfg, vehicle, 9.81, dt=dt, control=robot.control)
 
 
 def at_rest(turn: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: tuple[float, float, float] = (0.0, 0.0, 0.0)):
-    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
+    state = physics.state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     attitude, ang_vel = quat_exp(torch.tensor([turn], dtype=F64)), torch.tensor([rate], dtype=F64)
     return replace(state, attitude=attitude, ang_vel=ang_vel)
 
 
-def rest_state(robot: RobotCfg) -> BodyState:
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
-    return state_at_rest(1, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
+def rest_state(robot: RobotCfg) -> physics.BodyState:
+    vehicle = physics.vehicle_from_config(robot, num_envs=1, dtype=F64)
+    return physics.state_at_rest(1, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
 
 
-def brescianini_demand(law: BrescianiniController, state: BodyState, *, yaw: float = 0.0) -> torch.Tensor:
+def brescianini_demand(law: BrescianiniController, state: physics.BodyState, *, yaw: float = 0.0) -> torch.Tensor:
     """Return thrust [N] and body rates [rad/s] that Brescianini's law asks for to be at the origin with a yaw [rad]."""
     still, heading = torch.zeros(1, 3, dtype=F64), torch.tensor([yaw], dtype=F64)
     target = FlatTarget(position=still, velocity=still, acceleration=still, yaw=heading, rates=still)
     return brescianini.outer_loop(state, target, law.gains, gravity=9.81, max_inclination=1.0)
 
 
-def run_law(law, state: BodyState, action: list[float]) -> torch.Tensor:
+def run_law(law, state: physics.BodyState, action: list[float]) -> torch.Tensor:
     memory = fresh_law_memory(law.needs, 1, state.position)
     return law.command(state, torch.tensor([action], dtype=F64), memory)[0]
 
 
 def fly(
     law, robot: RobotCfg, seconds: float, action: list[float], *, heavier: float = 1.0, dt: float = DT
-) -> list[BodyState]:
+) -> list[physics.BodyState]:
     """Return the states of each 0.1 s of a flight from hover, of a vehicle that may weigh more than the law knows."""
     plant = replace(robot, body=replace(robot.body, mass=heavier * robot.body.mass))
-    backend, state = TorchBackend(), at_rest()
-    backend.allocate(build_model(vehicle_from_config(plant, num_envs=1, dtype=F64)), law, integrator="euler")
-    state.rotor_speed.fill_(rotor_state_for_thrust(robot.rotor, robot.body.mass * 9.81 / 4))
+    backend, state = physics.TorchBackend(), at_rest()
+    backend.allocate(
+        physics.build_model(physics.vehicle_from_config(plant, num_envs=1, dtype=F64)), law, integrator="euler"
+    )
+    state.rotor_speed.fill_(physics.rotor_state_for_thrust(robot.rotor, robot.body.mass * 9.81 / 4))
     result = []
     for _ in range(round(seconds / 0.1)):
         backend.step(state, torch.tensor([action], dtype=F64), dt, round(0.1 / dt))
-        result.append(BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()}))
+        result.append(physics.BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()}))
     return result
 
 
@@ -96,7 +91,7 @@ def test_with_derived_gains_they_are_the_geometric_law(name: str, turn: tuple[fl
     state.lin_vel[0] = torch.tensor([-2e-4, 1e-4, 1e-4], dtype=F64)
     result = run_law(make_law(name), state, [1e-4, -2e-4, 1e-4, 0.0])
     lee = make_law("lee_position_control").rotor_command(state, torch.tensor([[1e-4, -2e-4, 1e-4, 0.0]], dtype=F64))
-    hover = rotor_state_for_thrust(X500.rotor, X500.body.mass * 9.81 / 4)
+    hover = physics.rotor_state_for_thrust(X500.rotor, X500.body.mass * 9.81 / 4)
     assert float((lee - hover).abs().max()) > 1e-3
     torch.testing.assert_close(result, lee, atol=0, rtol=2e-8)
 

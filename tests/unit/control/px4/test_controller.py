@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from aerial_gym import EFFECTS, ROBOTS
+from aerial_gym import EFFECTS, ROBOTS, physics
 from aerial_gym.config.autopilots import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.loader import build
@@ -35,14 +35,6 @@ from aerial_gym.control.px4.controller import Px4Controller
 from aerial_gym.control.px4.parameters import signal_of_thrust_share, unit_wrench
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate
-from aerial_gym.physics import (
-    BodyState,
-    WarpBackend,
-    build_model,
-    rotor_state_for_thrust,
-    state_at_rest,
-    vehicle_from_config,
-)
 from aerial_gym.physics.law_memory import fresh_law_memory
 
 F64 = torch.float64
@@ -61,32 +53,32 @@ def make_law(
 ) -> Px4Controller:  # fmt: skip
     cfg = CONTROLLERS.get(name)
     cfg = cfg if px4 is None else replace(cfg, px4=px4)
-    return make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt, control=control)
+    return make_controller(cfg, physics.vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt, control=control)
 
 
 def fly(
     name: str, action: list[float], span: float, *, robot: RobotCfg = GAZEBO, px4: Px4Cfg | None = PX4_DEFAULTS,
     wind: float = 0.0, dt: float = 0.004,
-) -> list[BodyState]:  # fmt: skip
+) -> list[physics.BodyState]:  # fmt: skip
     """Return the states of every 0.1 s of a flight from hover, on the fused backend; wind along x [m/s]."""
-    vehicle = vehicle_from_config(robot, num_envs=1)
+    vehicle = physics.vehicle_from_config(robot, num_envs=1)
     pairs = [(EFFECTS.get("rotor_drag"), torch.tensor([[0.3, 0.3, 0.0]]))]
     pairs.append((EFFECTS.get("constant_wind"), torch.tensor([[wind, 0.0, 0.0]])))
-    cfg, backend = CONTROLLERS.get(name), WarpBackend()
+    cfg, backend = CONTROLLERS.get(name), physics.WarpBackend()
     cfg = cfg if px4 is None else replace(cfg, px4=px4)
-    backend.allocate(build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="rk4")
-    state = state_at_rest(1, vehicle.num_rotors, device=CPU, dtype=torch.float32)
-    state.rotor_speed.fill_(rotor_state_for_thrust(robot.rotor, robot.body.mass * 9.81 / vehicle.num_rotors))
+    backend.allocate(physics.build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="rk4")
+    state = physics.state_at_rest(1, vehicle.num_rotors, device=CPU, dtype=torch.float32)
+    state.rotor_speed.fill_(physics.rotor_state_for_thrust(robot.rotor, robot.body.mass * 9.81 / vehicle.num_rotors))
     states = []
     for _ in range(round(span / 0.1)):
         backend.step(state, torch.tensor([action]), dt, round(0.1 / dt))
-        states.append(BodyState(**{key: value.clone() for key, value in vars(state).items()}))
+        states.append(physics.BodyState(**{key: value.clone() for key, value in vars(state).items()}))
     return states
 
 
 def test_normalised_commands_are_those_of_px4s_mixer() -> None:
     """Quadrotor in X: roll 1 is sqrt(1/2) of each rotor's thrust T, yaw and thrust 1 all of it: 4 sqrt(1/2) T l, 4 T k, 4 T."""
-    torque, thrust = unit_wrench(Allocation(vehicle_from_config(X500, num_envs=1, dtype=F64), 9.81))
+    torque, thrust = unit_wrench(Allocation(physics.vehicle_from_config(X500, num_envs=1, dtype=F64), 9.81))
     tilt = 4.0 * sqrt(0.5) * 20.0 * 0.174
     torch.testing.assert_close(torque, torch.tensor([tilt, tilt, 4.0 * 20.0 * 0.025], dtype=F64))
     assert thrust == pytest.approx(80.0)
@@ -105,7 +97,7 @@ def test_rotors_follow_the_curve_that_the_autopilot_assumes() -> None:
     hover = float(law.gains.position.hover[0, 0])
     speed = sqrt(1.656 * 9.81 / 4 / 8.54858e-6)
     assert hover == pytest.approx((speed - 150.0) / 850.0)
-    state = state_at_rest(1, 4, device=CPU, dtype=F64)
+    state = physics.state_at_rest(1, 4, device=CPU, dtype=F64)
     command = law.rotor_command(state, torch.zeros(1, 4, dtype=F64))
     torch.testing.assert_close(command, torch.full((1, 4), speed, dtype=F64))
 
@@ -150,7 +142,7 @@ def test_notches_act_on_the_body_rates_before_the_low_pass() -> None:
     px4 = Px4Cfg(IMU_GYRO_CUTOFF=60.0, IMU_GYRO_NF0_FRQ=87.0, IMU_GYRO_NF1_FRQ=150.0, IMU_GYRO_NF1_BW=10.0)
     law, end = make_law("px4_rate_control", px4=replace(px4, MC_ROLLRATE_I=0.0)), []
     for frequency in (87.0, 150.0, 120.0):
-        state, memory, commands = state_at_rest(1, 4, device=CPU, dtype=F64), None, []
+        state, memory, commands = physics.state_at_rest(1, 4, device=CPU, dtype=F64), None, []
         memory = fresh_law_memory(law.needs, 1, state.position)
         for k in range(400):
             state.ang_vel[0, 0] = 0.1 * sin(2.0 * pi * frequency * k * 0.002)
@@ -184,7 +176,7 @@ def test_first_order_low_passes_leave_the_same_share_of_a_gap_every_run(
     step."""
     law, dt, slope = make_law(name, px4=px4), 0.002, 0.5
     q = 1.0 / (1.0 + 2.0 * pi * 20.0 * dt)
-    state, action = state_at_rest(1, 4, device=CPU, dtype=F64), torch.zeros(1, 4, dtype=F64)
+    state, action = physics.state_at_rest(1, 4, device=CPU, dtype=F64), torch.zeros(1, 4, dtype=F64)
     action[0, 3] = 0.05 if axis == 5 else 0.0
     memory = fresh_law_memory(law.needs, 1, state.position)
     matrix, weight = allocation_matrix(law.allocation.vehicle, 9.81)[0], X500.body.mass * 9.81
@@ -201,9 +193,9 @@ def test_first_order_low_passes_leave_the_same_share_of_a_gap_every_run(
 
 def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
     """Level and still, the first answer to a wanted rate is that of ``pid_rates_control``: the same torque per rate error."""
-    state = state_at_rest(1, 4, device=CPU, dtype=F64)
+    state = physics.state_at_rest(1, 4, device=CPU, dtype=F64)
     action = torch.tensor([[0.1, 0.02, -0.03, 0.01]], dtype=F64)
-    vehicle = vehicle_from_config(X500, num_envs=1, dtype=F64)
+    vehicle = physics.vehicle_from_config(X500, num_envs=1, dtype=F64)
     pid = make_controller(CONTROLLERS.get("pid_rates_control"), vehicle, 9.81, dt=0.002)
     result = make_law("px4_rate_control").rotor_command(state, action)
     torch.testing.assert_close(result, pid.rotor_command(state, action))
@@ -248,7 +240,7 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
         with pytest.raises(ConfigError, match="some push down at this vehicle's hover"):
             make_law("px4_position_control", ROBOTS.get(robot))
     with pytest.raises(ConfigError, match="law 'pose': not in PX4's cascade"):
-        make_controller(replace(cfg, law="pose"), vehicle_from_config(X500, num_envs=1), 9.81, dt=0.002)
+        make_controller(replace(cfg, law="pose"), physics.vehicle_from_config(X500, num_envs=1), 9.81, dt=0.002)
     for name, px4, message in (
         ("px4_position_control", Px4Cfg(MPC_THR_MIN=0.3), r"hover thrust 0.203 must be between MPC_THR_MIN = 0.3"),
         ("px4_rate_control", Px4Cfg(IMU_GYRO_CUTOFF=251.0), r"IMU_GYRO_CUTOFF = 251: must be below half of the 500 Hz"),

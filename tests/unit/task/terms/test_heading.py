@@ -7,18 +7,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_from_euler, wrap_angle
-from aerial_gym.task.terms.heading import (
-    action_size_by_difficulty,
-    aligned_distance_bell,
-    aligned_rest_at_target,
-    collision_soon,
-    flight_to_target,
-    heading_at_target,
-    heading_error,
-    slow_at_target,
-    speeding,
-    unseen_flight,
-)
+from aerial_gym.task.terms import heading
 
 ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
 HALF_A_METRE = torch.tensor([[0.3, 0.0, -0.4]], dtype=torch.float64)
@@ -45,7 +34,7 @@ def yaw_attitude(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> Tensor:
 ])  # fmt: skip
 def test_the_heading_error_is_the_short_turn_from_the_robot_to_the_target(target, yaw, error) -> None:
     for tilt in (0.0, 0.3):
-        result = heading_error(number(target), yaw_attitude(yaw, tilt, -tilt))
+        result = heading.heading_error(number(target), yaw_attitude(yaw, tilt, -tilt))
         assert result.shape == (1, 1)
         assert result.item() == pytest.approx(error, abs=1e-12)
 
@@ -69,7 +58,9 @@ def test_angles_are_wrapped_to_half_a_turn_on_both_sides() -> None:
     (ORIGIN, (2.0, 0.0, 0.0), 0.0),
 ])  # fmt: skip
 def test_flight_to_the_target_counts_by_its_direction_and_speed(position, velocity, expected) -> None:
-    result = flight_to_target(ORIGIN, position, row(*velocity), speed=2.0, height=2.0, width=2.0, away=-0.2, near=3.0)
+    result = heading.flight_to_target(
+        ORIGIN, position, row(*velocity), speed=2.0, height=2.0, width=2.0, away=-0.2, near=3.0
+    )
     assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
@@ -78,21 +69,23 @@ def test_what_counts_at_the_target_counts_with_the_heading_and_within_the_radius
     beyond, slow = 3.0 * HALF_A_METRE, row(0.0, 0.2, 0.0)
     turn, spin = (number(1.2), yaw_attitude(0.7)), row(9.0, 9.0, -0.2)
     for position, factor in ((HALF_A_METRE, 1.0), (beyond, 0.0)):
-        result = slow_at_target(ORIGIN, position, slow, radius=1.0, height=1.5, width=10.0)
+        result = heading.slow_at_target(ORIGIN, position, slow, radius=1.0, height=1.5, width=10.0)
         assert result.item() == pytest.approx(factor * 1.0054801, abs=1e-7)
-        result = heading_at_target(ORIGIN, position, *turn, radius=1.0, height=4.0, width=15.0)
+        result = heading.heading_at_target(ORIGIN, position, *turn, radius=1.0, height=4.0, width=15.0)
         assert result.item() == pytest.approx(factor * 0.0940710, abs=1e-7)
-        result = aligned_rest_at_target(ORIGIN, position, *turn, spin, radius=1.0, height=1.5, width=5.0, yaw_width=2.0)
+        result = heading.aligned_rest_at_target(
+            ORIGIN, position, *turn, spin, radius=1.0, height=1.5, width=5.0, yaw_width=2.0
+        )
         assert result.item() == pytest.approx(factor * 0.7448780, abs=1e-7)
     params = {"height": 5.0, "width": 8.0, "yaw_width": 2.0}
-    result = aligned_distance_bell(ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), **params)
+    result = heading.aligned_distance_bell(ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), **params)
     assert result.item() == pytest.approx(0.4104250, abs=1e-7)  # 5 exp(-8 0.5² - 2 0.5²)
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(2.9, 0.0), (3.0, 0.0), (3.5, -0.7869387), (90.0, -2.0)])
 def test_speed_costs_above_its_limit(speed: float, expected: float) -> None:
     """2 (exp(-2 0.5²) - 1) half a metre per second above it."""
-    result = speeding(row(0.6 * speed, 0.0, -0.8 * speed), speed=3.0, height=2.0, width=2.0)
+    result = heading.speeding(row(0.6 * speed, 0.0, -0.8 * speed), speed=3.0, height=2.0, width=2.0)
     assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
@@ -109,7 +102,7 @@ def test_flight_costs_to_where_the_robot_does_not_look(velocity: tuple[float, fl
         for looks in (-1.0, 1.0):
             flown = row(*(-looks * axis for axis in velocity))
             at = (ORIGIN, row(0.0, 0.0, 1.0), flown, yaw_attitude(0.5 * pi, pitch=pitch))
-            assert unseen_flight(*at, looks=looks, **params).item() == pytest.approx(expected, abs=1e-7)
+            assert heading.unseen_flight(*at, looks=looks, **params).item() == pytest.approx(expected, abs=1e-7)
 
 
 def test_a_large_command_costs_by_the_difficulty() -> None:
@@ -117,7 +110,7 @@ def test_a_large_command_costs_by_the_difficulty() -> None:
     actions = row(9.0, 9.0, 2.0, 9.0)
     for difficulty, expected in ((0.0, 0.0), (0.5, -0.0736263), (1.0, -0.1472527)):
         share = torch.tensor(difficulty, dtype=torch.float64)
-        result = action_size_by_difficulty(actions, share, entry=2, height=0.15, width=1.0)
+        result = heading.action_size_by_difficulty(actions, share, entry=2, height=0.15, width=1.0)
         assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
@@ -130,5 +123,7 @@ def test_a_large_command_costs_by_the_difficulty() -> None:
     (inf, inf, 0.0),  # nothing anywhere
 ])  # fmt: skip
 def test_a_collision_soon_costs_by_the_time_to_it(before: float, now: float, expected: float) -> None:
-    result = collision_soon(number(now), number(before), torch.tensor(0.1, dtype=torch.float64), height=3.0, width=2.0)
+    result = heading.collision_soon(
+        number(now), number(before), torch.tensor(0.1, dtype=torch.float64), height=3.0, width=2.0
+    )
     assert result.item() == pytest.approx(expected, abs=1e-7)
