@@ -81,9 +81,7 @@ def _read_gains(robot: str) -> LeeGainsCfg:
 def _register_with_gains(name: str, base: str, summary: str, robot: str) -> None:
     """Register a controller with a robot's published gains; the file is read at first use."""
     CONTROLLERS.register_later(
-        name,
-        lambda: replace(CONTROLLERS.get(base), summary=summary, gains=_read_gains(robot)),
-        summary=lambda: summary,
+        name, lambda: replace(CONTROLLERS.get(base), summary=summary, gains=_read_gains(robot)), summary=lambda: summary
     )
 
 

@@ -118,12 +118,7 @@ class LeeController:
 
 
 def make_controller(
-    cfg: ControllerCfg,
-    vehicle: Vehicle,
-    gravity: float,
-    *,
-    dt: float | None = None,
-    control: ControlCfg | None = None,
+    cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float | None = None, control: ControlCfg | None = None
 ) -> Controller:
     """Return a controller for a declared vehicle.
 

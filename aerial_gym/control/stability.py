@@ -298,11 +298,7 @@ class ClosedLoop:
 
     def _make_loop(self, dt: float, corner: Corner) -> DiscreteLoop:
         return DiscreteLoop(
-            self._model,
-            partial(self._make_law, dt, corner),
-            declared=self._vehicle,
-            dt=dt,
-            integrator=self._integrator,
+            self._model, partial(self._make_law, dt, corner), declared=self._vehicle, dt=dt, integrator=self._integrator
         )
 
     def _make_law(self, dt: float, corner: Corner, vehicle: Vehicle) -> ControlLaw:

@@ -123,9 +123,7 @@ def fresh_law_memory(needs: LawNeeds, num_envs: int, like: Tensor) -> LawMemory:
 def reset_law_memory(memory: LawMemory, mask: Tensor) -> LawMemory:
     """Return the memory (E, ...) with the environments in ``mask``, bool (E,), reset; others stay bit for bit."""
     return replace(
-        memory,
-        numbers=memory.numbers.masked_fill(mask.unsqueeze(-1), 0.0),
-        since=memory.since.masked_fill(mask, 0),
+        memory, numbers=memory.numbers.masked_fill(mask.unsqueeze(-1), 0.0), since=memory.since.masked_fill(mask, 0)
     )
 
 

@@ -100,13 +100,7 @@ def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Co
     """
     com, turn = model.vehicle.com, state.attitude
     result = condition_of_motion(
-        model,
-        state.position + quat_rotate(turn, com),
-        turn,
-        state.lin_vel,
-        state.ang_vel,
-        state.rotor_speed,
-        rotor_acc,
+        model, state.position + quat_rotate(turn, com), turn, state.lin_vel, state.ang_vel, state.rotor_speed, rotor_acc
     )
     origin = share_row(torch.zeros_like(com[0]), com.shape[0])
     return replace(result, position=state.position, vehicle=replace(model.vehicle, com=origin))

@@ -151,10 +151,7 @@ INTO_ZEROS: dict[str, Callable[..., Tensor]] = {
 }
 """Gradients of operations that move elements, as assignments into zeros."""
 
-IN_PLACE: dict[str, Callable[..., Tensor]] = {
-    "masked_fill_": torch.masked_fill,
-    "logical_and_": torch.logical_and,
-}
+IN_PLACE: dict[str, Callable[..., Tensor]] = {"masked_fill_": torch.masked_fill, "logical_and_": torch.logical_and}
 """In-place operations of gradients, with their out-of-place equivalents."""
 
 Arguments = Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]

@@ -52,10 +52,7 @@ class WeakMotor(VehicleEffect):
     name = "weak_motor"
     summary = "one rotor gives less thrust and drag torque than declared"
     acts_on = "rotor"
-    parameters = (
-        ROTOR,
-        Parameter("scale", "-", 0.1, 2.0, 0.05, "true thrust per declared thrust", neutral=1.0),
-    )
+    parameters = (ROTOR, Parameter("scale", "-", 0.1, 2.0, 0.05, "true thrust per declared thrust", neutral=1.0))
     excitation = "thrust that varies, and yaw: in hover alone a shifted centre of mass looks the same"
     confused_with = ("com_offset", "thrust_coefficient", "motor_tilt", "payload_mass")
     rotors = ANY_ROTOR

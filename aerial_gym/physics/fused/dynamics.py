@@ -153,10 +153,7 @@ def make_stepper(model: Model, integrator: str, constants: Constants) -> wp.Func
     if integrator == "euler":
         return _make_euler(*parts, follow)
     return _make_rk4(
-        *parts,
-        follow,
-        make_rotor_lag(num_rotors, general, late, stages=2),
-        make_stage_rates(num_rotors, general, late),
+        *parts, follow, make_rotor_lag(num_rotors, general, late, stages=2), make_stage_rates(num_rotors, general, late)
     )
 
 

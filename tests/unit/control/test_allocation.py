@@ -253,6 +253,8 @@ def test_a_controller_moves_to_the_device_of_its_vehicle_with_rows_that_stay_sha
         there.time_constant_up is there.time_constant_down
     )
     assert vehicle.to_device("cpu") is vehicle
+
+
 def make_tilted_robot() -> RobotCfg:
     """Return a quadrotor of which each rotor leans another way: lateral forces come with whatever it does."""
     base = ROBOTS.get("tinyprop")

@@ -11,14 +11,7 @@ from types import SimpleNamespace
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import (
-    rotate,
-    rotate_inverse,
-    rotation_quat,
-    solve_motion,
-    unit_quat,
-    vector_type,
-)
+from aerial_gym.math.warp_functions import rotate, rotate_inverse, rotation_quat, solve_motion, unit_quat, vector_type
 from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, rigid_inertia, sum_of_inertias
 from aerial_gym.physics.articulated.fused.joint_formulas import dashpots_type, make_creep
 from aerial_gym.physics.articulated.fused.limit_solver import make_limit_solver, make_solver_without_limits

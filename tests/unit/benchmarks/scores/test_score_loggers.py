@@ -18,10 +18,7 @@ def test_each_logger_gets_controls_and_effects_that_its_file_can_hold() -> None:
     assert [sum(job.logger == one and not job.hidden for job in jobs) for one in ("px4", "late")] == [60, 60]
     assert {job.hidden for job in jobs if job.logger == "late"} - {
         job.hidden for job in jobs if job.logger == "px4"
-    } == {
-        ("ceiling_effect",),
-        ("downwash",),
-    }
+    } == {("ceiling_effect",), ("downwash",)}
     assert len({job.key for job in jobs}) == len(jobs)
 
 

@@ -287,7 +287,7 @@ def run_mellinger(**target: list[float]) -> tuple[list[float], list[float]]:
     )
     rows = {name: torch.tensor([target.get(name, [0.0, 0.0, 0.0])], dtype=F64) for name in FlatTarget.__annotations__}
     flat = FlatTarget(**(rows | {"yaw": torch.zeros(1, dtype=F64)}))
-    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
+    state = physics.state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     thrust, moment, _ = mellinger_control(
         state, flat, torch.zeros(1, 8, dtype=F64), gains, gravity=10.0, dt=0.01, max_inclination=0.5
     )
@@ -314,7 +314,7 @@ def test_the_velocity_setpoint_is_at_most_a_tenth_above_its_limit() -> None:
         most_velocity=torch.full((1, 3), 2.0, dtype=F64),
         **{name: torch.full((1, 1), 20.0, dtype=F64) for name in ("most_tilt", "thrust_base", "least_thrust")},
     )  # fmt: skip
-    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
+    state = physics.state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     position = state.position + torch.tensor([[5.0, 0.0, 0.0]], dtype=F64)
     setpoint, _ = outer_loop(state, position, torch.zeros(1, 6, dtype=F64), gains, dt=0.01)
     assert setpoint[0].tolist() == pytest.approx([20.0, 0.0, 2.2])
@@ -322,7 +322,7 @@ def test_the_velocity_setpoint_is_at_most_a_tenth_above_its_limit() -> None:
 
 def test_torque_of_one_count_is_that_of_four_rotors_with_their_shares() -> None:
     """A count of thrust is 1/65535 of the largest; half a count acts at each arm about x and y, a whole one turns about z."""
-    vehicle = vehicle_from_config(ROBOTS.get("crazyflie_2x_arpl"), num_envs=1, dtype=torch.float64)
+    vehicle = physics.vehicle_from_config(ROBOTS.get("crazyflie_2x_arpl"), num_envs=1, dtype=torch.float64)
     allocation = Allocation(vehicle, 9.81)
     torque = torque_per_count(vehicle, allocation, rotor_signs("position", vehicle, allocation, 9.81), 9.81)
     count = 0.1420 / 65535.0

@@ -303,12 +303,12 @@ def test_lost_torque_is_that_of_least_squares(airmode: int) -> None:
 
 
 def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
-    vehicle = vehicle_from_config(ROBOTS.get("x500"), num_envs=1, dtype=F64)
+    vehicle = physics.vehicle_from_config(ROBOTS.get("x500"), num_envs=1, dtype=F64)
     grown = []
     for airmode in (0, 1):
         px4 = Px4Cfg(MC_ROLLRATE_P=0.5, MC_ROLLRATE_I=0.5, MC_RR_INT_LIM=10.0, MC_AIRMODE=airmode)
         law = make_controller(replace(CONTROLLERS.get("px4_rate_control"), px4=px4), vehicle, 9.81, dt=0.002)
-        state, memory = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64), None
+        state, memory = physics.state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64), None
         memory = fresh_law_memory(law.needs, 1, state.position)
         for _ in range(10):
             _, memory = law.command(state, torch.tensor([[-0.95, 0.3, 0.0, 0.0]], dtype=F64), memory)

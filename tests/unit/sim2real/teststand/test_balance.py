@@ -15,12 +15,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real import find_mapping, read_flight_log
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.teststand.balance import (
-    Balance,
-    HoverEffort,
-    hover_effort,
-    judge_balance,
-)
+from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.causes import candidate_causes, experiments_for_causes, prior_probabilities_of_causes
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence_of_cause, pool_scatter
 

@@ -10,11 +10,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.judge.experiments.design import (
-    ManoeuvreCatalogue,
-    effects_to_show,
-    manoeuvre_for_ties,
-)
+from aerial_gym.sim2real.judge.experiments.design import ManoeuvreCatalogue, effects_to_show, manoeuvre_for_ties
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, manoeuvre_flight
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
