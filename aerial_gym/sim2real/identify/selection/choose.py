@@ -15,7 +15,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import neutral_params, observable_candidates
+from aerial_gym.sim2real.identify.candidates.library import is_of_one_rotor, neutral_params, observable_candidates
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     OF_FLIGHTS,
     NuisanceColumns,
@@ -150,8 +150,11 @@ class _Chooser:
         fits = sorted(known, key=lambda one: -one.log_posterior)
         present = best_special_case(view.present, fits, occam_window(view.present))
         surrogates = self.surrogate_effects(present, view.fitter)
-        bare = self.best_set_without_structures(present, surrogates, fits, view.fitter)
-        named, unsure = self.drop_unproven(view.fitter.set_for_robot_file(bare), present, view.fitter)
+        named, unsure = self.proven_set(present, surrogates, fits, view.fitter)
+        if others := sets_on_other_rotors(fits, present, unsure):
+            other, doubts = self.proven_set(others[0], surrogates, fits, view.fitter)
+            if other.log_posterior > named.log_posterior:
+                named, unsure = other, doubts
         named, blind = self.drop_unidentified(named, view.fitter)
         named, immaterial, without = self.drop_immaterial(named, view.fitter)
         supports = present.support if fits[0].is_supported else fits[0].support | present.support
@@ -181,6 +184,13 @@ class _Chooser:
             tolerated=self.tolerated,
             in_part=rivals_of_parameters(view.fitter, present, named.effects, self.names),
         )
+
+    def proven_set(
+        self, present: EffectSetFit, gone: Collection[str], fits: Sequence[EffectSetFit], fitter: Fitter
+    ) -> tuple[EffectSetFit, dict[str, float]]:
+        """Return the set for a robot file without unproven effects and ``gone``, and the log odds of the unproven ones."""
+        bare = self.best_set_without_structures(present, gone, fits, fitter)
+        return self.drop_unproven(fitter.set_for_robot_file(bare), present, fitter)
 
     def best_set_without_structures(
         self, present: EffectSetFit, gone: Collection[str], fits: Sequence[EffectSetFit], fitter: Fitter
@@ -307,6 +317,24 @@ class _Chooser:
             if special.chdtrc(count, max(2.0 * gain, 0.0)) < Criteria().significance and share > STEADY:
                 results[name] = kind
         return results
+
+
+def sets_on_other_rotors(
+    fits: Iterable[EffectSetFit], present: EffectSetFit, unsure: Collection[str]
+) -> list[EffectSetFit]:
+    """Return the supported sets in which an ``unsure`` effect of one rotor acts on another one and is proven there.
+
+    Flights that disagree on one rotor may agree on another, whose set is less probable by noise alone.
+    """
+    names = [name for name in unsure if is_of_one_rotor(name)]
+
+    def is_proven_elsewhere(one: EffectSetFit, name: str) -> bool:
+        if name not in one.effects or name not in present.effects:
+            return False
+        moved = one.params.effects[name][0] != present.params.effects[name][0]
+        return moved and one.support[name].log_odds_with_overdispersion > LEAST_SCORE
+
+    return [one for one in fits if one.is_supported and any(is_proven_elsewhere(one, name) for name in names)]
 
 
 def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float) -> EffectSetFit:

@@ -336,9 +336,17 @@ class SetSearch:
 
 
 def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
-    """Yield, for each present effect, the sets with another one in its place and their log posterior in the linear model."""
-    candidates = view.library.candidates
-    excluded = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
-    for gone in (k for k in view.present_set if not candidates[k].structure):
-        models = [tuple(sorted((*(k for k in view.present_set if k != gone), other))) for other in excluded]
+    """Yield, for each present effect, the sets with another one in its place and their log posterior in the linear model.
+
+    An effect of one rotor may also be in the place of itself on another rotor.
+    """
+    candidates, present = view.library.candidates, view.present_set
+    new = [k for k, one in enumerate(candidates) if not one.structure and k not in present]
+    for gone in (k for k in present if not candidates[k].structure):
+        others = [
+            k
+            for k in new
+            if candidates[k].name not in view.present.effects or candidates[k].name == candidates[gone].name
+        ]
+        models = [tuple(sorted((*(k for k in present if k != gone), other))) for other in others]
         yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))

@@ -1,6 +1,7 @@
 """The search among sets of effects, and gains on flights left out from squares that are written down."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from aerial_gym.sim2real.identify.learned import CrossValidation
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window
-from aerial_gym.sim2real.identify.selection.set_search import MOST_TURNS, SetSearch
+from aerial_gym.sim2real.identify.selection.set_search import MOST_TURNS, SetSearch, rival_sets
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.identify.evidence.linear import candidates as linear_candidates
@@ -73,6 +74,17 @@ def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds
     assert set(view.fits) == {best.label}
     climber.fit_nearest_rivals(view)
     assert set(view.fits) == {best.label, drag.label}
+
+
+def test_another_rotor_takes_the_place_of_the_rotor_of_an_effect_and_of_no_other_effect() -> None:
+    weak, drag, other = "weak_motor", "rotor_drag", "quadratic_drag"
+    promised = {model: 0.0 for size in (1, 2) for model in combinations(range(4), size)}
+    view = make_view(promised, make_fit(weak, drag, params={weak: (1.0, 0.9)}))
+    rotors = zip(view.library.candidates, (weak, weak, drag, other), strict=True)
+    candidates = tuple(replace(one, name=name, named=name == drag) for one, name in rotors)
+    candidates = (replace(candidates[0], named=True), *candidates[1:])
+    view = replace(view, library=replace(view.library, candidates=candidates))
+    assert [set(models) for models in rival_sets(view)] == [{(1, 2), (2, 3)}, {(0, 3)}]
 
 
 @pytest.mark.parametrize(("ahead", "tried"), [(1.0, True), (-1.0, False)])
