@@ -55,10 +55,14 @@ class WatchCmd:
         from aerial_gym.sim2real.logs.conversion import flight_table
         from aerial_gym.sim2real.logs.flights import scale_relative_commands
         from aerial_gym.sim2real.logs.readers.flight_log import open_log
+        from aerial_gym.sim2real.wording import text
 
         for flight in open_log(self.log).flights():
             table = flight_table(scale_relative_commands(flight, robot))
-            watch = FlightWatch(robot, list(table), name=flight.name, false_alarm_hours=self.false_alarm_hours)
+            settings = {"torques": flight.torques, "false_alarm_hours": self.false_alarm_hours}
+            watch = FlightWatch(robot, list(table), name=flight.name, **settings)
+            for note in (note for note in flight.notes if note.code == "rotors_too_slow"):
+                print(f"{flight.name}: {text(note)}", file=sys.stderr)
             self._print_alarms(watch, _alarms_of_rows(watch, table.to_numpy()))
 
     def _print_alarms(self, watch: "FlightWatch", alarms: "Iterator[Alarm]") -> bool:

@@ -24,6 +24,7 @@ from aerial_gym.sim2real.failures.scan import (
     rank_failure_causes,
 )
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.recording import take_rows
@@ -121,15 +122,36 @@ class FailureFinder:
                 return failure
         return None
 
-    def find_in_blocks(self, works: Sequence[RotorOutput], flight: str, usual: float = 0.0) -> Failure | None:
-        """Return the failure that the blocks show; None if the log sum of odds is below the limit plus the ``usual`` one."""
+    def find_in_blocks(self, works: Sequence[RotorOutput], flight: str) -> Failure | None:
+        """Return the failure that the blocks show; None if its log odds are no larger than usual, or if it is immaterial.
+
+        Errors of the declared vehicle or of the log look like failures all the time, with log odds that grow with time. So the
+        log sum of odds must exceed the limit plus that before the onset. A failure is immaterial if its interval excludes a
+        loss of 5 %.
+        """
         causes = rank_failure_causes(works, self.tolerances)
-        if not log_sum_of_odds(causes) > self.limit + usual:
+        if not (odds := log_sum_of_odds(causes)) > self.limit:
             return None
         ranked = sorted((locate_onset(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
-        odds = np.array([one.log_odds for one in ranked])
-        probability = float(1.0 / np.exp(odds - odds[0]).sum())
-        return self._make_failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
+        if not odds > self.limit + self._usual_odds(works, ranked[0]):
+            return None
+        logs = np.array([one.log_odds for one in ranked])
+        probability = float(1.0 / np.exp(logs - logs[0]).sum())
+        rival = ranked[1].cause if len(ranked) > 1 else None
+        failure = self._make_failure(ranked[0], flight, probability, rival)
+        material = "scale" not in failure.interval or failure.interval["scale"][0] < 1.0 - Criteria().material
+        return failure if material else None
+
+    def _usual_odds(self, works: Sequence[RotorOutput], event: FailureTiming) -> float:
+        """Return the log sum of odds before an onset, for as long as the failure lasts; infinite if too little comes before."""
+        onset, blocks = event.interval[0], np.concatenate([work.time for work in works])
+        before = [work.select_blocks(work.time + work.length < onset) for work in works]
+        causes = rank_failure_causes(before, self.tolerances)
+        usual = log_sum_of_odds(causes)
+        if not any(np.isfinite(one.log_odds) for one in causes if one.work.quantity == event.cause.work.quantity):
+            return np.inf
+        last = float(blocks.max()) if event.end is None else event.end
+        return max(usual, 0.0) * max(1.0, (last - onset) / (onset - float(blocks.min())))
 
     def _make_failure(
         self, event: FailureTiming, flight: str, probability: float, rival: FailureCause | None

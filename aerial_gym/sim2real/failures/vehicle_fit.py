@@ -15,7 +15,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import share_of_independent_rows
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
-FIRST_S = 30.0  # Time from the first row in which the fit is tested and no misfit is a failure [s]
+FIRST_S = 30.0  # Time from the first row in which the fit is tested [s]
 SIGNIFICANCE = 0.001  # Largest p-value of a misfit
 
 

@@ -15,7 +15,6 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, FlightEvent
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput
-from aerial_gym.sim2real.failures.scan import log_sum_of_odds, rank_failure_causes
 from aerial_gym.sim2real.failures.vehicle_fit import FIRST_S, VehicleMisfit, find_misfit
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
@@ -32,6 +31,7 @@ from aerial_gym.sim2real.logs.readers.mapping import COLUMNS
 from aerial_gym.sim2real.logs.readers.stamps import LiveStamps
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, NORM_OFF, FlightLog, take_rows
 from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
+from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ
 from aerial_gym.sim2real.logs.sample_repeats import (
     LONGEST_FROZEN_S,
     find_frozen_sensors,
@@ -144,7 +144,7 @@ class Alarm:
 
     stage: str
     """suspected: a failure is certain and this is its most probable kind; named: the kind is certain; misfit: the declared
-    vehicle does not fit, and no failure is named in the first half minute."""
+    vehicle does not fit."""
 
     failure: Failure | SensorFault | VehicleMisfit
     told_s: float  # Time of the report from the first row [s]
@@ -168,9 +168,13 @@ class FlightWatch:
         header: Sequence[str],
         *,
         name: str = "flight",
+        torques: bool = True,
         false_alarm_hours: float = FALSE_ALARM_HOURS,
     ) -> None:
-        """Take the declared robot and the column names; raise ``DataError`` if a required one is missing or one is twice."""
+        """Take the declared robot and the column names; raise ``DataError`` if a required one is missing or one is twice.
+
+        ``torques``: whether the rotor data show torques; slow rows without rotor speeds never do.
+        """
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
         numbers, rotors = range(1, robot.num_rotors + 1), ("rotor_speed", "rotor_command")
@@ -186,6 +190,7 @@ class FlightWatch:
             raise DataError(
                 f"{name}: neither rotor_1..{robot.num_rotors} nor cmd_1..{robot.num_rotors}: log one of them"
             )
+        self._torques = torques
         self._stamps = LiveStamps()
         self._rows: list[Array] = []
         self._recent: deque[Array] = deque()
@@ -199,7 +204,6 @@ class FlightWatch:
         self._since = 0.0
         self._stateless = 0
         self._fits: bool | None = None  # Whether the declared vehicle fits the first half minute; None: not known yet
-        self._usual = 0.0  # Largest log sum of odds in the first half minute of a vehicle that does not fit
         self.last_bad: Finding | None = None  # Reason for the rejection of the last bad row
         self.over = False  # Whether a lasting failure has occurred
         self.watched_s = 0.0
@@ -239,6 +243,8 @@ class FlightWatch:
         if not self._size and len(self._rows) >= FIRST_ROWS:
             steps = np.diff([one[time] for one in self._rows])
             self._size = max(1, round(BLOCK_S / float(np.median(steps))))
+            fast = 1.0 / float(np.median(steps)) >= SLOWEST_COMMANDS_HZ
+            self._torques = self._torques and (fast or "rotor_speed" in self._columns)
         whole = (LEAD_BLOCKS + LOOK_BLOCKS) * self._size
         if self.over or not self._size or len(self._rows) <= whole:
             return []
@@ -299,7 +305,8 @@ class FlightWatch:
             raise DataError(f"{self._name}: the attitude is empty at {rows[0, self._place['t']]:g} s")
         if "battery" in whole:
             whole["battery"] = whole["battery"][:, 0]
-        log = FlightLog(path=self._name, time=rows[:, self._place["t"]], attitude=whole["attitude"])
+        time = rows[:, self._place["t"]]
+        log = FlightLog(path=self._name, time=time, attitude=whole["attitude"], torques=self._torques)
         return replace(log, **whole)
 
     def _rows_as_flight(self, rows: Array) -> Flight:
@@ -311,9 +318,9 @@ class FlightWatch:
         return complete_flight(log, on_ground=idle if idle.any() else None)
 
     def _search_for_failure(self) -> list[Alarm]:
-        failure = self._finder.find_in_blocks(self._works, self._name, self._usual) if self._works else None
+        failure = self._finder.find_in_blocks(self._works, self._name) if self._works else None
         told = self._test_vehicle(failure)
-        if failure is None or (self._fits is False and self.watched_s <= FIRST_S):
+        if failure is None:
             self._suspected = None
             return told
         if self._suspected is None:
@@ -322,16 +329,15 @@ class FlightWatch:
         if (seen >= SETTLED_S and failure.probability >= SURE) or seen >= AT_LATEST_S:
             self.over = "duration" not in failure.params
             self._clear_blocks()
-            return [Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)]
-        told = [] if self._suspected else [Alarm(stage=SUSPECTED, failure=failure, told_s=self.watched_s)]
+            return [*told, Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)]
+        if self._suspected is None:
+            told.append(Alarm(stage=SUSPECTED, failure=failure, told_s=self.watched_s))
         self._suspected = failure
         return told
 
-    def _test_vehicle(self, failure: Failure | None) -> list[Alarm]:
-        """Test the declared vehicle in the blocks before a failure, until ``FIRST_S``; return the alarm if it does not fit."""
-        first = self.watched_s <= FIRST_S
-        if self._fits is False and first:
-            self._usual = max(self._usual, log_sum_of_odds(rank_failure_causes(self._works, self._finder.tolerances)))
+    def _test_vehicle(self, failure: Failure | None, *, ends: bool = False) -> list[Alarm]:
+        """Test the declared vehicle before a failure, after ``FIRST_S`` or where the flight ends; return the alarm of a misfit."""
+        first = self.watched_s <= FIRST_S and not ends
         if self._fits is not None or (failure is None and first):
             return []
         before = np.inf if failure is None else failure.interval["time"][0]
@@ -341,10 +347,12 @@ class FlightWatch:
             self._fits = None if first else True
             return []
         self._fits = False
-        return [Alarm(stage=MISFIT, failure=misfit, told_s=self.watched_s), *self._test_vehicle(failure)]
+        return [Alarm(stage=MISFIT, failure=misfit, told_s=self.watched_s)]
 
     def finish(self) -> list[Alarm]:
         """Return the failure suspected at the end of the rows, since a fallen vehicle leaves little data."""
         self._stamps.reject_pending_rows(self._place["t"])
         failure, self._suspected = self._suspected, None
+        if failure is None and self._works:
+            return self._test_vehicle(None, ends=True)
         return [Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)] if failure else []

@@ -303,12 +303,20 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     """Return the effects that explain the flights as well as an accepted one in its place.
 
     An effect whose first parameter is the same physical quantity, and that the logs cannot show for want of a column, is one
-    of them: a slung load is a mass as a payload is.
+    of them: a slung load is a mass as a payload is. Without torques an error of one rotor looks like one of all.
     """
-    lacking = [other for other, reason in selection.not_testable.items() if reason.code == "logs_lack"]
-    alike = [other for other in lacking if name in EFFECTS.get(other).confused_with]
+    alike = {
+        other: reason.code
+        for other, reason in selection.not_testable.items()
+        if name in EFFECTS.get(other).confused_with
+    }
     unit = EFFECTS.get(name).parameters[0].unit
-    hidden = [other for other in alike if unit == EFFECTS.get(other).parameters[0].unit != "-"]
+    hidden = [
+        other
+        for other, code in alike.items()
+        if (code == "logs_lack" and unit == EFFECTS.get(other).parameters[0].unit != "-")
+        or (code == "torques_not_compared" and EFFECTS.get(other).acts_on == "rotor")
+    ]
     rivals = [rival.effect for rival in selection.effect_ties(name)]
     values = [
         other for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced for other in tie.params

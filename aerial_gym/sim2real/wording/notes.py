@@ -173,8 +173,8 @@ NOTES: dict[str, Template] = {
     ),
     "vehicle_misfit": (
         "The declared vehicle does not fit: the mean {quantity} of rotor {rotor} differs by {difference_share:percent} "
-        "± {half_width_share:percent} of hover (p = {p_value:.1g}). In the first half minute no failure is named; correct the "
-        "robot file by close-loop."
+        "± {half_width_share:percent} of hover (p = {p_value:.1g}). A failure must exceed that; correct the robot file by "
+        "close-loop."
     ),
     "train_with_failure": (
         "{subject} is compared up to its failure, which robot.yaml does not hold: not every flight has it. "

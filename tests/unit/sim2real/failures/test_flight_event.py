@@ -30,7 +30,7 @@ from aerial_gym.sim2real.failures.scan import (
     log_sum_of_odds,
     rank_failure_causes,
 )
-from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch, SensorFault
+from aerial_gym.sim2real.failures.watch import MISFIT, NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch, SensorFault
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -212,10 +212,10 @@ def test_too_little_before_or_after_is_no_onset() -> None:
 ONSET, LEFT = 6.0, 0.9
 
 
-def failure_table() -> pd.DataFrame:
-    """Return a flight whose second rotor gives 0.9 of its thrust from 6 s on: it turns faster for what it gives."""
-    table = flight(3, noise=1.0)
-    table.loc[table["t"] >= ONSET, "rotor_2"] /= np.sqrt(LEFT)
+def failure_table(left: float = LEFT, **hidden: float) -> pd.DataFrame:
+    """Return a flight whose second rotor gives a share of its thrust from 6 s on: it turns faster for what it gives."""
+    table = flight(3, noise=1.0, **hidden)
+    table.loc[table["t"] >= ONSET, "rotor_2"] /= np.sqrt(left)
     return table
 
 
@@ -252,6 +252,28 @@ def test_a_flight_without_a_failure_tells_nothing() -> None:
     assert run_watch(flight(3, noise=1.0)) == []
 
 
+def test_a_failure_of_a_vehicle_that_does_not_fit_is_named_in_the_first_half_minute() -> None:
+    """All rotors give 12 % less than declared, and one of them another 30 % less from 6 s on."""
+    *_, named = alarms = run_watch(failure_table(0.7, thrust_scale=0.88))
+    assert {MISFIT, SUSPECTED, NAMED} == {one.stage for one in alarms}
+    assert (named.failure.name, named.failure.params["motor"]) == ("weak_motor", 2.0)
+    assert named.failure.params["time"] == pytest.approx(ONSET, abs=0.2)
+
+
+def test_a_vehicle_that_does_not_fit_is_told_at_the_end_of_a_short_flight() -> None:
+    assert [one.stage for one in run_watch(flight(3, noise=1.0, thrust_scale=0.88))] == [MISFIT]
+
+
+def test_a_loss_of_less_than_5_percent_is_no_failure() -> None:
+    assert [one.stage for one in run_watch(failure_table(0.975)) if one.stage != MISFIT] == []
+
+
+def test_slow_commands_alone_tell_no_failure() -> None:
+    """At 25 Hz they do not show torques."""
+    table = failure_table(0.7).iloc[::8]
+    assert run_watch(table.rename(columns={f"rotor_{k}": f"cmd_{k}" for k in range(1, 5)})) == []
+
+
 def test_a_log_that_ends_early_names_what_is_suspected() -> None:
     table = failure_table()
     alarms = run_watch(table, np.asarray(table["t"] < ONSET + 1.8))
@@ -261,7 +283,8 @@ def test_a_log_that_ends_early_names_what_is_suspected() -> None:
 
 def test_a_gap_begins_anew() -> None:
     table = failure_table()
-    assert run_watch(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET))) == []
+    alarms = run_watch(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET)))
+    assert [one.stage for one in alarms] == [MISFIT]  # the vehicle behind the gap is another one
 
 
 def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
