@@ -336,7 +336,7 @@ class FlightWatch:
         return told
 
     def _test_vehicle(self, failure: Failure | None, *, ends: bool = False) -> list[Alarm]:
-        """Test the declared vehicle before a failure, after ``FIRST_S`` or where the flight ends; return the alarm of a misfit."""
+        """Test the declared vehicle before a failure, after ``FIRST_S`` or at the end; return the alarm of a misfit."""
         first = self.watched_s <= FIRST_S and not ends
         if self._fits is not None or (failure is None and first):
             return []

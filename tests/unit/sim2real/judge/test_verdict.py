@@ -376,3 +376,10 @@ def test_a_payload_is_tied_with_a_slung_load_that_the_logs_cannot_show() -> None
         assert verdict.names_of_ties("payload_mass", selection) == ties
     offset = make_selection(make_choice(make_fit("com_offset"), make_fit(log=-40.0)), not_testable=lacking)
     assert verdict.names_of_ties("com_offset", offset) == []
+
+
+def test_without_torques_a_thrust_is_tied_with_that_of_one_rotor() -> None:
+    """Forces show the sum of the thrusts alone."""
+    reasons = {name: Finding("torques_not_compared", name) for name in ("weak_motor", "arm_length", "com_offset")}
+    selection = make_selection(make_choice(make_fit("thrust_coefficient"), make_fit(log=-40.0)), not_testable=reasons)
+    assert verdict.names_of_ties("thrust_coefficient", selection) == ["weak_motor"]
