@@ -41,11 +41,7 @@ class VehicleRows(SimpleNamespace):
     rotor_map: RotorMap
 
     def __getattr__(self, name: str) -> Tensor:
-        """Return a field that has another name in the struct.
-
-        Raises:
-            AttributeError: If a kernel does not have it.
-        """
+        """Return a field that has another name in the struct; raise ``AttributeError`` if a kernel does not have it."""
         fields = vars(self)
         other = {"slew_rate": "slew_up", "slew_rate_down": "slew_down"}.get(name, name.replace("time_constant", "tau"))
         if other not in fields:
