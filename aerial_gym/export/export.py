@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.export import c99
+from aerial_gym.export import c99, c99_images
 from aerial_gym.export.agreement import Agreement, Comparison, inputs_not_finite
 from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
@@ -172,7 +172,7 @@ def _write_torchscript(flown: DeployablePolicy, layout: Layout, out: Path) -> Pa
 
 def _write_c99(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     file, text = out / f"{layout.name}.c", c99.policy_source(flown, layout)
-    work = c99.image_code(flown, layout, lambda _, __: "").work
+    work = c99_images.image_code(flown, layout, lambda _, __: "").work
     write_atomic(file.with_suffix(".h"), c99.policy_header(layout, work=work))
     write_atomic(file, text)
     return file

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from aerial_gym.sim2real import replay
-from aerial_gym.sim2real.teststand.vehicle_draft import robot_text
+from aerial_gym.sim2real.teststand.vehicle_draft import robot_yaml_with_origins
 from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -33,7 +33,7 @@ def test_recorded_setpoints_fly_in_the_vehicle_of_the_log(log: str, tmp_path: Pa
     """Mass and arm are assumed. A closed loop of position stays near the flight for two seconds; others drift."""
     code, levels, mass, arm = LOGS[log]
     draft = draft_vehicle([DATA / log], mass=mass, arm=arm)
-    (tmp_path / "v.yaml").write_text(robot_text(draft, name=log))
+    (tmp_path / "v.yaml").write_text(robot_yaml_with_origins(draft, name=log))
     (tmp_path / "v.mapping.yaml").write_text(draft.mapping)
     mapping = str(tmp_path / "v.mapping.yaml") if draft.mapping else None
     trip = replay(str(tmp_path / "v.yaml"), [DATA / log], mapping=mapping, setpoints=True).round_trip
