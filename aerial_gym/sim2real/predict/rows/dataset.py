@@ -172,9 +172,13 @@ class Dataset:
         return torch.from_numpy(np.ascontiguousarray(slow[:: self.stride[index]]))
 
     def _derivative_bandwidth(self, index: int) -> float:
-        """Return the bandwidth of derivatives [Hz], wider than the comparison's unless the angular velocity is derived."""
+        """Return the bandwidth of derivatives [Hz], wider than the comparison's unless the angular velocity is derived.
+
+        In a narrow one, what the rotation of the body brings into the band is lost, and the band's edge is filtered twice.
+        """
         flight = self.flights[index]
-        return PREFILTER * flight.rate / self.stride[index] if flight.gyro else self.bandwidth
+        measured = flight.gyro or flight.accelerometer  # also where rotors are too slow for torques
+        return PREFILTER * flight.rate / self.stride[index] if measured else self.bandwidth
 
     def _kinematic_force(self, index: int) -> Tensor:
         """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): the reading of an ideal accelerometer."""
