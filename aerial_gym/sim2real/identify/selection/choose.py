@@ -150,9 +150,9 @@ class _Chooser:
         fits = sorted(known, key=lambda one: -one.log_posterior)
         present = best_special_case(view.present, fits, occam_window(view.present))
         surrogates = self.surrogate_effects(present, view.fitter)
-        named, unsure = self.proven_set(present, surrogates, fits, view.fitter)
-        if others := sets_on_other_rotors(fits, present, unsure):
-            other, doubts = self.proven_set(others[0], surrogates, fits, view.fitter)
+        named, unsure = self.set_of_certain_effects(present, surrogates, fits, view.fitter)
+        if rotor_sets := sets_on_other_rotors(fits, present, unsure):
+            other, doubts = self.set_of_certain_effects(rotor_sets[0], surrogates, fits, view.fitter)
             if other.log_posterior > named.log_posterior:
                 named, unsure = other, doubts
         named, blind = self.drop_unidentified(named, view.fitter)
@@ -185,7 +185,7 @@ class _Chooser:
             in_part=rivals_of_parameters(view.fitter, present, named.effects, self.names),
         )
 
-    def proven_set(
+    def set_of_certain_effects(
         self, present: EffectSetFit, gone: Collection[str], fits: Sequence[EffectSetFit], fitter: Fitter
     ) -> tuple[EffectSetFit, dict[str, float]]:
         """Return the set for a robot file without unproven effects and ``gone``, and the log odds of the unproven ones."""

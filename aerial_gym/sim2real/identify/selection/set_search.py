@@ -343,10 +343,10 @@ def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
     candidates, present = view.library.candidates, view.present_set
     new = [k for k, one in enumerate(candidates) if not one.structure and k not in present]
     for gone in (k for k in present if not candidates[k].structure):
-        others = [
+        replacements = [
             k
             for k in new
             if candidates[k].name not in view.present.effects or candidates[k].name == candidates[gone].name
         ]
-        models = [tuple(sorted((*(k for k in present if k != gone), other))) for other in others]
+        models = [tuple(sorted((*(k for k in present if k != gone), other))) for other in replacements]
         yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))

@@ -226,13 +226,13 @@ def test_an_imu_effect_that_worsens_the_sensors_channels_is_refused(true: float,
 
 @pytest.mark.parametrize(("odds", "expected"), [(5.0, [4.0]), (2.0, [])])
 def test_an_unproven_rotor_gives_way_to_one_on_which_flights_agree(odds: float, expected: list[float]) -> None:
-    present, *others = (
+    present, *fits = (
         make_fit("weak_motor", odds={"weak_motor": value}, params={"weak_motor": (rotor, 0.9)})
         for rotor, value in ((3.0, 0.4), (4.0, odds), (3.0, 9.0))
     )
-    sets = sets_on_other_rotors(others, present, {"weak_motor": 0.4})
+    sets = sets_on_other_rotors(fits, present, {"weak_motor": 0.4})
     assert [one.params.effects["weak_motor"][0] for one in sets] == expected
-    assert sets_on_other_rotors(others, present, {"com_offset": 0.4}) == []
+    assert sets_on_other_rotors(fits, present, {"com_offset": 0.4}) == []
 
 
 def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
