@@ -48,7 +48,7 @@ def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source:
     off = {name: part.numpy() for name, part in split_deviations(torch.from_numpy(deviation)).items()}
     body, slower = robot.body, 1.0 + tolerances.time_constant * float(off["time_constant"][0])
     stretch = np.sqrt(np.maximum(1.0 + tolerances.inertia * off["inertia"], 0.01))
-    inertia = _limit_principal_moments(np.array(body.inertia, dtype=np.float64) * np.outer(stretch, stretch))
+    inertia = _limit_principal_moments(np.array(body.inertia, dtype=float) * np.outer(stretch, stretch))
     body = replace(
         body, mass=_round_value(body.mass * (1.0 + tolerances.mass * float(off["mass"][0]))),
         inertia=tuple(tuple(_round_value(value) for value in row) for row in inertia.tolist()),
@@ -76,9 +76,9 @@ def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source:
 
 def _limit_principal_moments(inertia: Array) -> Array:
     """Return an inertia (3, 3) whose largest principal moment is at most the sum of the others, as that of any body."""
-    moments, axes = (np.asarray(part, dtype=np.float64) for part in np.linalg.eigh(inertia))
-    moments[2] = min(moments[2], (moments[0] + moments[1]) * (1.0 - 10.0 ** (1 - SIGNIFICANT_DIGITS)))
-    return np.asarray((axes * moments) @ axes.T) if moments[2] < np.linalg.eigvalsh(inertia)[2] else inertia
+    moments, axes = np.linalg.eigh(inertia)
+    excess = moments[2] - (moments[0] + moments[1]) * (1.0 - 10.0 ** (1 - SIGNIFICANT_DIGITS))
+    return inertia - max(float(excess), 0.0) * np.outer(axes[:, 2], axes[:, 2])
 
 
 def _scale_rotor(rotor: RotorCfg, factor: float, slower: float, source: str) -> RotorCfg:

@@ -189,14 +189,16 @@ def wind_series(
     stride = max(1, round(1.0 / (predictor.bandwidth * float(np.median(np.diff(predictor.times[0]))))))
     rows = [np.arange(0, time.size, stride) for time in predictor.times]
     residuals = predictor.residuals(params)
+    offsets = [np.linalg.inv(gain[kept]) for gain, kept in zip(response, rows, strict=True)]
     wind = [
-        np.linalg.solve(gain[kept], left[kept][:, places, None])[:, :, 0]
-        for gain, left, kept in zip(response, residuals, rows, strict=True)
+        (inverse @ left[kept][:, places, None])[:, :, 0]
+        for inverse, left, kept in zip(offsets, residuals, rows, strict=True)
     ]
     times = [time[kept] for time, kept in zip(predictor.times, rows, strict=True)]
     parts = [force_features(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
     step = float(np.median(np.diff(times[0])))
-    return WindSeries(wind=wind, features=values_in_all_mappings(parts), step=step, bandwidth=predictor.bandwidth)
+    features = values_in_all_mappings(parts)
+    return WindSeries(wind=wind, features=features, offsets=offsets, step=step, bandwidth=predictor.bandwidth)
 
 
 def force_features(flight: Flight, time: Array) -> dict[str, Array]:

@@ -7,12 +7,13 @@ Letters: F flights, T rows, S series (one axis of one flight), P features.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import log
 
 import numpy as np
 from scipy import optimize
+from scipy.linalg import block_diag
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass_gain
@@ -29,12 +30,18 @@ VERTICAL = (
 SIGNIFICANCE = 0.001  # Largest p-value of one process for all axes at which the vertical has its own
 
 
+Whitening = Callable[[Array, int], Array]  # Function of columns (T, any) of a flight, and of an axis
+
+
 @dataclass(frozen=True, kw_only=True)
 class WindSeries:
     """The wind that would cause the residual, at time steps at which the noise is white."""
 
     wind: list[Array]  # Wind of each flight [m/s], world, (T, 3)
     features: dict[str, list[Array]]  # Quantities that gusts do not depend on, by name, of each flight, (T, P)
+    offsets: list[Array] = field(default_factory=list)
+    """Wind that an offset of the force along each body axis would seem, of each flight, (T, 3, 3); empty without offsets."""
+
     step: float  # Time between rows [s]
     bandwidth: float  # Bandwidth of the comparison [Hz]
 
@@ -210,14 +217,12 @@ def p_values_of_rivals(series: WindSeries, fit: ProcessFit) -> dict[str, float]:
         "shape": p_value_of_kurtosis(innovations),
         "axes": p_value_of_unequal_std(series, fit, "axes"),
         "flights": p_value_of_unequal_std(series, fit, "flights"),
-        **{name: p_value_of_features(whiten(x), innovations) for name, x in series.features.items()},
+        **p_values_of_features(series, innovations, whiten),
     }
 
 
-def compute_innovations(
-    series: WindSeries, fit: ProcessFit
-) -> tuple[list[Array], Callable[[list[Array]], list[list[Array]]]]:
-    """Return the whitened wind of each flight without its mean, (T, 3), and a function that whitens features alike."""
+def compute_innovations(series: WindSeries, fit: ProcessFit) -> tuple[list[Array], Whitening]:
+    """Return the whitened wind of each flight without its mean, (T, 3), and a function that whitens columns alike."""
     covariance = axis_covariances(series, *fit.process(fit.std))
 
     def subtract_mean(values: Array, axis: int) -> Array:
@@ -225,13 +230,10 @@ def compute_innovations(
         white, mean = white[:, :-1], white[:, -1]
         return white - np.outer(mean, mean @ white) / (mean @ mean)
 
-    def whiten(features: list[Array]) -> list[list[Array]]:
-        return [[subtract_mean(x, axis) for axis in range(3)] for x in features]
-
     innovations = [
         np.column_stack([subtract_mean(wind[:, axis : axis + 1], axis) for axis in range(3)]) for wind in series.wind
     ]
-    return innovations, whiten
+    return innovations, subtract_mean
 
 
 def p_value_of_autocorrelation(innovations: Sequence[Array]) -> float:
@@ -292,15 +294,28 @@ def p_value_of_unequal_std(series: WindSeries, fit: ProcessFit, between: str) ->
     return chi_square_tail(2.0 * gained, len(parts) - 1)
 
 
-def p_value_of_features(features: list[list[Array]], innovations: Sequence[Array]) -> float:
-    """Return the p-value of the variance that features explain, with coefficients for each axis shared by all flights."""
-    explained, freedom = 0.0, 0
-    for axis in range(3):
-        x = np.concatenate([part[axis] for part in features])
-        y = np.concatenate([part[:, axis] for part in innovations])
-        x = x / np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-        left, values, _ = np.linalg.svd(x, full_matrices=False)
+def p_values_of_features(series: WindSeries, innovations: Sequence[Array], whiten: Whitening) -> dict[str, float]:
+    """Return the p-value of the variance that each group of features explains beside the offsets of each flight.
+
+    Coefficients differ between axes, but not between flights. An offset of the force, such as a warming accelerometer, is
+    constant in body axes, so that in world axes it follows the attitude.
+    """
+    std = np.sqrt(np.mean(np.concatenate(innovations) ** 2, axis=0))
+    axes = range(std.size)
+    offsets = [
+        np.linalg.qr(np.concatenate([whiten(own[:, axis], axis) / std[axis] for axis in axes]))[0]
+        for own in series.offsets or [np.zeros((len(part), 3, 0)) for part in innovations]
+    ]
+
+    def without_offsets(columns: Array, basis: Array) -> Array:
+        return columns - basis @ (basis.T @ columns)
+
+    y = np.concatenate([without_offsets((e / std).T.ravel(), q) for e, q in zip(innovations, offsets, strict=True)])
+    results = {}
+    for name, features in series.features.items():
+        parts = [np.asarray(block_diag(*(whiten(own, axis) / std[axis] for axis in axes))) for own in features]
+        x = np.concatenate([without_offsets(part, q) for part, q in zip(parts, offsets, strict=True)])
+        left, values, _ = np.linalg.svd(x / np.maximum(np.linalg.norm(x, axis=0), 1e-300), full_matrices=False)
         kept = left[:, values > 1e-6]
-        explained += float(((kept.T @ y) ** 2).sum()) / float(y.var())
-        freedom += kept.shape[1]
-    return chi_square_tail(explained, freedom)
+        results[name] = chi_square_tail(float(((kept.T @ y) ** 2).sum()), kept.shape[1])
+    return results
