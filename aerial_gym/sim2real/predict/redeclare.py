@@ -48,7 +48,7 @@ def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source:
     off = {name: part.numpy() for name, part in split_deviations(torch.from_numpy(deviation)).items()}
     body, slower = robot.body, 1.0 + tolerances.time_constant * float(off["time_constant"][0])
     stretch = np.sqrt(np.maximum(1.0 + tolerances.inertia * off["inertia"], 0.01))
-    inertia = _limit_principal_moments(np.array(body.inertia, dtype=float) * np.outer(stretch, stretch))
+    inertia = _limit_principal_moments(stretch[:, None] * np.array(body.inertia, dtype=np.float64) * stretch)
     body = replace(
         body, mass=_round_value(body.mass * (1.0 + tolerances.mass * float(off["mass"][0]))),
         inertia=tuple(tuple(_round_value(value) for value in row) for row in inertia.tolist()),
