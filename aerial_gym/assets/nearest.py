@@ -28,7 +28,7 @@ BISECTIONS = wp.constant(14)  # Bisections of an edge; they locate its minimum t
 
 
 @wp.struct
-class Nearest:
+class NearestPair:
     """The nearest pair of a core and another shape, in the frame of that shape."""
 
     distance: wp.float32  # [m], negative where they overlap
@@ -65,15 +65,15 @@ def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
 
 
 @wp.func
-def nearer_pair(best: Nearest, distance: float, point: wp.vec3, normal: wp.vec3) -> Nearest:
+def nearer_pair(best: NearestPair, distance: float, point: wp.vec3, normal: wp.vec3) -> NearestPair:
     """Return the nearer of two pairs."""
     if distance < best.distance:
-        return Nearest(distance, point, normal)
+        return NearestPair(distance, point, normal)
     return best
 
 
 @wp.func
-def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: Nearest) -> Nearest:
+def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
     if primitive_distance(shape, middle) - wp.length(half) >= best.distance:
         return best  # distances change by no more than the point moves
@@ -101,7 +101,7 @@ def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: Nearest) ->
 
 
 @wp.func
-def _search_face_and_rim(shape: Shape, core: Core, axis: int, side: float, best: Nearest) -> Nearest:
+def _search_face_and_rim(shape: Shape, core: Core, axis: int, side: float, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or that of a core's face and the deepest point of a cylinder's rim."""
     b = (axis + 1) % 3
     c = (axis + 2) % 3
@@ -148,7 +148,7 @@ def _is_distinct_edge(half: wp.vec3, number: int) -> wp.bool:
 
 
 @wp.func
-def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, best: Nearest) -> Nearest:
+def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or the nearest on the edges of a box, or on its line if it has no width."""
     k = wp.int32(0)
     while k < 12:
@@ -169,15 +169,15 @@ def as_box(core: Core) -> Shape:
 
 
 @wp.func
-def _pair_in_other_frame(core: Core, seen: Nearest, radius: float) -> Nearest:
+def _pair_in_other_frame(core: Core, seen: NearestPair, radius: float) -> NearestPair:
     """Return a pair of the core's frame in the other shape's frame, with that shape's radius subtracted."""
     normal = -wp.quat_rotate(core.turn, seen.normal)
     point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * normal
-    return Nearest(seen.distance - radius, point, normal)
+    return NearestPair(seen.distance - radius, point, normal)
 
 
 @wp.func
-def _search_other_edges(shape: Shape, core: Core, best: Nearest) -> Nearest:
+def _search_other_edges(shape: Shape, core: Core, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or the nearest of the other shape's own edges or axis to a box.
 
     The axis of a cylinder counts only inside the box, where it pierces two faces far from all edges.
@@ -189,7 +189,7 @@ def _search_other_edges(shape: Shape, core: Core, best: Nearest) -> Nearest:
         if shape.kind != CYLINDER:
             radius = shape.size[0]
     back = wp.quat_inverse(core.turn)
-    seen = Nearest()
+    seen = NearestPair()
     seen.distance = best.distance + radius
     if shape.kind == CYLINDER:
         seen.distance = wp.min(seen.distance, 0.0)
@@ -204,7 +204,7 @@ PIERCED = wp.constant(1.0e-6)  # Depth [m] assigned to an edge that pierces a me
 
 
 @wp.func
-def _search_corners(shape: Shape, core: Core, best: Nearest) -> Nearest:
+def _search_corners(shape: Shape, core: Core, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or that of a mesh and the corners, centre or edges of a core."""
     nearer = wp.bool(False)
     k = wp.int32(0)
@@ -235,7 +235,7 @@ def _search_corners(shape: Shape, core: Core, best: Nearest) -> Nearest:
 
 
 @wp.func
-def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
+def _search_mesh(shape: Shape, core: Core, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or that of a mesh and a core."""
     best = _search_corners(shape, core, best)
     box = as_box(core)
@@ -244,7 +244,7 @@ def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
     for i in range(3):
         for j in range(3):
             extent[i] = extent[i] + wp.abs(matrix[i, j]) * core.half[j]
-    seen = Nearest()
+    seen = NearestPair()
     seen.distance = best.distance
     query = wp.mesh_query_aabb(shape.mesh, core.center - extent, core.center + extent)
     face = wp.int32(0)
@@ -261,7 +261,7 @@ def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
 
 
 @wp.func
-def _nearer_point(best: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
+def _nearer_point(best: NearestPair, point: wp.vec3, away: wp.vec3) -> NearestPair:
     """Return the nearer pair: ``best``, or that of a point at ``away`` from the other shape."""
     distance = wp.length(away)
     if distance > 0.0:
@@ -270,7 +270,7 @@ def _nearer_point(best: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
 
 
 @wp.func
-def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
+def _search_triangle(shape: Shape, core: Core, best: NearestPair) -> NearestPair:
     """Return the nearer pair: ``best``, or that of a triangle and a core without overlap, in closed form.
 
     The nearest pair of two separate polytopes has a corner of one of them, or an edge of each.
@@ -310,9 +310,9 @@ def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
 
 
 @wp.func
-def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
+def nearest_of_core(shape: Shape, core: Core, limit: float) -> NearestPair:
     """Return the nearest pair of a core and a shape; beyond ``limit`` [m], that distance without a pair."""
-    best = Nearest()
+    best = NearestPair()
     best.distance = limit
     if shape.kind == MESH:
         return _search_mesh(shape, core, best)

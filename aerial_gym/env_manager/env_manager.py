@@ -216,12 +216,12 @@ class EnvManager:
         """Cut the gradients at this instant: later losses are differentiated back to here, and no further."""
         self._gradient_backend().detach()
 
-    def settle(self) -> None:
+    def detach_in_place(self) -> None:
         """Detach in tensors that keep their memory, so that a later CUDA graph can be replayed from here.
 
         Earlier losses must have been differentiated already.
         """
-        self._gradient_backend().settle()
+        self._gradient_backend().detach_in_place()
 
     def _gradient_backend(self) -> DifferentiableBackend:
         simulation = self.robot_manager.differentiable

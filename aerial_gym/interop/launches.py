@@ -45,7 +45,7 @@ if hasattr(os, "register_at_fork"):
 
 def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOCK_DIM) -> None:
     """Start to compile a kernel for a device, or to load it from Warp's cache, in the background."""
-    key = _key(kernel, device, block_dim)
+    key = _compilation_key(kernel, device, block_dim)
     if key in _begun:
         return
     if device.is_cpu and wp.config.cpu_compiler_flags is not None:
@@ -57,7 +57,7 @@ def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOC
     )
 
 
-def _key(kernel: wp.Kernel, device: wp.Device, block_dim: int) -> tuple[wp.Module, str, int | None]:
+def _compilation_key(kernel: wp.Kernel, device: wp.Device, block_dim: int) -> tuple[wp.Module, str, int | None]:
     return kernel.module, device.alias, None if device.is_cpu else block_dim
 
 
@@ -68,7 +68,7 @@ def _compiler_flags_of_long_kernel(kernel: wp.Kernel) -> tuple[str, ...]:
 
 def wait_for_kernel(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOCK_DIM) -> None:
     """Wait until a kernel of ``compile_ahead`` can be launched; compile errors appear at the launch."""
-    begun = _begun.get(_key(kernel, device, block_dim))
+    begun = _begun.get(_compilation_key(kernel, device, block_dim))
     if begun is not None:
         wait([begun])
 

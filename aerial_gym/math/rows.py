@@ -67,24 +67,24 @@ def compute_if(
     return tuple(torch.where(condition, *pair) for pair in zip(function(*arguments), otherwise, strict=True))
 
 
-def by_element(function: Callable[..., Tensor], *values: Tensor) -> Tensor:
+def apply_by_element(function: Callable[..., Tensor], *values: Tensor) -> Tensor:
     """Return ``function(*values)``, whose elements depend on the same element of the values only.
 
     A kernel calls it for each element, in place of a copy of its code.
     """
     record = _call_recorder()
-    return function(*values) if record is None else record(function, values, by_element=True)[0]
+    return function(*values) if record is None else record(function, values, apply_by_element=True)[0]
 
 
 def choose(condition: Tensor, function: Callable[..., Tensor], other: Tensor, *values: Tensor) -> Tensor:
-    """Return ``torch.where(condition, function(*values), other)`` for a function as in ``by_element``.
+    """Return ``torch.where(condition, function(*values), other)`` for a function as in ``apply_by_element``.
 
     A kernel calls it only where the condition is true.
     """
     record = _call_recorder()
     if record is None:
         return torch.where(condition, function(*values), other)
-    return record(function, values, condition, (other,), by_element=True)[0]
+    return record(function, values, condition, (other,), apply_by_element=True)[0]
 
 
 def _call_recorder() -> Callable[..., tuple[Tensor, ...]] | None:

@@ -50,7 +50,7 @@ def make_memory(model: Model, dt: float, *, random: Randomness | None = None) ->
     )
 
 
-def forget(memory: Memory, mask: Tensor) -> Memory:
+def reset_effect_memory(memory: Memory, mask: Tensor) -> Memory:
     """Return the memory with the environments in ``mask``, bool (E,), reset; others stay bit for bit.
 
     Older commands are not cleared, because ``since`` excludes them.

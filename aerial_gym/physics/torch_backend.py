@@ -32,10 +32,10 @@ from aerial_gym.physics.memory import (
     Memory,
     begin_substep,
     end_substep,
-    forget,
     link_state_of_load,
     make_memory,
     num_past_commands,
+    reset_effect_memory,
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import LinearRotorSpeeds, stop_in_dead_band
@@ -394,7 +394,7 @@ class TorchBackend:
         if self._crept is not None:
             self._crept = self._crept.detach()
 
-    def settle(self) -> None:
+    def detach_in_place(self) -> None:
         """Detach the memory from gradients, in the same tensors at every call."""
         self.detach()
         if self._memory is not None:
@@ -404,13 +404,13 @@ class TorchBackend:
         if self._crept is not None:
             self._crept = copy_tensors(self._places[2], {"crept": self._crept})["crept"]
 
-    def forget(self, mask: Tensor) -> None:
+    def reset_memory_with_gradients(self, mask: Tensor) -> None:
         """Reset the memory of the environments in ``mask``, and keep the gradients of others.
 
         The graph keeps the mask, which must not change.
         """
         if self._memory is not None:
-            self._memory = forget(self._memory, mask)
+            self._memory = reset_effect_memory(self._memory, mask)
         if self.law_memory is not None:
             self.law_memory = reset_law_memory(self.law_memory, mask)
         if self._crept is not None:
@@ -421,7 +421,7 @@ class TorchBackend:
         """Reset the memory of the environments in ``mask``; gradients through memory end for all."""
         self.detach()
         if self._memory is not None:
-            self._memory = _store_memory(self._memory, forget(self._memory, mask))
+            self._memory = _store_memory(self._memory, reset_effect_memory(self._memory, mask))
         if self.law_memory is not None:
             self.law_memory = _store_memory(self.law_memory, reset_law_memory(self.law_memory, mask))
         if self._crept is not None:

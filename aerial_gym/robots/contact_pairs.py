@@ -15,7 +15,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes
 from aerial_gym.assets.cores import has_boxes_or_capsules
 from aerial_gym.assets.geometry import outward_normal, signed_distance
-from aerial_gym.assets.nearest import Core, Nearest, as_box, box_corner, nearest_of_core
+from aerial_gym.assets.nearest import Core, NearestPair, as_box, box_corner, nearest_of_core
 from aerial_gym.assets.scene_arrays import (
     BOX,
     SceneArrays,
@@ -123,12 +123,12 @@ def is_near_corner(core: Core, point: wp.vec3) -> wp.bool:
 
 
 @wp.func
-def corner_or_deepest_pair(shape: Shape, core: Core, radius: float, number: int) -> Nearest:
+def corner_or_deepest_pair(shape: Shape, core: Core, radius: float, number: int) -> NearestPair:
     """Return corner 0 to 7 of a box obstacle in a box, or as number 8 the deepest pair of all; without any the distance is 0.
 
     The distance is that of the surfaces [m]; of a capsule the point is on its surface.
     """
-    pair = Nearest()
+    pair = NearestPair()
     pair.distance = radius
     if number < 8:
         if shape.kind != BOX or wp.min(core.half) <= 0.0:

@@ -28,7 +28,7 @@ from aerial_gym.assets.geometry import (
     primitive_normal,
     signed_distance,
 )
-from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
+from aerial_gym.assets.nearest import Core, NearestPair, nearest_of_core
 from aerial_gym.assets.obstacle_motion import advance_pose, is_present_and_moves, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, MESH, TRIANGLE, Shape
@@ -139,9 +139,9 @@ def shift_out_of_planes(pairs: ContactPairs, floors: wp.vec4, count: int, shift:
 @cache
 def _make_nearest_pair(*, cores: bool) -> wp.Function:
     @wp.func
-    def nearest_pair(solid: Shape, own: BodyShape, core: Core) -> Nearest:
+    def nearest_pair(solid: Shape, own: BodyShape, core: Core) -> NearestPair:
         """Return the nearest pair of a part, or of a face, and a shape that touches it; the point is on the shape."""
-        pair = Nearest(primitive_distance(solid, core.center), core.center, primitive_normal(solid, core.center))
+        pair = NearestPair(primitive_distance(solid, core.center), core.center, primitive_normal(solid, core.center))
         if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
                 hit = nearest_of_core(solid, core, pair.distance)

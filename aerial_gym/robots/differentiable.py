@@ -104,7 +104,7 @@ class DifferentiableBackend(TorchBackend):
     def reset_memory(self, mask: Tensor) -> None:
         """Restart the graph of the environments in ``mask``, bool (E,), from the GTD's state; others continue."""
         mask = mask.clone()  # the graph keeps it; the next reset overwrites the mask
-        self.forget(mask)
+        self.reset_memory_with_gradients(mask)
         rows = mask.unsqueeze(-1)
 
         def select_rows(new: Tensor, old: Tensor) -> Tensor:
@@ -123,9 +123,9 @@ class DifferentiableBackend(TorchBackend):
         self.actions = _map_pair(self.actions, torch.Tensor.detach)
         super().detach()
 
-    def settle(self) -> None:
+    def detach_in_place(self) -> None:
         """Cut the gradients at this instant, in tensors that stay the same at every call, as start of a recorded window."""
-        super().settle()
+        super().detach_in_place()
         own = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
         settled = copy_tensors(self._graph_places, own)
         self.actions = (settled.pop("action"), settled.pop("previous_action"))

@@ -153,7 +153,7 @@ class DelayLine:
         like = fresh.distance
         self._started = torch.zeros(like.shape[0], dtype=torch.bool, device=like.device)
 
-    def push(self, mask: Tensor | None = None) -> None:
+    def push_images(self, mask: Tensor | None = None) -> None:
         """Output the images of ``steps`` calls ago and store the present ones, without waiting.
 
         With a mask, bool (E,), the other environments stay as they are.

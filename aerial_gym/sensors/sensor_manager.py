@@ -110,7 +110,7 @@ class SensorManager:
             if mask is not None and name not in self._clock:
                 caster.due.fill_(True)
         for delay in self._delay.values():
-            delay.push(mask)
+            delay.push_images(mask)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""

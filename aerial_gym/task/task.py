@@ -192,11 +192,11 @@ class Task:
         if self.values.graph is not None:
             self.values.graph.detach()
 
-    def settle(self) -> None:
-        """Do as ``detach``, in tensors that stay, from which a CUDA graph can be replayed (``EnvManager.settle``)."""
-        self.env.settle()
+    def detach_in_place(self) -> None:
+        """Do as ``detach``, in tensors that stay, from which a CUDA graph can be replayed (``EnvManager.detach_in_place``)."""
+        self.env.detach_in_place()
         if self.values.graph is not None:
-            self.values.graph.settle()
+            self.values.graph.detach_in_place()
 
     def watch(self) -> None:
         """Record the last steps of non-finite rows, for ``dump``; call it before the first ``reset``.
@@ -406,7 +406,7 @@ class Task:
         self.env.restore(state)
         restore_tensors(state, self.state_tensors())
         if self.values.graph is not None:
-            self.values.graph.forget()
+            self.values.graph.drop_values()
 
     def close(self) -> None:
         """Report non-finite rows not yet reported, and release the simulation; a later call raises ``ClosedError``."""

@@ -109,7 +109,7 @@ def trace(
         lifts: Whether tensors (E, ...) from elsewhere become inputs; else they are refused.
         fixes: Whether tensors from elsewhere become constants.
         constants: Known values of entries of inputs, by position and entry. With it, arithmetic on constants is simplified
-            as if all numbers were finite, and functions of ``compute_if``, ``by_element`` and ``choose`` are called.
+            as if all numbers were finite, and functions of ``compute_if``, ``apply_by_element`` and ``choose`` are called.
         known: Function from a tensor from elsewhere to the known entries of its rows, which become constants.
 
     Raises:
@@ -272,31 +272,33 @@ class _Recorder(TorchDispatchMode):
         condition: Tensor | None = None,
         otherwise: Sequence[Tensor] = (),
         *,
-        by_element: bool = False,
+        apply_by_element: bool = False,
     ) -> tuple[Tensor, ...]:
         """Trace a function as a body of its own, and return placeholders of the results of a call.
 
         Args:
             condition: Condition for the call; None: always.
             otherwise: Results where it does not hold.
-            by_element: Whether each element has its own call; the tensors are broadcast.
+            apply_by_element: Whether each element has its own call; the tensors are broadcast.
         """
         first = (() if condition is None else (condition,)) + tuple(otherwise)
         copies = [tensor.clone() for tensor in (*first, *arguments)]  # the trace sees each of them
         with torch._C.DisableTorchFunction(), _disable_current_modes():
             given = [self.find_scalars(tensor) for tensor in copies]
-        rows = [each.one if each.rows or by_element else each.one[0] for each in given]
+        rows = [each.one if each.rows or apply_by_element else each.one[0] for each in given]
         call = self._trace_call(
             function,
-            [() if by_element else numbers.shape for numbers in rows[len(first) :]],
+            [() if apply_by_element else numbers.shape for numbers in rows[len(first) :]],
             [tensor.dtype for tensor in copies[len(first) :]],
-            {} if by_element else self._find_constants(rows[len(first) :]),
-            None if condition is None else [() if by_element else numbers.shape for numbers in rows[1 : len(first)]],
+            {} if apply_by_element else self._find_constants(rows[len(first) :]),
+            None
+            if condition is None
+            else [() if apply_by_element else numbers.shape for numbers in rows[1 : len(first)]],
             arguments[0].dtype,
         )
         into, kind = self.into, f"call {len(self.into.calls)}"
         into.calls.append(call)
-        if by_element:
+        if apply_by_element:
             shape = torch.Size(np.broadcast_shapes(*(tensor.shape for tensor in copies)))
             scalars = _broadcast(lambda *row: _result(into, kind, row, call.dtype), given, shape)
             return (self._note(torch.zeros(shape, dtype=call.dtype), scalars),)

@@ -32,13 +32,13 @@ def fits_32_bits(trace: Trace, needed: Sequence[int]) -> bool:
         if scalar.dtype == torch.int64:
             if scalar.kind == "cast" and trace.scalars[given[0]].dtype != torch.int32:
                 return False
-            bounds[n] = _bound(
+            bounds[n] = _largest_value(
                 scalar, [bounds.get(a) for a in given], [trace.scalars[a].kind == "constant" for a in given]
             )
     return True
 
 
-def _bound(scalar: Scalar, given: list[int | None], fixed: list[bool]) -> int | None:
+def _largest_value(scalar: Scalar, given: list[int | None], fixed: list[bool]) -> int | None:
     """Return the largest value of a scalar >= 0; None from 2^32 on, or if it is unknown.
 
     Args:

@@ -8,7 +8,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.rows import by_element, choose, dot, sum_slices
+from aerial_gym.math.rows import apply_by_element, choose, dot, sum_slices
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced_velocity
@@ -160,7 +160,7 @@ class BladeElement(WrenchEffect):
         theta = 2.0 * hover_thrust / lift + 0.5 * hover_inflow
         root = 3.0 * (theta - 0.25 * twist)
         lifted = theta + mu.square() * (0.5 * root + 0.25 * twist)
-        inflow = climb + by_element(_inflow, lift, lifted, climb, mu)
+        inflow = climb + apply_by_element(_inflow, lift, lifted, climb, mu)
         thrust = 0.5 * lift * (lifted - 0.5 * inflow)
         profile = hover_torque - hover_inflow * hover_thrust
         square, g, k = mu.square(), 0.125 * lock, (flap / rate).square()

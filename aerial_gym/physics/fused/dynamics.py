@@ -128,7 +128,7 @@ STAGES = {"euler": 1.0, "rk4": 0.5}  # Share of a step between two evaluations o
 
 
 @wp.func
-def settle(load: wp.spatial_vector) -> wp.spatial_vector:
+def normalise_load_direction(load: wp.spatial_vector) -> wp.spatial_vector:
     """Normalise direction and rate of a link to ``|n| = 1``, ``n . n' = 0``."""
     direction = wp.normalize(wp.spatial_top(load))
     rate = wp.spatial_bottom(load)
@@ -190,7 +190,7 @@ def _make_euler(
         hung = load
         if wp.static(any_load):
             rate = wp.spatial_bottom(load) + dt * wp.spatial_bottom(swing)
-            hung = settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
+            hung = normalise_load_direction(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
         return position + dt * v, unit_quat(attitude * rotation_quat(dt * w)), v, w, rotors, hung
 
     return euler
@@ -212,7 +212,7 @@ def _make_euler_in_fluid(
     @wp.func
     def advance_load(load: wp.spatial_vector, dt: float) -> wp.spatial_vector:
         rate = wp.spatial_bottom(load)
-        return settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
+        return normalise_load_direction(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
 
     @wp.func
     def euler_in_fluid(
@@ -303,7 +303,7 @@ def _make_rk4(
         sixth = dt / 6.0
         hung = load
         if wp.static(any_load):
-            hung = settle(load + sixth * (s1 + 2.0 * s2 + 2.0 * s3 + s4))
+            hung = normalise_load_direction(load + sixth * (s1 + 2.0 * s2 + 2.0 * s3 + s4))
         return (
             position + sixth * (lin_vel + 2.0 * v2 + 2.0 * v3 + v4),
             unit_quat(attitude + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)),

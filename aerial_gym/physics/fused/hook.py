@@ -81,7 +81,7 @@ def record(data: TrajectoryArrays, env: int, k: int, done: Substep):
 
 
 @wp.func
-def record_jointed(data: JointTrajectoryArrays, env: int, k: int, done: Substep):
+def record_poses_with_joints(data: JointTrajectoryArrays, env: int, k: int, done: Substep):
     """Write the poses of a vehicle with joints and return the unchanged motion."""
     _record_poses(data.position, data.attitude, env, k, done)
     return done.position, done.attitude, done.lin_vel, done.ang_vel
@@ -95,4 +95,4 @@ def trajectory_hook(position: wp.array, attitude: wp.array, joint_pos: wp.array 
         return FusedHook(TrajectoryArrays, data, record)
     jointed = JointTrajectoryArrays()
     jointed.position, jointed.attitude, jointed.joint_pos = position, attitude, joint_pos
-    return FusedHook(JointTrajectoryArrays, jointed, record_jointed, joints=True)
+    return FusedHook(JointTrajectoryArrays, jointed, record_poses_with_joints, joints=True)

@@ -97,7 +97,7 @@ class Apg(Learner):
     def restart_episodes(self) -> None:
         """Restart every episode, at random ages."""
         super().restart_episodes()
-        self._task.settle()
+        self._task.detach_in_place()
 
     def iterate(self) -> None:
         """Simulate one window, ascend the gradient of its return, and fit the critic to its states."""
@@ -118,7 +118,7 @@ class Apg(Learner):
             self.gauges.copy_(torch.stack((rate, std, norm, loss.detach(), value_loss)))
             for key, value in self._observation.items():
                 value.copy_(window.last[key])
-        self._task.settle()
+        self._task.detach_in_place()
 
     def _simulate_window(self) -> Window:
         """Simulate T steps with exploration."""

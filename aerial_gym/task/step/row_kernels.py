@@ -124,7 +124,7 @@ class GradientGraph:
                 tensors[name] = self._own[name] if name in self._own else tensor.clone()
         return tensors
 
-    def keep(self, written: Mapping[str, Tensor]) -> None:
+    def store_values(self, written: Mapping[str, Tensor]) -> None:
         """Store new values of buffers, with their gradients."""
         self._own |= written
 
@@ -132,11 +132,11 @@ class GradientGraph:
         """Cut the gradients at this instant."""
         self._own = {name: tensor.detach() for name, tensor in self._own.items()}
 
-    def settle(self) -> None:
+    def detach_in_place(self) -> None:
         """Cut the gradients at this instant, in tensors that stay the same at every call."""
         self._own = copy_tensors(self._places, self._own)
 
-    def forget(self) -> None:
+    def drop_values(self) -> None:
         """Drop the stored values, as the buffers were written from outside."""
         self._own.clear()
 
@@ -192,7 +192,7 @@ class StepKernel:
         with torch.no_grad():
             for target, result in zip(self._out, outputs, strict=False):
                 target.copy_(result)
-        graph.keep({name: results[name] for name in self._keeps})
+        graph.store_values({name: results[name] for name in self._keeps})
         return results
 
     def _results_with_gradients(self, *given: Tensor) -> tuple[Tensor, ...]:

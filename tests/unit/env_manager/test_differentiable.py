@@ -272,7 +272,7 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
     (gradient,) = torch.autograd.grad(backend._crept.sum(), first)
     assert gradient[0].tolist() == [0.0] * 4
     assert gradient[1].abs().max() > 0.0
-    for cut in (env.detach, env.settle, env.reset):
+    for cut in (env.detach, env.detach_in_place, env.reset):
         env.step(later)
         assert env.gradient_tensors["dof_position"].requires_grad
         cut()
@@ -285,7 +285,7 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
     for _ in range(3):
         env.step(torch.full((NUM_ENVS, 4), 0.8, dtype=F64, requires_grad=True))
         before = {key: env.gradient_tensors[key].detach().clone() for key in JOINTS[:2]}
-        env.settle()
+        env.detach_in_place()
         for key, rows in before.items():
             assert torch.equal(env.gradient_tensors[key], rows)
         crept = env.robot_manager.backend.state_tensors()["crept"]

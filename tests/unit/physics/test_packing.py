@@ -15,7 +15,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.warp_start import start_warp
 from aerial_gym.math.random import uniform_draws
-from aerial_gym.math.rows import by_element, choose
+from aerial_gym.math.rows import apply_by_element, choose
 from aerial_gym.physics import BodyState, TorchBackend, Vehicle, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.robots import ROBOTS
@@ -176,7 +176,7 @@ def element_function(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Ten
     state = (1000.0 * factor).to(torch.int64)
     noise = uniform_draws(state, 3, 3, dtype=torch.float32) - 0.5
     chosen = body.velocity.index_select(1, torch.tensor([2, 0, 0]))
-    return by_element(search, body.velocity, body.mass.unsqueeze(-1)) + noise, torch.expm1(1e-4 * chosen).sum(-1)
+    return apply_by_element(search, body.velocity, body.mass.unsqueeze(-1)) + noise, torch.expm1(1e-4 * chosen).sum(-1)
 
 
 def test_functions_of_elements_and_integers_equal_torch() -> None:
@@ -190,7 +190,7 @@ def test_functions_of_elements_and_integers_equal_torch() -> None:
 
 def test_function_of_elements_that_reads_other_numbers_is_refused() -> None:
     def closure(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
-        return by_element(lambda v: v * body.mass, body.velocity), factor
+        return apply_by_element(lambda v: v * body.mass, body.velocity), factor
 
     with pytest.raises(CapabilityError, match="not among its arguments"):
         trace_to_warp("closure", INPUTS, closure, OUTPUTS, constants={})

@@ -148,7 +148,7 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
         for _ in range(2):
             task.step(torch.full((2, 4), 0.1, requires_grad=True))
         before = {name: tensor.clone() for name, tensor in task.env.gradient_tensors.items()}
-        task.settle()
+        task.detach_in_place()
         for name, tensor in task.env.gradient_tensors.items():
             assert torch.equal(tensor, before[name]), name
             assert not tensor.requires_grad
