@@ -119,7 +119,7 @@ DRAGGED = replace(ROBOT, effects={"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3
 def test_a_wind_is_shown_by_its_horizontal_part(wind, named, tmp_path: Path) -> None:
     """A vertical one is as well an error of thrust or mass."""
     result = select_hidden(tmp_path, ("constant_wind",), robot=DRAGGED, seconds=6.0, drag=0.3, wind=wind)
-    assert result.effects == named
+    assert result.effect_names == named
     assert [reason.code for reason in result.refused.values()] == ([] if named else ["interval_holds_neutral"])
 
 
@@ -146,7 +146,7 @@ def test_a_pull_that_varies_over_positions_is_no_steady_wind(tmp_path: Path) -> 
         "com_offset",
     )
     result = select_effects(predictor, params_from_robot(DRAGGED), Criteria(), candidates=names)
-    assert "constant_wind" not in result.effects
+    assert "constant_wind" not in result.effect_names
     assert result.surrogates == {"constant_wind": "position"}
 
 
