@@ -45,20 +45,26 @@ class LevelOfTrip:
     level: str  # A name of ``LEVELS``
     windows: RolloutWindows
     horizons: tuple[float, ...]  # [s]
+    valid: Flags  # Whether setpoints and flight of each window reach each horizon, (W, H)
     errors: Mapping[str, Mapping[str, Array]]  # Simulated minus measured, by vehicle and quantity, (W, H)
     recorded: Mapping[str, Array]  # Recorded effort, (W, H)
     seed: int
 
     def rms(self, vehicle: str, quantity: str) -> dict[float, Rms]:
         """Return the error of a quantity by horizon [s], with its interval."""
-        values = rms_with_interval(self.errors[vehicle][quantity], self.windows.cluster, seed=self.seed)
-        return dict(zip(self.horizons, values, strict=True))
+        values, group, results = self.errors[vehicle][quantity], self.windows.cluster, dict[float, Rms]()
+        for place, (horizon, own) in enumerate(zip(self.horizons, self.valid.T, strict=True)):
+            (results[horizon],) = rms_with_interval(values[own, place, None], group[own], seed=self.seed)
+        return results
 
     def rises(self, quantity: str) -> dict[float, Rise]:
         """Return the relative rise of the corrected vehicle's error over the declared one's by horizon [s]."""
         after, before = (self.errors[vehicle][quantity] for vehicle in ("corrected", "declared"))
-        rises = rise_with_interval(after, before, self.windows.cluster, self.windows.flight)
-        return dict(zip(self.horizons, rises, strict=True))
+        cluster, flight, results = self.windows.cluster, self.windows.flight, dict[float, Rise]()
+        for place, (horizon, own) in enumerate(zip(self.horizons, self.valid.T, strict=True)):
+            pair = after[own, place, None], before[own, place, None]
+            (results[horizon],) = rise_with_interval(*pair, cluster[own], flight[own])
+        return results
 
     def as_mapping(self) -> dict[str, object]:
         """Return the errors for JSON."""
@@ -71,11 +77,12 @@ class LevelOfTrip:
                 "unit": UNITS_OF_TRIP[quantity],
                 **{vehicle: entries(self.rms(vehicle, quantity)) for vehicle in self.errors},
                 **({"change": entries(self.rises(quantity))} if "corrected" in self.errors else {}),
-                **({"recorded": float(self.recorded[quantity][:, -1].mean())} if quantity in self.recorded else {}),
+                **({"recorded": float(self.recorded[quantity][:, 0].mean())} if quantity in self.recorded else {}),
             }
             for quantity in self.errors["declared"]
         }
-        return {"windows": int(self.windows.row.size), "flights": len(np.unique(self.windows.flight)), **quantities}
+        counts = {f"{horizon:g}": int(own.sum()) for horizon, own in zip(self.horizons, self.valid.T, strict=True)}
+        return {"windows": counts, "flights": len(np.unique(self.windows.flight)), **quantities}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +146,7 @@ def _fly_level(
     law = autopilot.law(level, declared, vehicle)
     asked = [autopilot.actions(level, flight, law, vehicle) for flight in flights]
     has = [np.zeros(f.num_rows, dtype=bool) if one is None else one[1] for f, one in zip(flights, asked, strict=True)]
-    horizons, windows = _find_trip_windows(flights, has)
+    horizons, valid, windows = _find_trip_windows(flights, has)
     if not horizons:
         return None
     width = next(one[0].shape[1] for one in asked if one is not None)
@@ -166,7 +173,9 @@ def _fly_level(
         unknown = {"position": "position", "velocity": "lin_vel"}
         lacks = {key for key, logged in unknown.items() if any(getattr(f, logged) is None for f in flights)}
         errors[name] = {quantity: values for quantity, values in table.items() if quantity not in lacks}
-    return LevelOfTrip(level=level, windows=windows, horizons=horizons, errors=errors, recorded=recorded, seed=seed)
+    return LevelOfTrip(
+        level=level, windows=windows, horizons=horizons, valid=valid, errors=errors, recorded=recorded, seed=seed
+    )
 
 
 def _finite(values: torch.Tensor) -> Array:
@@ -174,32 +183,34 @@ def _finite(values: torch.Tensor) -> Array:
     return values.nan_to_num(FARTHEST, FARTHEST, -FARTHEST).clamp(-FARTHEST, FARTHEST).numpy()
 
 
-def _find_trip_windows(flights: Sequence[Flight], has: Sequence[Flags]) -> tuple[tuple[float, ...], RolloutWindows]:
-    """Return feasible horizons [s] and windows of the longest one, with setpoints from the warm-up to the end.
+def _find_trip_windows(
+    flights: Sequence[Flight], has: Sequence[Flags]
+) -> tuple[tuple[float, ...], Flags, RolloutWindows]:
+    """Return the horizons [s] that some window reaches, whether each window does, (W, H), and the windows.
 
-    No command is at a limit in the warm-up, where it would not show the integrals.
+    A window has setpoints from its warm-up to a horizon. No command is at a limit in the warm-up, where it would not show the
+    integrals.
     """
-    rate = flights[0].rate
-    warm = round(WARM_UP_S * rate)
-    for longest in sorted(TRIP_HORIZONS_S, reverse=True):
-        parts, cluster = [], 0
-        for index, (flight, known) in enumerate(zip(flights, has, strict=True)):
-            excluded = flight.rows_without_comparison(0)
-            lost = np.concatenate(([0], np.cumsum(~known if excluded is None else ~known | excluded)))
-            last = round(longest * rate)
-            rows = np.arange(warm, flight.num_rows - last, round(WINDOW_EVERY_S * rate))
-            limited = np.concatenate(([0], np.cumsum(_rows_at_limits(flight))))
-            rows = rows[(lost[rows + last + 1] == lost[rows - warm]) & (limited[rows] == limited[rows - warm])]
-            groups = (rows / rate / CLUSTER_S).astype(int) + cluster
-            parts.append((np.full(rows.size, index), rows, groups))
-            cluster += int(flight.time[-1] / CLUSTER_S) + 1
-        table = np.concatenate(parts, axis=1)
-        table = table[:, :: max(1, -(-table.shape[1] // MOST_TRIP_WINDOWS))]
-        if table.size:
-            horizons = tuple(horizon for horizon in TRIP_HORIZONS_S if horizon <= longest)
-            return horizons, RolloutWindows(flight=table[0], row=table[1], cluster=table[2])
-    none = np.empty(0, dtype=int)
-    return (), RolloutWindows(flight=none, row=none, cluster=none)
+    rate, parts, cluster = flights[0].rate, [], 0
+    warm, lengths = round(WARM_UP_S * rate), [round(horizon * rate) for horizon in TRIP_HORIZONS_S]
+    for index, (flight, known) in enumerate(zip(flights, has, strict=True)):
+        excluded = flight.rows_without_comparison(0)
+        lost = np.concatenate(([0], np.cumsum(~known if excluded is None else ~known | excluded)))
+        limited = np.concatenate(([0], np.cumsum(_rows_at_limits(flight))))
+        rows = np.arange(warm, flight.num_rows, round(WINDOW_EVERY_S * rate))
+        rows = rows[limited[rows] == limited[rows - warm]]
+        ends = rows[:, None] + lengths
+        reached = (ends < flight.num_rows) & (lost[np.minimum(ends + 1, flight.num_rows)] == lost[rows - warm, None])
+        groups = (rows / rate / CLUSTER_S).astype(int) + cluster
+        table = np.column_stack((np.full(rows.size, index), rows, groups, reached))
+        parts.append(table[reached[:, 0]])
+        cluster += int(flight.time[-1] / CLUSTER_S) + 1
+    table = np.concatenate(parts)
+    table = table[:: max(1, -(-len(table) // MOST_TRIP_WINDOWS))]
+    valid = table[:, 3:].astype(bool)
+    some = valid.any(axis=0)
+    horizons = tuple(horizon for horizon, any_window in zip(TRIP_HORIZONS_S, some, strict=True) if any_window)
+    return horizons, valid[:, some], RolloutWindows(flight=table[:, 0], row=table[:, 1], cluster=table[:, 2])
 
 
 def _rows_at_limits(flight: Flight) -> Flags:

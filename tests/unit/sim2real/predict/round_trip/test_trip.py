@@ -191,6 +191,15 @@ def test_windows_without_all_setpoints_are_left_out() -> None:
             trip.fly_round_trip({"declared": robot}, [replace(flight, setpoints=asked)])
 
 
+def test_each_horizon_has_all_windows_that_reach_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second window starts 0.1 s before the end of the log."""
+    monkeypatch.setattr(trip, "TRIP_HORIZONS_S", (0.05, 0.5))
+    robot, flight = px4_flight("rates")
+    (level,) = trip.fly_round_trip({"declared": robot}, [flight]).levels
+    np.testing.assert_array_equal(level.valid, ((True, True), (True, False)))
+    assert level.rms("declared", "attitude")[0.5].value == level.errors["declared"]["attitude"][0, 1]
+
+
 def test_another_law_stands_for_an_unknown_firmware() -> None:
     """INDIFLIGHT's own law is none of the three; its thrust per mass becomes that of the declared vehicle."""
     robot, flight = px4_flight("rates")
