@@ -114,9 +114,14 @@ def split_flight_number(path: str | Path) -> tuple[str, int | None]:
 
 
 def comparable_rate(log: Recording, rate: float) -> float:
-    """Return the lowest rate [Hz] of the compared streams: force and rotors; ``rate`` is that of the rows."""
+    """Return the lowest rate [Hz] of the compared streams: force and rotors; ``rate`` is that of the rows.
+
+    A force without accelerometer is derived from velocity and attitude, and has their rates.
+    """
     rotors = "rotor_speed" if log.rotor_speed is not None else "rotor_command"
-    return min([rate, *(log.streams[name].rate for name in ("specific_force", rotors) if name in log.streams)])
+    measured = getattr(log, "accelerometer", log.specific_force is not None)
+    names = (rotors, *(("specific_force",) if measured else ("lin_vel", "attitude")))
+    return min([rate, *(log.streams[name].rate for name in names if name in log.streams)])
 
 
 def take_rows(log: Some, rows: slice | Flags) -> Some:

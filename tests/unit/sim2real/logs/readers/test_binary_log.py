@@ -139,6 +139,18 @@ def test_a_log_without_torques_has_the_whole_motion_in_its_kinematic_forces(
     assert np.std(residual[:, forces], axis=0).max() < 0.01
 
 
+def test_a_force_from_a_slow_velocity_is_compared_below_a_fifth_of_its_rate(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    results = topics(table)
+    del results["sensor_combined"]
+    slow = results["vehicle_local_position"]
+    results["vehicle_local_position"] = {key: values[::5] for key, values in slow.items()}
+    one = load(results, tmp_path / "a.ulg")
+    assert not one.accelerometer
+    assert comparison_band([one], 10.0) == pytest.approx(2.0, rel=0.01)
+
+
 def test_relative_commands_become_speeds_by_the_measured_thrust(table: pd.DataFrame, tmp_path: Path) -> None:
     one = load(with_commands(table, 1), tmp_path / "a.ulg")
     (note,) = [note for note in one.notes if note.code == "relative_commands_scaled"]
