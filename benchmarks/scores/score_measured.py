@@ -153,7 +153,8 @@ def row_text(row: dict) -> list[str]:
             f"{key} {value:.4g} ± {1.96 * effect['std'][key]:.2g}" if key in effect["std"] else f"{key} {value:.4g}"
             for key, value in effect["params"].items()
         ]
-        ties = f", may as well be {' or '.join(effect['ties'])}" if effect["ties"] else ""
+        rivals = effect.get("ties", ())  # a residual model has none
+        ties = f", may as well be {' or '.join(rivals)}" if rivals else ""
         result.append(f"  {effect['name']}: {', '.join(values)}; confidence {effect['confidence']:.4g}{ties}")
     for kind, axes in row["before"].items():
         if kind in ("specific_force", "angular_acceleration"):
