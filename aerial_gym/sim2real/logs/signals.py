@@ -65,12 +65,12 @@ def lowpass_columns(
     circle[:, pad : pad + rows] = columns
     np.subtract(last, columns[:, -2 : -pad - 2 : -1], out=circle[:, pad + rows : whole])
     # A straight line closes the circle without a jump.
-    blend = np.linspace(0.0, 1.0, size - whole + 2)[1:-1]
+    blend = _inner_points_of_ramp(size - whole)
     circle[:, whole:] = circle[:, whole - 1 : whole] * (1.0 - blend) + circle[:, :1] * blend
     lines = np.asarray(fft.rfft(circle, axis=1, overwrite_x=True))
     lines *= _lowpass_line_gains(size, rate, bandwidth, derivative)
     if late:
-        lines *= np.exp(-2j * np.pi * late * fft.rfftfreq(size, 1.0 / rate))
+        lines *= _delay_line_factors(size, rate, late)
     return np.asarray(fft.irfft(lines, n=size, axis=1, overwrite_x=True))[:, pad : pad + rows]
 
 
@@ -80,6 +80,18 @@ def _lowpass_line_gains(size: int, rate: float, bandwidth: float, derivative: bo
     frequency = fft.rfftfreq(size, 1.0 / rate)
     gain = lowpass_gain(frequency, bandwidth).astype(complex)
     return gain * (2j * np.pi * frequency) if derivative else gain
+
+
+@lru_cache(maxsize=64)
+def _delay_line_factors(size: int, rate: float, late: float) -> NDArray[np.complex128]:
+    """Return the factors of the spectral lines of ``size`` rows for a delay [s]; read-only."""
+    return np.exp(-2j * np.pi * late * fft.rfftfreq(size, 1.0 / rate))
+
+
+@lru_cache(maxsize=32)
+def _inner_points_of_ramp(rows: int) -> Array:
+    """Return a ramp from 0 to 1 without its ends, (rows,); read-only."""
+    return np.linspace(0.0, 1.0, rows + 2)[1:-1]
 
 
 @lru_cache(maxsize=32)
