@@ -249,7 +249,7 @@ def crash_flags(
     test = CollisionTest(
         made.scene, (hull,), position=position[-1], attitude=attitude[-1], distance_out=distance, moving=made.moving
     )
-    test.follow(position, attitude, dt=DT, crashes_out=crashes)
+    test.record_launches(position, attitude, dt=DT, crashes_out=crashes)
     test.step()
     return crashes.cpu().numpy()
 
@@ -402,7 +402,7 @@ def crash_flags_of_links(
         scene, (), position=links.state[:, 0, :3], attitude=links.state[:, 0, 3:7], distance_out=distance,
         links=links.link_shapes(CollisionCfg(capsules=(ROD,), source="invented")),
     )  # fmt: skip
-    test.follow(track.position, track.attitude, dt=DT / track.pieces, crashes_out=crashes)
+    test.record_launches(track.position, track.attitude, dt=DT / track.pieces, crashes_out=crashes)
     test.step()
     return crashes
 
@@ -426,6 +426,6 @@ def test_links_that_cross_each_other_between_two_poses_crash(flights: int) -> No
         names=("base", "one", "two"), parents=(0, 0), pivots=((0.0, 0.0, 0.0),) * 3,
         state=torch.cat((position[1], attitude[1], torch.zeros(flights, 3, 6)), dim=-1), distance_out=distance,
     )  # fmt: skip
-    test.follow(position, attitude, crashes_out=crashes)
+    test.record_launches(position, attitude, crashes_out=crashes)
     test.step()
     assert crashes.all()

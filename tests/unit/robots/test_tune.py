@@ -88,11 +88,11 @@ def test_a_drawn_dead_time_is_judged_at_each_end() -> None:
 def test_wind_is_judged_with_the_drag_that_it_needs() -> None:
     wind = {"effects.constant_wind.x": RandomizeCfg(how="value", low=0.0, high=5.0)}
     drag = {"effects.rotor_drag.dx": RandomizeCfg(how="value", low=0.0, high=0.2)}
-    assert all(hover.holds for hover in hovers(wind | drag))
+    assert all(hover.is_within_range for hover in hovers(wind | drag))
     robot = ROBOTS.get("base_quadrotor_with_drag")
     still, windy = (hover for _, _, hover in hovers_at_range_ends(robot, LEE, wind, **AT))
-    assert still.holds
-    assert not windy.holds
+    assert still.is_within_range
+    assert not windy.is_within_range
     assert windy.offset[0] > 0.1
 
 

@@ -146,7 +146,7 @@ class PredictorStub(Predictor):
     ) -> None:  # fmt: skip
         self.robot, self.flights, self.channels, self.bandwidth = robot, tuple(flights), tuple(channels), bandwidth
         self.measured, self.times = list(measured), [np.arange(len(rows)) / 30.0 for rows in measured]
-        self.tolerances, self.model, self.calls = Tolerances(), predict, 0
+        self.tolerances, self.model, self.calls, self._parts = Tolerances(), predict, 0, []
 
     def predict(self, params: ModelParams) -> list[Array]:
         self.calls += 1
