@@ -25,6 +25,7 @@ from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
 DELAY_ROWS_HZ = 125.0  # Enough rows for the comparison, 30 a period at its largest frequency
+DELAY_SPAN_S = 600.0  # Longest part of a flight, about its middle, in which delays are searched [s]
 LARGEST_S = 0.5  # Largest delay that is searched [s]
 WITHIN_TOLERANCE_S = 3.0 * LATE_S  # Delay of rows [s] that the tolerance of a sensor's delay covers: three std
 CORRECTED_S = 0.25  # Largest delay that is corrected [s]; a stream with a larger one is left out

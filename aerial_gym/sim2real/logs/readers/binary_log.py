@@ -27,6 +27,7 @@ from aerial_gym.sim2real.logs.signals import integrate_rates
 from aerial_gym.sim2real.logs.stream_delays import (
     CORRECTED_S,
     DELAY_ROWS_HZ,
+    DELAY_SPAN_S,
     StreamDelay,
     stream_delays,
     with_motion_between_samples,
@@ -122,7 +123,11 @@ def flight_of_streams(
         name: StreamTiming(source=stream.channel.source, rate=stream.rate, latency=stream.channel.latency)
         for name, stream in streams.items()
     }
-    slow = _assemble_flight(streams, row_times(streams, span, DELAY_ROWS_HZ), path, notes, hover=hover)
+    middle = 0.5 * (span.start + span.end)
+    part = replace(
+        span, start=max(span.start, middle - 0.5 * DELAY_SPAN_S), end=min(span.end, middle + 0.5 * DELAY_SPAN_S)
+    )
+    slow = _assemble_flight(streams, row_times(streams, part, DELAY_ROWS_HZ), path, notes, hover=hover)
     delays = stream_delays(replace(slow, streams=timings))
     moved = _without_delays(streams, delays, path, notes)
     timings = {name: replace(timings[name], **_delay_fields(delays.get(name))) for name in moved}
