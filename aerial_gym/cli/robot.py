@@ -178,7 +178,7 @@ class FromLogCmd:
     """Logs of one vehicle in any format, FILE#2 for one flight of several. Turns about all axes show the rotors."""
 
     out: Path  # Robot file to write (.yaml); the mapping of commands goes beside it (.mapping.yaml)
-    mass_kg: float | None = None  # Mass of the vehicle with battery [kg]
+    mass_kg: Annotated[float | None, tyro.conf.arg(aliases=("--mass",))] = None  # Mass of the vehicle with battery [kg]
     arm_m: float | None = None  # Distance of the rotors from the centre [m], where the log does not state it
     frame: str | None = None
     """Places and spins of the rotors, if the log does not state them: the name of a frame such as quad_x, or a robot file."""
