@@ -108,7 +108,9 @@ def heights(position: list[list[float]], *, ground: bool = False, parked: bool =
         place = torch.cat((place, torch.zeros(num, 1, 3)), dim=1)
         turn = torch.cat((turn, torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 1, -1)), dim=1)
     result = torch.full((num, 1), float("nan"))
-    HeightProbe(make_scene(shapes, place, turn, device=CPU), position=torch.tensor(position), height_out=result).measure_heights()
+    HeightProbe(
+        make_scene(shapes, place, turn, device=CPU), position=torch.tensor(position), height_out=result
+    ).measure_heights()
     return result[:, 0].tolist()
 
 

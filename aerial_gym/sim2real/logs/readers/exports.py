@@ -45,10 +45,10 @@ class LogExportReader(LogReader):
                 LogMessage(time=one["time_s"], level=one["level"], text=one["text"]) for one in head["messages"]
             ]
             name, metadata = str(head["format"]), dict(head["metadata"])
-            parameters = dict(head["parameters"])
+            parameters = {key: v if isinstance(v, str) else float(v) for key, v in head["parameters"].items()}
         except DataError:
             raise
-        except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError, OSError) as error:
             raise DataError(
                 f"{path}: is no complete converted log ({type(error).__name__}); convert the log again"
             ) from None

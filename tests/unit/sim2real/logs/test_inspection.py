@@ -208,12 +208,16 @@ def test_a_converted_log_is_the_log(kind: str, table: pd.DataFrame, tmp_path: Pa
     assert_same_flights(read_flights([path]), read_flights([file]), tolerance=0.0 if kind == "parquet" else 1e-7)
 
 
+EMPTY_EXPORT = {"aerial_gym_log": 1, "topics": {}, "messages": [], "format": "ulog", "metadata": {}}
+
+
 @pytest.mark.parametrize(
     "text",
     [
         '{"aerial_gym_log": 1}',
         '{"aerial_gym_log": 1, "topics": {"a": {}}}',
         '{"aerial_gym_log": 1, "topics": 3}',
+        json.dumps(EMPTY_EXPORT | {"parameters": {"A": 10**400}}),
         "{",
     ],
 )
