@@ -300,7 +300,9 @@ def tolerances_of_absent_parts(declared: LoopSetup, params: ModelParams) -> set[
     has = {
         "nominal_voltage": declared.stated.battery is not None,
         "joint_rest": soft,
-        **dict.fromkeys(("time_constant", "command_hold"), any(f.rotor_command is not None for f in flights)),
+        **dict.fromkeys(
+            ("time_constant", "command_hold", "command_clock"), any(f.rotor_command is not None for f in flights)
+        ),
         **dict.fromkeys([f"acc_bias_{axis}" for axis in "xyz"], any(flight.accelerometer for flight in flights)),
         **dict.fromkeys([f"gyro_bias_{axis}" for axis in "xyz"], any(flight.gyro for flight in flights)),
         **dict.fromkeys([f"attitude_{axis}" for axis in "xyz"], any(forces)),  # velocity and attitude imply the force

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.config.checks import require_positive
+from aerial_gym.config.checks import require_not_negative, require_positive
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
 from aerial_gym.sim2real.arrays import Array, Flags
@@ -28,17 +28,17 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     **dict.fromkeys(("inertia", "com", "acc_bias", "gyro_bias", "answered_noise", "attitude"), "xyz"),
     "sensor_delay": ("rotors", "acc", "gyro", "attitude", "velocity"),
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
-    **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest"), ("",)),
+    **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest", "command_clock"), ("",)),
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
-OF_LOGS = ("sensor_delay", "acc_scale", "imu_place")  # Tolerances of the logger, which hide no effect
+OF_LOGS = ("sensor_delay", "acc_scale", "imu_place", "command_clock")  # Tolerances of the logger, which hide no effect
 STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Standard deviations of declared values, > 0."""
+    """Standard deviations of declared values, > 0; ``command_clock`` may be 0."""
 
     mass: float = 0.003  # Relative; by a kitchen scale, with battery
     thrust: float = 0.004  # Relative, independent per rotor; thrust and drag torque of propellers of one type
@@ -55,9 +55,11 @@ class Tolerances:
     nominal_voltage: float = 0.003  # Relative; battery voltage at which rotors reach the commanded speed
     command_hold: float = 0.3  # Shift of the command towards the next row, in rows: autopilots are faster than logs
     joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
+    command_clock: float = 0.0  # Common delay of all sensors behind the commands [s], unknown after a move of their log
 
     def __post_init__(self) -> None:
-        require_positive(self, *(field.name for field in fields(self)))
+        require_positive(self, *(field.name for field in fields(self) if field.name != "command_clock"))
+        require_not_negative(self, "command_clock")
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances in the order of ``LAYOUT``."""
@@ -76,6 +78,18 @@ class Tolerances:
         if cut := [name for name, size in pairs if abs(size) >= farthest]:
             notes.append(Finding("tolerances_cut_off", "", {"tolerances": cut, "deviation_std": farthest}))
         return notes
+
+
+def tolerances_after_move(tolerances: Tolerances, notes: Iterable[Finding]) -> Tolerances:
+    """Return the tolerances with a command clock as unsure as the largest move of commands with a rotor log.
+
+    Two independently delayed sensors look like such a clock, and the speeds alone may be late. So the move may be wrong by
+    its whole size; its direction imitates or hides a dead time.
+    """
+    leads = [
+        abs(float(n.values["lead_ms"])) for n in notes if n.code == "rotor_log_moved" and n.values["with_commands"]
+    ]
+    return replace(tolerances, command_clock=max([tolerances.command_clock, *(1e-3 * lead for lead in leads)]))
 
 
 def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
@@ -152,7 +166,7 @@ def sensor_errors(tolerances: Tolerances, deviation: Tensor) -> SensorErrors:
         **{name: getattr(tolerances, name) * off[name] for name in names},
         rotor_motion=off["rotor_motion"],
         answered_noise=off["answered_noise"],
-        delays=tolerances.sensor_delay * off["sensor_delay"],
+        delays=tolerances.sensor_delay * off["sensor_delay"] + tolerances.command_clock * off["command_clock"],
     )
 
 

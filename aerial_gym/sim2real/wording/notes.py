@@ -21,6 +21,7 @@ REMEDIES_OF_DEVIATIONS = {
     "gyro_bias": "Calibrate it",
     "acc_scale": "Calibrate it",
     "sensor_delay": "Log on one clock",
+    "command_clock": "Log on one clock",
     "imu_place": "Log its reading at the body origin",
     "attitude": "Align the logged attitude with the body",
     "command_hold": "",
@@ -239,7 +240,9 @@ REASONS: dict[str, Template] = {
         "Probable only if noise were the only error (log odds {log_odds:.0f}): the flights disagree on it, or it needs a "
         "structure beside it."
     ),
-    "not_told_from_nothing": ("Probable, but not certain enough (log odds {log_odds:.1f}; {least_log_odds:g} needed)."),
+    "not_told_from_nothing": (
+        "Probable, but not certain enough (log odds {log_odds:.1f}; {least_log_odds:g} needed)."
+    ),
     "told_beside_another": "It is certain enough only together with an effect that is not.",
     "remainder_larger": (
         "{subject} is not named: it removes less of the {channels:errors} than remains unexplained. An unknown cause is larger."

@@ -18,13 +18,14 @@ from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestab
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
+from aerial_gym.sim2real.identify.stages import prepare_comparison
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import WindowBatch
-from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.predict.tolerances import Tolerances, tolerances_after_move
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
@@ -209,6 +210,24 @@ def test_sensors_that_are_all_late_are_a_delay_of_the_commands(tmp_path: Path) -
     models = (ModelParams(), ModelParams(deviation=all_late), delay)
     on_time, late, delayed = (predictor.predict(params)[0] for params in models)
     assert np.abs(late - on_time).max() > 1.0
+    np.testing.assert_allclose(late, delayed, rtol=0.0, atol=1e-3 * np.abs(late - on_time).max())
+
+
+def test_a_clock_of_moved_commands_is_a_delay_of_the_commands(tmp_path: Path) -> None:
+    """A move of 10 ms, wrong by three quarters, does what 7.5 ms of dead time do, so that neither has evidence of its own."""
+    lead = {"lead_ms": -10.0, "half_width_ms": 0.3}
+    notes = [Finding("rotor_log_moved", "", {**lead, "with_commands": True})]
+    moved = tolerances_after_move(Tolerances(), notes)
+    assert moved == Tolerances(command_clock=0.01)
+    alone = [Finding("rotor_log_moved", "", {**lead, "with_commands": False})]
+    assert tolerances_after_move(Tolerances(), alone) == Tolerances()
+    flights = [replace(flight_from_commands(tmp_path, delay=0.0, gain=0.0), notes=tuple(notes))]
+    predictor = prepare_comparison(POWERED, flights, flights, bandwidth=10.0, tolerances=Tolerances()).train
+    assert predictor.tolerances == moved
+    predictor = make_predictor(flights, channels=ROTOR_SPEEDS, tolerances=moved)
+    clock = np.array([0.75 * (name == "command_clock") for name in moved.names(4)])
+    delay = ModelParams(effects={"actuation_delay": np.array([0.0075])})
+    on_time, late, delayed = (predictor.predict(one)[0] for one in (ModelParams(), ModelParams(deviation=clock), delay))
     np.testing.assert_allclose(late, delayed, rtol=0.0, atol=1e-3 * np.abs(late - on_time).max())
 
 
