@@ -241,7 +241,7 @@ REASONS: dict[str, Template] = {
         "structure beside it."
     ),
     "not_told_from_nothing": (
-        "Probable, but not certain enough (log odds {log_odds:.1f}; {least_log_odds:g} needed)."
+        "Probable, but not certain enough (log odds {log_odds:.1f}; {least_log_odds:.1f} needed)."
     ),
     "told_beside_another": "It is certain enough only together with an effect that is not.",
     "remainder_larger": (

@@ -181,7 +181,7 @@ SAMPLES = [
     Finding("effect_refused", "joint_spring", {"error": "joint_spring: needs a robot without joints"}),
     Finding("flights_disagree", "rotor_drag", {"log_odds": 12.0}),
     Finding("at_bound", "rotor_drag", {"parameters": ["dx", "dy"]}),
-    Finding("not_told_from_nothing", "rotor_drag", {"log_odds": 1.2, "least_log_odds": 3.0}),
+    Finding("not_told_from_nothing", "rotor_drag", {"log_odds": 1.2, "least_log_odds": 4.59512}),
     *map(Finding, ("told_beside_another", "only_linear", "less_probable", "gusts_no_floor", "gusts_no_forces")),
     Finding("gusts_no_drag", "gusts"), Finding("trifle", "rotor_drag", {"rise": 0.02}),
     Finding("follows_structure", "rotor_drag", {"structure": "heading"}),

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobi
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView, occam_window
-from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
+from aerial_gym.sim2real.identify.selection.criteria import LEAST_NAMING_ODDS, Criteria
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import KINEMATIC
@@ -162,8 +162,8 @@ class _Chooser:
             name: Finding("flights_disagree", name, {"log_odds": one.log_odds}) for name, one in supports.items()
         }
         refused |= {
-            name: Finding("not_told_from_nothing", name, {"log_odds": odds, "least_log_odds": LEAST_SCORE})
-            if odds <= LEAST_SCORE
+            name: Finding("not_told_from_nothing", name, {"log_odds": odds, "least_log_odds": LEAST_NAMING_ODDS})
+            if odds <= LEAST_NAMING_ODDS
             else Finding("told_beside_another", name)
             for name, odds in unsure.items()
         }
@@ -207,9 +207,9 @@ class _Chooser:
     def drop_unproven(
         self, fitted: EffectSetFit, present: EffectSetFit, fitter: Fitter
     ) -> tuple[EffectSetFit, dict[str, float]]:
-        """Return the set of effects whose log odds exceed ``LEAST_SCORE``, and the log odds of the removed ones.
+        """Return the set of effects whose log odds exceed ``LEAST_NAMING_ODDS``, and the log odds of the removed ones.
 
-        A limit of zero raises a false alarm in one case of three. The larger of the odds in this and in the most probable
+        The larger of the odds in this and in the most probable
         set counts: without structures, their part of the residual looks like scatter between flights.
         """
 
@@ -221,7 +221,7 @@ class _Chooser:
             return results
 
         left = fitter.drop_unsupported(
-            fitted, lambda one: one.is_supported and min(effect_odds(one).values(), default=np.inf) > LEAST_SCORE
+            fitted, lambda one: one.is_supported and min(effect_odds(one).values(), default=np.inf) > LEAST_NAMING_ODDS
         )
         return left, {name: odds for name, odds in effect_odds(fitted).items() if name not in left.effects}
 
@@ -332,7 +332,7 @@ def sets_on_other_rotors(
         if name not in one.effects or name not in present.effects:
             return False
         moved = one.params.effects[name][0] != present.params.effects[name][0]
-        return moved and one.support[name].log_odds_with_overdispersion > LEAST_SCORE
+        return moved and one.support[name].log_odds_with_overdispersion > LEAST_NAMING_ODDS
 
     return [one for one in fits if one.is_supported and any(is_proven_elsewhere(one, name) for name in names)]
 

@@ -1,5 +1,6 @@
 """Limits for the acceptance of effects."""
 
+import math
 from dataclasses import dataclass
 
 from aerial_gym.errors import ConfigError
@@ -9,6 +10,9 @@ LEAST_SCORE = 3.0
 
 Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
 """
+
+LEAST_NAMING_ODDS = math.log(99.0)
+"""Least log odds of a named effect: a posterior probability of 99 %, so that at most one name in a hundred is false."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -156,7 +156,7 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
 def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() -> None:
     odds = {"torque_ratio": 0.7, "payload_mass": 2.0}
     both = make_fit("payload_mass", "torque_ratio", odds=odds)
-    mass = make_fit("payload_mass", log=-0.7, odds={"payload_mass": 3.1})
+    mass = make_fit("payload_mass", log=-0.7, odds={"payload_mass": 4.7})
     chooser, empty = object.__new__(_Chooser), make_fit(log=-3.8)
     results, unsure = chooser.drop_unproven(both, both, FitStub(mass, empty))
     assert results is mass
@@ -166,7 +166,7 @@ def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() 
     assert chooser.drop_unproven(empty, empty, FitStub()) == (empty, {})
 
 
-@pytest.mark.parametrize(("beside", "without", "named"), [(5.0, 0.7, True), (5.0, -0.1, False), (2.0, 0.7, False)])
+@pytest.mark.parametrize(("beside", "without", "named"), [(4.7, 0.7, True), (4.7, -0.1, False), (4.5, 0.7, False)])
 def test_what_a_structure_explains_is_no_doubt_in_an_effect(beside: float, without: float, named: bool) -> None:
     best = make_fit("rotor_drag", odds={"rotor_drag": beside}, structures=(PLACE,))
     bare, empty = make_fit("rotor_drag", log=-4.0, odds={"rotor_drag": without}), make_fit(log=-9.0)
@@ -189,7 +189,7 @@ def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> No
     odds = {"rotor_drag": 2.5, "motor_tilt": 2.0}
     both = make_fit("rotor_drag", "motor_tilt", odds=odds)
     drag, tilt = (
-        make_fit(name, log=-2.5, odds={name: value}) for name, value in (("rotor_drag", 2.9), ("motor_tilt", 4.0))
+        make_fit(name, log=-2.5, odds={name: value}) for name, value in (("rotor_drag", 2.9), ("motor_tilt", 4.7))
     )
     results, unsure = object.__new__(_Chooser).drop_unproven(both, both, FitStub(drag, tilt, make_fit(log=-6.0)))
     assert results is tilt
