@@ -573,7 +573,7 @@ def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
     assert tolerances.implausible_deviations(deviation) == []
     deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
     notes = tolerances.implausible_deviations(deviation)
-    asked = {"mass": 3.4, "thrust_6": -4.0, "joint_rest": 3.1}
+    asked = {"mass": 3.4, "thrust_6": -4.0, "command_clock": 3.1}
     assert notes == [Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in asked.items()]
 
 
