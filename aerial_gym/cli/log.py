@@ -59,6 +59,10 @@ class InspectLogCmd(LogCmd):
 
         if self.mapping is not None:
             raise ConfigError("--mapping and --draft-mapping: give only one of them")
+        if path.exists():
+            raise ConfigError(
+                f"--draft-mapping {path}: exists, and may hold your corrections; remove it, or name another file"
+            )
         draft = draft_mapping(self.log)
         path.write_text(draft.as_yaml(), encoding="utf-8")
         if not self.json:

@@ -1,4 +1,4 @@
-"""Named effects that remove less of an unexplained residual than remains of it: an unknown cause is larger than they are.
+"""Named winds and sensor errors that explain less of the residual than stays unexplained: the unknown cause is larger.
 
 Letters: C channels.
 """
@@ -12,17 +12,17 @@ from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, channel_rms, excess_power
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-OUTSIDE = ("environment", "sensor")  # What effects act on that are no values of the vehicle
+OUTSIDE = ("environment", "sensor")  # What an effect acts on, if it is no value of the vehicle
 
 
 def effects_below_remainder(
     train: Predictor, selection: SelectionResult, unexplained: ResidualExcess
 ) -> dict[str, Finding]:
-    """Return the named effects outside the vehicle whose only support is a residual of which more remains than they remove.
+    """Return the named winds and sensor errors that no channel supports, each with its finding.
 
-    Wind and sensor errors can take the shape of an unknown cause. A value of the vehicle has a law that few causes share: a
-    moment of inertia is real even where unsteady air leaves a larger residual. A channel supports an effect if it is explained,
-    or if the effect removes more of its mean square on the training flights than remains above the noise floor. The gain in
+    Wind and sensor errors can take the shape of an unknown cause. A value of the vehicle cannot so easily: a moment of inertia
+    is real even where unsteady air leaves a larger residual. An explained channel supports an effect. Any other channel does
+    if the effect removes more of its mean square on the training flights than remains above the noise floor. The gain in
     log likelihood of these channels must reach ``LEAST_SCORE``.
     """
     rows, weight = sum(time.size for time in train.times), selection.weights.weight

@@ -20,6 +20,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.column_names import column_families, count_foreign_words
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.csv_table import read_csv_rows
+from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from aerial_gym.sim2real.logs.readers.mapping import (
     BODY_FRAMES,
     DIRECTIONS,
@@ -70,6 +71,8 @@ def _flow_mapping(quantity: ColumnsCfg) -> str:
 
 def draft_mapping(path: str | Path) -> MappingDraft:
     """Return a mapping of a CSV file with unknown columns; raise ``DataError`` without a column of times."""
+    if (reader := find_reader(Path(path))) is not None:
+        raise DataError(f"{path}: is a log of the format {reader.name}, whose quantities are known; it needs no draft")
     header = find_header(iter(read_lines(Path(path))), "")
     if header is None:
         raise DataError(f"{path}: holds no rows; a flight log has one header line and one line per sample")

@@ -8,12 +8,14 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.errors import DataError
+from aerial_gym.cli.log import InspectLogCmd
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.column_names import parse_column_name
 from aerial_gym.sim2real.logs.mapping_draft import draft_mapping
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from tests.unit.sim2real.flat_flights import flight
+from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD = np.array([1.0, -1.0, -1.0])
@@ -116,3 +118,16 @@ def test_a_file_without_times_is_refused(columns, tmp_path: Path) -> None:
     pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(DataError, match="no column of times"):
         draft_mapping(tmp_path / "a.csv")
+
+
+def test_a_log_of_a_known_format_needs_no_draft(table: pd.DataFrame, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="format ulog"):
+        draft_mapping(write_ulog(tmp_path / "a.ulg", topics(table)))
+
+
+def test_a_mapping_that_exists_is_kept(table: pd.DataFrame, tmp_path: Path) -> None:
+    table.to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "m.yaml").write_text("corrected by hand")
+    with pytest.raises(ConfigError, match="remove it, or name another file"):
+        InspectLogCmd(log=tmp_path / "a.csv", draft_mapping=tmp_path / "m.yaml").run()
+    assert (tmp_path / "m.yaml").read_text() == "corrected by hand"
