@@ -27,7 +27,11 @@ from aerial_gym.sim2real.judge.outcome import (
     verdict_decision,
 )
 from aerial_gym.sim2real.judge.predictive import notes_on_doubt, selection_with_test_odds
-from aerial_gym.sim2real.judge.random_wind.gusts import NAME, random_wind_in_file
+from aerial_gym.sim2real.judge.random_wind.gusts import (
+    NAME,
+    noise_floors_in_declared_wind,
+    noise_floors_with_wind,
+)
 from aerial_gym.sim2real.judge.remainder import effects_below_remainder
 from aerial_gym.sim2real.judge.residual_excess import (
     ResidualExcess,
@@ -49,7 +53,7 @@ from aerial_gym.sim2real.judge.whiteness import whiteness_of_channels
 from aerial_gym.sim2real.logs.flights import findings_on_rigid_joints, merge_findings_of_flights
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
+from aerial_gym.sim2real.predict.noise_floor import rms_of_noise_floors
 from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle, deviations_beyond_tolerance, redeclare
 from aerial_gym.sim2real.predict.tolerances import STRAINED
 from aerial_gym.sim2real.progress import Progress
@@ -72,19 +76,18 @@ def judge_on_test_flights(
     declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
 ) -> LoopResult:
     """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot."""
+    if minor := effects_below_remainder(declared.train, declared.params, selection):
+        selection = selection_without_effects(declared.train, declared.params, selection, minor)
     tested, model = declared.test, model_with_new_values(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
-    floors = noise_floors_in_declared_wind(declared, model)
+    floors = noise_floors_in_declared_wind(tested, model)
     still = rms_of_noise_floors(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
     pair = (declared.params, model) if selection.effect_names else (declared.params,)
     evaluations = evaluate_models(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_residual_excess(declared.train, tested, selection, (declared.params, model), named, still)
-    if minor := effects_below_remainder(declared.train, selection, unexplained):
-        rest = selection_without_effects(declared.train, declared.params, selection, minor)
-        return judge_on_test_flights(declared, rest, seed=seed, learn_residual=learn_residual, progress=progress)
     doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
     result = selection_with_test_odds(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
@@ -159,19 +162,6 @@ def channels_worse_within_tolerances(
     models = [replace(model, deviation=np.clip(off, -STRAINED, STRAINED)) for model, off in pairs]
     outcomes = channel_outcomes(declared.test, (models[0], models[1]), least=selection.criteria.material)
     return [one for one in outcomes if one.is_materially_worse]
-
-
-def noise_floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:
-    """Return each test flight's noise floors (C,), with the declared random wind; None where the log shows none."""
-    test = declared.test
-    wind = random_wind_in_file(declared.robot).channel_rms(test, params)
-    floors = [noise_floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
-    return noise_floors_with_wind(floors, wind)
-
-
-def noise_floors_with_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | None]:
-    """Return the root sum of squares of each flight's noise floors and the rms of random wind, (C,) each."""
-    return [None if floor is None else np.hypot(floor, wind) for floor in floors]
 
 
 def noise_floors_with_gusts(floors: Sequence[Array | None], unexplained: ResidualExcess) -> list[Array | None]:

@@ -1,39 +1,73 @@
 """Named winds and sensor errors that explain less of the residual than stays unexplained: the unknown cause is larger.
 
-Letters: C channels.
+Only the training flights decide. Letters: C channels.
 """
 
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import left_out_mean_square
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, channel_rms, excess_power
+from aerial_gym.sim2real.identify.selection.select import FinalFit, SelectionResult
+from aerial_gym.sim2real.judge.random_wind.gusts import (
+    RandomWind,
+    find_random_wind,
+    noise_floors_in_declared_wind,
+    random_wind_in_file,
+)
+from aerial_gym.sim2real.judge.residual_excess import (
+    excess_power,
+    is_judged,
+    is_material_excess,
+    model_with_training_deviations,
+)
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.noise_floor import rms_of_noise_floors
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 OUTSIDE = ("environment", "sensor")  # What an effect acts on, if it is no value of the vehicle
 
 
-def effects_below_remainder(
-    train: Predictor, selection: SelectionResult, unexplained: ResidualExcess
-) -> dict[str, Finding]:
+def effects_below_remainder(train: Predictor, declared: ModelParams, selection: SelectionResult) -> dict[str, Finding]:
     """Return the named winds and sensor errors that no channel supports, each with its finding.
 
     Wind and sensor errors can take the shape of an unknown cause. A value of the vehicle cannot so easily: a moment of inertia
     is real even where unsteady air leaves a larger residual. An explained channel supports an effect. Any other channel does
-    if the effect removes more of its mean square on the training flights than remains above the noise floor. The gain in
-    log likelihood of these channels must reach ``LEAST_SCORE``.
+    if the effect removes more of its mean square than remains above the noise floor, each training flight predicted by a
+    fit of the others. The gain in log likelihood of these channels must reach ``LEAST_SCORE``.
     """
-    rows, weight = sum(time.size for time in train.times), selection.weights.weight
-    power = channel_rms(train.residuals(selection.named.model_with_deviations)) ** 2
-    open_channels = np.array([channel.name in unexplained.channels for channel in train.channels])
-    remainder = open_channels * excess_power(np.sqrt(power), unexplained.floor)
-    results = {}
     names = [name for name in selection.effect_names if EFFECTS.get(name).acts_on in OUTSIDE]
-    for name in names if open_channels.any() else ():
-        removed = channel_rms(train.residuals(selection.without[name].model_with_deviations)) ** 2 - power
+    remainder = power_above_noise(train, selection) if names else np.zeros(0)
+    if not remainder.any():
+        return {}
+    rows, weight = sum(time.size for time in train.times), selection.weights.weight
+    power, final = left_out_mean_square(selection.fit, weight), FinalFit(train, declared, selection)
+    channels = [channel.name for channel, left in zip(train.channels, remainder, strict=True) if left]
+    results = {}
+    for name in names:
+        less = selection.without[name]
+        removed = left_out_mean_square(final.fit(less.effects, less.params)[0], weight) - power
         gain = 0.5 * rows * float(weight @ np.where(removed > remainder, removed, 0.0))
         if gain < LEAST_SCORE * selection.best.parameter_overdispersion:
-            results[name] = Finding("remainder_larger", name, {"channels": list(unexplained.channels)})
+            results[name] = Finding("remainder_larger", name, {"channels": channels})
     return results
+
+
+def power_above_noise(train: Predictor, selection: SelectionResult) -> Array:
+    """Return the mean square above noise and random wind that training flights leave beyond tolerances, (C,)."""
+    fit, weight = selection.fit, selection.weights.weight
+    floor = rms_of_noise_floors(noise_floors_in_declared_wind(train, fit.params))
+    rms, judged = np.sqrt(left_out_mean_square(fit, weight)), is_judged(train.channels, train.flights)
+    is_open = judged & is_material_excess(rms, floor, selection.tolerated)
+    if floor is None or not is_open.any():
+        return np.zeros(rms.size)
+    within = model_with_training_deviations(fit.params, fit, weight)
+    known = {"floor": floor, "tolerated": selection.tolerated, "remaining": is_open}
+    is_declared = random_wind_in_file(train.robot).is_accepted  # then part of the noise floor
+    wind = RandomWind() if is_declared else find_random_wind(train, within, selection.criteria, **known)
+    if wind.is_accepted:
+        floor = np.hypot(floor, wind.channel_rms(train, within))
+        is_open = judged & is_material_excess(rms, floor, selection.tolerated)
+    return is_open * excess_power(rms, floor)

@@ -21,7 +21,7 @@ from aerial_gym.sim2real.judge.predictive import (
 )
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, random_wind_in_file
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.channels import KINEMATIC
+from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -86,9 +86,7 @@ def find_residual_excess(
     within = model_with_training_deviations(params, selection.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.tolerated
     rms = np.minimum(channel_rms(left), [channel.value for channel in after.residual])  # deviations may only lower it
-    not_judged = KINEMATIC if can_judge_forces(flights) else (*KINEMATIC, "specific_force")
-    judged = np.array([channel.kind not in not_judged for channel in test.channels])
-    suspected = judged & is_material_excess(rms, floor, tolerated)
+    suspected = is_judged(test.channels, flights) & is_material_excess(rms, floor, tolerated)
     seen, own = train.residuals(within), selection.flight_offsets.size > 0.0
 
     def about_offsets(parts: list[Array]) -> Array:
@@ -160,6 +158,12 @@ def is_material_excess(rms: Array, floor: Array | None, tolerated: Array) -> Fla
 def excess_power(rms: Array, floor: Array | None) -> Array:
     """Return the mean square above the noise floor, (C,); zeros where none is known."""
     return np.zeros(rms.size) if floor is None else np.maximum(rms**2 - floor**2, 0.0)
+
+
+def is_judged(channels: Sequence[Channel], flights: Sequence[Flight]) -> Flags:
+    """Return whether a residual in each channel is judged, (C,): not kinematics, nor forces in unknown air."""
+    not_judged = KINEMATIC if can_judge_forces(flights) else (*KINEMATIC, "specific_force")
+    return np.array([channel.kind not in not_judged for channel in channels])
 
 
 def can_judge_forces(flights: Sequence[Flight]) -> bool:

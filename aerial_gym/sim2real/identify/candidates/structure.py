@@ -161,7 +161,8 @@ class CommonLines:
         self._rate = 1.0 / float(np.median(np.diff(times[0])))
         self._length = min(round(SEGMENT_S * self._rate), min(time.size for time in times))
         self._frequency = np.fft.rfftfreq(self._length, 1.0 / self._rate)
-        self._flown = [self._power_shares(m) for m in motion]
+        common = min(m.shape[1] for m in motion)  # a flight may lack the velocity, whose columns come last
+        self._flown = [self._power_shares(m[:, :common]) for m in motion]
 
     def strongest_line(self, values: Sequence[Array]) -> tuple[float, float] | None:
         """Return frequency [Hz] and variance share of the strongest line in values (T,); None without one."""

@@ -29,6 +29,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, parameters_in_file
 from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
@@ -114,6 +115,19 @@ def random_wind_in_file(robot: RobotCfg) -> RandomWind:
         return RandomWind()
     std, corr_time, *vertical = EFFECTS.get(NAME).parse_params(robot.effects[NAME])
     return RandomWind(std=std, corr_time=corr_time, vertical=() if vertical == [1.0, 1.0] else tuple(vertical))
+
+
+def noise_floors_in_declared_wind(predictor: Predictor, params: ModelParams) -> list[Array | None]:
+    """Return each flight's noise floors (C,), with the declared random wind; None where the log shows none."""
+    wind = random_wind_in_file(predictor.robot).channel_rms(predictor, params)
+    settings = (params, predictor.channels, predictor.bandwidth)
+    floors = [noise_floor_of_flight(predictor.robot, flight, *settings) for flight in predictor.flights]
+    return noise_floors_with_wind(floors, wind)
+
+
+def noise_floors_with_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | None]:
+    """Return the root sum of squares of each flight's noise floors and the rms of random wind, (C,) each."""
+    return [None if floor is None else np.hypot(floor, wind) for floor in floors]
 
 
 def find_random_wind(

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
     limits_of_flight_offsets,
     prior_of_flight_offsets,
 )
-from aerial_gym.sim2real.identify.candidates.structure import find_structure
+from aerial_gym.sim2real.identify.candidates.structure import CommonLines, find_structure
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect, parameters_at_bounds
 from aerial_gym.sim2real.identify.least_squares.derivatives import rms_caused_by_tolerances, tolerance_jacobian
 from aerial_gym.sim2real.logs.flights import Flight
@@ -156,3 +156,12 @@ def test_the_kind_of_a_remaining_structure(kind: str, flights: list[Flight]) -> 
         assert find_structure(drifting, times, residuals, channels, [2]).kind != "heading"
     if kind == "periodic":
         assert result.freq_hz == pytest.approx(7.0, abs=0.3)
+
+
+def test_a_line_is_found_where_one_flight_lacks_the_velocity() -> None:
+    time, rng = np.arange(1200) / 50.0, np.random.default_rng(0)
+    motion, noise = rng.standard_normal((2, 1200, 6)), 0.1 * rng.standard_normal((2, 1200))
+    lines = CommonLines([time, time], [motion[0], motion[1, :, :3]])
+    found = lines.strongest_line([np.sin(2.0 * np.pi * 7.0 * time) + part for part in noise])
+    assert found is not None
+    assert found[0] == pytest.approx(7.0, abs=0.5)
