@@ -110,7 +110,7 @@ def _print_inspection(log: "LogInspection") -> None:
 
     console = Console(markup=False)
     console.print(f"{log.raw.path}: {log.raw.format}, {len(log.raw.topics)} topics, {len(log.flights)} flights")
-    for name, value in log.raw.metadata.items():
+    for name, value in log.short_metadata.items():
         console.print(f"  {name}: {value}")
     rows = [
         (f"{t.name}[{t.instance}]", str(t.samples), *map(_number_text, (t.rate, t.start, t.end, t.longest_gap)))
@@ -121,6 +121,8 @@ def _print_inspection(log: "LogInspection") -> None:
         console.print("armed: " + ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in log.armed))
     for flight in log.flights:
         _print_flight(flight)
+    for change in log.raw.parameter_changes:
+        console.print(f"parameter at {change.time:.2f} s: {change.name} = {change.value}, before {change.before}")
     times: dict[tuple[str, str], list[float]] = {}
     for message in log.warnings:
         times.setdefault((message.level, message.text), []).append(message.time)

@@ -3,12 +3,14 @@
 import json
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from aerial_gym.errors import MissingDependencyError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.json_values import select_fields, write_json
 from aerial_gym.sim2real.logs.inspection import csv_raw_log
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
@@ -16,10 +18,11 @@ from aerial_gym.sim2real.logs.readers.csv_log import FlightFacts
 from aerial_gym.sim2real.logs.readers.exports import HEAD_TOPIC, LIBRARY, MARK, METADATA
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
-from aerial_gym.sim2real.logs.readers.mapping import COLUMNS, LogMapping
-from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
+from aerial_gym.sim2real.logs.readers.mapping import COLUMNS, LogMapping, find_mapping
+from aerial_gym.sim2real.logs.recording import FlightLog, interpolate_setpoint, split_flight_number
 
 NANOSECONDS = 1e9  # Unit of time in MCAP per second
+LAST_S = 9e9  # Latest time [s] that MCAP holds
 
 RELATIVE = "share_{n}"  # Columns of commands that are shares of the largest speed
 
@@ -54,6 +57,11 @@ def flight_table(log: FlightLog) -> pd.DataFrame:
         if "{n}" in pattern:
             names = [pattern.format(n=n + 1) for n in range(table.shape[1])]
         columns |= dict(zip(names, table.T, strict=True))
+    layout = find_mapping("aerial_gym").quantities()
+    for quantity in log.setpoints:
+        values, known = interpolate_setpoint(log, quantity)
+        values[~known] = np.nan
+        columns |= dict(zip(layout[quantity].columns, values.T, strict=True))
     return pd.DataFrame(columns)
 
 
@@ -62,7 +70,8 @@ def _write_flight(log: FlightLog, out: Path) -> Path:
     if log.attitude_integrated:  # the gyro gives it again
         table = table.drop(columns=list(COLUMNS["attitude"]))
     path = out / f"{log.name.replace('#', '_flight_')}.csv"
-    facts = FlightFacts(attitude_integrated=log.attitude_integrated, torques=log.torques, streams=log.streams)
+    own = {entry.name: getattr(log, entry.name) for entry in fields(FlightFacts)}
+    facts = FlightFacts(**{**own, "parameters": _finite_numbers(log.parameters)})
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(facts.line())
         table.to_csv(stream, index=False)
@@ -99,12 +108,18 @@ def _log_head(raw: RawLog, topics: Mapping[str, Topic]) -> dict[str, object]:
         file: {"name": one.name, "instance": one.instance, "units": dict(one.units)} for file, one in topics.items()
     }
     head = {MARK: 1, **select_fields(raw, "path", "format", "metadata"), "topics": entries}
-    return head | {"parameters": _finite_numbers(raw.parameters), **select_fields(raw, "messages")}
+    return head | {"parameters": _finite_numbers(raw.parameters), **select_fields(raw, "parameter_changes", "messages")}
 
 
-def _finite_numbers(parameters: Mapping[str, float | str]) -> dict[str, object]:
+def _finite_numbers(parameters: Mapping[str, float | str]) -> dict[str, float | str]:
     """Return parameters for JSON; numbers that are not finite become text."""
     return {name: v if isinstance(v, str) or np.isfinite(v) else str(v) for name, v in parameters.items()}
+
+
+def _json_numbers(values: Array) -> list[float | None]:
+    """Return numbers for JSON, which knows neither NaN nor infinity: they become None."""
+    numbers = np.asarray(values)
+    return (numbers if np.isfinite(numbers).all() else np.where(np.isfinite(numbers), numbers, np.array(None))).tolist()
 
 
 def _write_mcap(raw: RawLog, out: Path) -> list[Path]:
@@ -123,8 +138,8 @@ def _write_mcap(raw: RawLog, out: Path) -> list[Path]:
             schema = json.dumps({"type": "object", "properties": properties}).encode()
             number = writer.register_schema(name=topic.name, encoding="jsonschema", data=schema)
             channel = writer.register_channel(topic=topic.source, message_encoding="json", schema_id=number)
-            rows = zip(*(np.asarray(values).tolist() for values in topic.columns.values()), strict=True)
-            for at, row in zip(np.maximum(topic.time, 0.0).tolist(), rows, strict=True):
+            rows = zip(*(_json_numbers(values) for values in topic.columns.values()), strict=True)
+            for at, row in zip(np.clip(np.nan_to_num(topic.time), 0.0, LAST_S).tolist(), rows, strict=True):
                 stamp = round(at * NANOSECONDS)
                 data = json.dumps(dict(zip(topic.columns, row, strict=True))).encode()
                 writer.add_message(channel_id=channel, log_time=stamp, publish_time=stamp, data=data)

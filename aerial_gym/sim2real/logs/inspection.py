@@ -30,6 +30,7 @@ from aerial_gym.sim2real.logs.streams import Stream
 ZERO_G_OFFSET = 0.080 * UNIT_G
 """Largest offset of a sound accelerometer [m/s²]. Source: InvenSense (2013), MPU-6000 specification 3.4, section 6.2."""
 
+LONGEST_VALUE = 500  # Longest metadata that are shown [characters]
 SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
 
 
@@ -69,7 +70,7 @@ class FlightSummary:
     path: str  # Path that selects this flight
     start: float  # [s]
     end: float  # [s]
-    ended_by: str  # landing, gap, velocity_reset, impact or log_end
+    ended_by: str  # landing, gap, velocity_reset, clock_set_back, impact or log_end
     rate: float  # Rows per second [Hz]
     streams: Mapping[str, StreamTiming]  # By quantity
     battery: tuple[float, float] | None  # Lowest and highest voltage [V]
@@ -98,13 +99,18 @@ class LogInspection:
         return [topic_summary(topic) for topic in self.raw.topics]
 
     @property
+    def short_metadata(self) -> dict[str, str]:
+        """Return the metadata without long texts, such as the output of a boot."""
+        return {name: value for name, value in self.raw.metadata.items() if len(value) <= LONGEST_VALUE}
+
+    @property
     def warnings(self) -> tuple[LogMessage, ...]:
         """Return the warnings and errors of the firmware."""
         return tuple(message for message in self.raw.messages if message.level in SHOWN_LEVELS)
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON, with findings as objects."""
-        head = select_fields(self.raw, "path", "format", "metadata")
+        head = select_fields(self.raw, "path", "format", "parameter_changes") | {"metadata": self.short_metadata}
         content = head | select_fields(self, "topics", "armed", "flights", "refusals")
         return content | {"notes": self.notes, "messages": plain(self.raw.messages)}
 

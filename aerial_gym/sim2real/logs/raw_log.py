@@ -1,7 +1,7 @@
 """The content of a log file as it was recorded: topics at their own rates, parameters and messages. Letters: T samples."""
 
 from collections import UserDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -66,13 +66,28 @@ class LogMessage:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogParameterChange:
+    """A parameter that was set while the log was written."""
+
+    time: float  # [s]
+    name: str
+    before: float | str | None  # Value until then; None if none is known
+    value: float | str
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        return {"time_s": self.time, "name": self.name, "before": self.before, "value": self.value}
+
+
+@dataclass(frozen=True, kw_only=True)
 class RawLog:
     """All content of a log file that has been decoded."""
 
     path: str
     format: str  # Name of the reader in ``LOG_READERS``
     topics: tuple[Topic, ...]
-    parameters: Mapping[str, float | str] = field(default_factory=dict)  # Firmware parameters or header entries by name
+    parameters: Mapping[str, float | str] = field(default_factory=dict)  # Last values or header entries by name
+    parameter_changes: tuple[LogParameterChange, ...] = ()  # In the order of time
     messages: tuple[LogMessage, ...] = ()
     metadata: Mapping[str, str] = field(default_factory=dict)  # Firmware, hardware, vehicle and others, for display
     notes: tuple[Finding, ...] = ()  # Defects that decoding has met
@@ -88,6 +103,11 @@ class RawLog:
             voltage = topic.numbers(field)
             if np.median(voltage) > LOWEST_BATTERY_V:
                 yield topic, voltage
+
+    def parameters_in_force(self, time: float) -> dict[str, float | str]:
+        """Return the parameters in force at a time [s]."""
+        later = {one.name: one.before for one in reversed(self.parameter_changes) if one.time > time}
+        return {name: value for name, value in {**self.parameters, **later}.items() if value is not None}
 
     def number(self, name: str, default: float) -> float:
         """Return a parameter; the default if it is missing, text or no finite number."""
@@ -142,6 +162,25 @@ class LogChannel:
         None  # Delay from sampling to recording [s], if the format states both; ``time`` is the former
     )
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude
+
+
+def apply_parameter_records(
+    records: Iterable[tuple[float, str, object]], first: Mapping[str, object]
+) -> tuple[dict[str, float | str], tuple[LogParameterChange, ...]]:
+    """Return the last values of parameters and their changes, from records (time [s], name, value) after the first values.
+
+    What is no finite number, as in a damaged log, becomes text.
+    """
+
+    def number_or_text(value: object) -> float | str:
+        return value if isinstance(value, int | float) and isfinite(value) else str(value)
+
+    values, changes = {name: number_or_text(value) for name, value in first.items()}, list[LogParameterChange]()
+    for time, name, record in records:
+        if values.get(name) != (value := number_or_text(record)):
+            changes.append(LogParameterChange(time=time, name=name, before=values.get(name), value=value))
+        values[name] = value
+    return values, tuple(changes)
 
 
 def read_records(data: NDArray[np.uint8], places: Indices, record: np.dtype[Any]) -> NDArray[Any]:

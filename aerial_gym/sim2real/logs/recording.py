@@ -139,6 +139,19 @@ def longest_bridgeable_gap(step: float) -> float:
     return max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S)
 
 
+def interpolate_setpoint(log: Recording, name: str) -> tuple[Array, Flags]:
+    """Return a logged setpoint in all rows, linear between its samples, and the rows between close samples."""
+    time, values = log.setpoints[name]
+    values = np.unwrap(values, axis=0) if name == "yaw_setpoint" else values
+    rows = np.stack([np.interp(log.time, time, column) for column in values.T], axis=1)
+    if time.size < 2:
+        return rows, np.zeros(log.time.size, dtype=bool)
+    place = np.clip(np.searchsorted(time, log.time, side="right"), 1, time.size - 1)
+    close = time[place] - time[place - 1] <= longest_bridgeable_gap(float(np.median(np.diff(time))))
+    edge = 0.5 * float(np.median(np.diff(log.time)))
+    return rows, close & (log.time >= time[0] - edge) & (log.time <= time[-1] + edge)
+
+
 def sample_rate(log: FlightLog) -> float:
     """Return the sample rate [Hz]."""
     return (log.time.size - 1) / float(log.time[-1] - log.time[0])

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LogChannel
+from aerial_gym.sim2real.logs.raw_log import STATES, LogChannel
 from aerial_gym.sim2real.logs.readers.csv_table import LARGEST
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCorrection, correct_stamps
 from aerial_gym.sim2real.logs.recording import GAP_STEPS, NORM_OFF
@@ -62,6 +62,9 @@ def usable_streams(channels: Sequence[LogChannel], notes: list[Finding]) -> dict
     for channel in sorted(channels, key=lambda one: (*CLOCKS, one.quantity).index(one.quantity)):
         if channel.quantity in streams or not np.isfinite(channel.values).any():
             continue
+        if channel.quantity in STATES and channel.time.size == 1:  # the only event of a log
+            streams[channel.quantity] = Stream(channel=channel, time=channel.time, values=channel.values)
+            continue
         try:
             key = id(channel.time)
             stamps[key] = stamps.get(key) or correct_stamps(channel.time, f"topic {channel.source}")
@@ -74,6 +77,18 @@ def usable_streams(channels: Sequence[LogChannel], notes: list[Finding]) -> dict
         reference = next(iter(streams.values()))
         notes.extend(s.finding("sample", s.row, topic=reference.channel.source) for s in reference.steps)
     return _with_increasing_time(_equalise_clock_steps(streams), notes)
+
+
+def without_incomplete_rotor_data(streams: dict[str, Stream], notes: list[Finding]) -> dict[str, Stream]:
+    """Return the streams without the speeds or commands of fewer rotors, as if an ESC sends no telemetry."""
+    rotors = [streams[name] for name in ("rotor_speed", "rotor_command") if name in streams]
+    few, many = (choose(rotors, key=lambda one: one.values.shape[1], default=None) for choose in (min, max))
+    if few is None or many is None or few.values.shape[1] == many.values.shape[1]:
+        return streams
+    counts = f"{few.values.shape[1]} rotors, {many.channel.source} has {many.values.shape[1]}"
+    error = f"topic {few.channel.source} has data of {counts}"
+    notes.append(Finding("topic_left_out", "", {"topic": few.channel.source, "error": error}))
+    return {name: stream for name, stream in streams.items() if stream is not few}
 
 
 def _with_increasing_time(streams: dict[str, Stream], notes: list[Finding]) -> dict[str, Stream]:

@@ -32,7 +32,7 @@ from aerial_gym.sim2real.logs.stream_delays import (
     stream_delays,
     with_motion_between_samples,
 )
-from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams
+from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams, without_incomplete_rotor_data
 
 
 def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict[str, Stream], list[Finding]]:
@@ -41,15 +41,19 @@ def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict
     channels = LOG_READERS.get(raw.format).channels(raw)
     mapped = _channels_of_mapping(raw, channels, mapping)
     streams = usable_streams([*(one for one in mapped if one.quantity not in SETPOINTS), *channels], notes)
+    streams = without_incomplete_rotor_data(streams, notes)
     streams |= _setpoint_streams([*mapped, *setpoint_channels(raw)], streams)
     streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
     if not {"attitude", "ang_vel"} & streams.keys():
-        left = [f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out"]
-        lost = "".join(left[:SHOWN]) + (f" And {len(left) - SHOWN} more." if len(left) > SHOWN else "")
-        raise DataError(
-            f"{raw.path}: holds neither attitude nor angular velocity of the whole log; log one of them.{lost}"
-        )
+        remedy = f"log one of them.{_sentences_on_topics_left_out(notes)}"
+        raise DataError(f"{raw.path}: holds neither attitude nor angular velocity of the whole log; {remedy}")
     return streams, notes
+
+
+def _sentences_on_topics_left_out(notes: Sequence[Finding]) -> str:
+    """Return sentences that name the topics left out; empty without any."""
+    left = [f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out"]
+    return "".join(left[:SHOWN]) + (f" And {len(left) - SHOWN} more." if len(left) > SHOWN else "")
 
 
 def _setpoint_streams(channels: Sequence[LogChannel], streams: Mapping[str, Stream]) -> dict[str, Stream]:
@@ -185,7 +189,8 @@ def _assemble_flight(
     values: dict[str, Any] = dict(resample_streams(streams, rows))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one not in values and other not in values and not (hover and one == "ang_vel"):
-            raise DataError(f"{path}: holds neither {one} nor {other}; log one of them, or map its columns (--mapping)")
+            remedy = f"log one of them, or map its columns (--mapping).{_sentences_on_topics_left_out(notes)}"
+            raise DataError(f"{path}: holds neither {one} nor {other}; {remedy}")
     integrated = "attitude" not in values
     if integrated:
         values = {name: column for name, column in values.items() if name not in ("position", "lin_vel")}

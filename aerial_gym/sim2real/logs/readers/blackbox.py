@@ -10,6 +10,7 @@ Source: Betaflight documentation, *Blackbox Internals*; units: ``blackbox.c`` of
 import re
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from math import pi, radians, sqrt
@@ -107,26 +108,31 @@ class BlackboxReader(LogReader):
         flights = [flight for flight in flights if flight.main["time"].size > 1]
         if not flights:
             raise DataError(f"{path}: holds no flight: no frame of the blackbox could be decoded")
-        times, rare = _clock_shifts_of_flights(flights), ((frames.SLOW, "slow"), (frames.GPS, "gps"))
-        topics = [
-            _topic_of_main_frames(flights, times),
-            *(_topic_of_rare_frames(flights, times, kind, name) for kind, name in rare),
+        times = _clock_shifts_of_flights(flights)
+        topics = [_topic_of_main_frames(flights, times)]
+        topics += [
+            _topic_of_rare_frames(flights, times, *kind) for kind in ((frames.SLOW, "slow"), (frames.GPS, "gps"))
         ]
-        entries = {k: v for k, v in flights[-1].header.entries.items() if not k.startswith("Field ")}
+        entries = [{k: v for k, v in one.header.entries.items() if not k.startswith("Field ")} for one in flights]
+        starts = topics[0].time[np.cumsum([0, *(one.main["time"].size for one in flights[:-1])])].tolist()
+        records = [(at, k, _number_or_text(v)) for at, one in zip(starts, entries, strict=True) for k, v in one.items()]
+        first = {k: _number_or_text(v) for k, v in entries[0].items()}
+        parameters, changes = raw_log.apply_parameter_records(records, first)
         damaged, lost = (sum(getattr(flight, name) for flight in flights) for name in ("damaged", "lost"))
         note = Finding("frames_damaged", "", {"damaged": damaged, "lost": lost, "total": topics[0].time.size + lost})
         return RawLog(
             path=str(path),
             format=self.name,
             topics=tuple(topic for topic in topics if topic.time.size),
-            parameters={k: _number_or_text(v) for k, v in entries.items()},
+            parameters=parameters,
+            parameter_changes=changes,
             messages=tuple(_event_messages(flights, times)),
-            metadata={k: v for k, v in entries.items() if k[:1].isupper() and " " in k and v},
+            metadata={k: v for k, v in entries[-1].items() if k[:1].isupper() and " " in k and v},
             notes=(note,) if damaged + lost else (),
         )
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
-        """Return the quantities of the vehicle; Betaflight logs no attitude."""
+        """Return the quantities of the vehicle; Betaflight before 2025.12 logs no attitude."""
         main = log.topics[0]
         known = main.columns.keys()
 
@@ -139,7 +145,9 @@ class BlackboxReader(LogReader):
 
         unit = UNIT_G / (log.number("acc_1G", 0.0) or 2048.0)
         forces = vector("specific_force", ("accADCafterRpm",), unit)
+        turns = vector("attitude", ("imuQuaternion",), 1.0 / 0x7FFF)  # FLU to a world with z up, less w >= 0
         return [
+            *(replace(q, values=np.c_[q.values, np.sqrt(1.0 - np.sum(q.values**2, 1).clip(0, 1))]) for q in turns),
             *vector("ang_vel", ("gyroADCafterRpm", "gyroUnfilt", "gyroADC")),
             *(forces or _before_filter(log, vector("specific_force", ("accSmooth", "accADC"), unit))),
             *(
@@ -319,10 +327,9 @@ def _event_messages(flights: Sequence[BlackboxFlight], shifts: Sequence[float]) 
 
 
 def _number_or_text(text: str) -> float | str:
-    try:
+    with suppress(ValueError):
         return float(text)
-    except ValueError:
-        return text
+    return text
 
 
 def _radians_per_gyro_count(log: RawLog, name: str) -> float:
@@ -378,10 +385,8 @@ def _rotor_and_battery_channels(log: RawLog, main: Topic) -> list[LogChannel]:
 
 def _motor_values_at_idle_and_full(log: RawLog) -> tuple[float, float]:
     """Return the motor values of idle and of full throttle."""
-    low, high = log.number("minthrottle", 1000.0), log.number("maxthrottle", 2000.0)
-    parts = str(log.parameters.get("motorOutput", "")).split(",")
-    if len(parts) == 2 and all(part.isdigit() for part in parts):
-        low, high = map(float, parts)
+    ends = re.fullmatch(r"(\d+),(\d+)", str(log.parameters.get("motorOutput", "")))
+    low, high = map(float, ends.groups()) if ends else (log.number("minthrottle", 1e3), log.number("maxthrottle", 2e3))
     return low, high if high > low else low + 1.0
 
 

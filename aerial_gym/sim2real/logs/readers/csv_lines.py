@@ -18,6 +18,7 @@ PACKED = {
     b"\xfd7zXZ": "xz",
     b"\x28\xb5\x2f\xfd": "zstd",
     b"7z\xbc": "7z",
+    b"ULogEnc": "PX4's log encryption, whose key only you have",
 }
 """Compression of files by their first bytes."""
 REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)  # Start of a comment, a separator hint or an empty line

@@ -34,7 +34,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
 from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 
 COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
-LONGEST_FACTS = 10_000  # Largest length of the line with facts [B]
+LONGEST_FACTS = 1_000_000  # Largest length of the line with facts [B]; the parameters of a firmware have 50,000
 HELD = ("rotor_command", "rotor_share", *STATES)  # Quantities whose empty fields keep the value before
 EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))  # Column names of Euler angles, for a missing quaternion
 
@@ -49,6 +49,9 @@ class FlightFacts:
     attitude_integrated: bool = False
     torques: bool = True
     streams: Mapping[str, StreamTiming] = field(default_factory=dict)
+    log_format: str = "csv"
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    command_curve: tuple[float, float, float] | None = None
 
     def line(self) -> str:
         """Return the facts as a comment before the header line."""
@@ -107,10 +110,8 @@ def read_csv_log(path: Path, layout: LogMapping, *, hover: bool = False) -> CsvL
         lines=table.index.to_numpy(),
         battery=battery,
         collective=command is not None and command.repeat > 1,
-        torques=facts.torques,
-        streams=facts.streams,
         relative_commands=share is not None and relative,
-        attitude_integrated=integrated,
+        **{**vars(facts), "attitude_integrated": integrated},
         setpoints={
             name: (time[np.isfinite(one).all(axis=1)], one[np.isfinite(one).all(axis=1)])
             for name, one in setpoints_in_package_axes(asked, layout).items()

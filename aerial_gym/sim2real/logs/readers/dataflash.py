@@ -25,8 +25,10 @@ from aerial_gym.sim2real.logs.raw_log import (
     LazyColumns,
     LogChannel,
     LogMessage,
+    LogParameterChange,
     RawLog,
     Topic,
+    apply_parameter_records,
     faster_first,
     note_on_rotor_order,
 )
@@ -87,6 +89,7 @@ class DataflashReader(LogReader):
         named = {table.type.name: table for table in tables}
         if named.keys().isdisjoint(("IMU", "ATT", "RATE", "GYR")):
             raise DataError(f"{path}: holds no messages IMU, ATT, RATE or GYR of ArduPilot; log them (LOG_BITMASK)")
+        parameters, changes = _parameters_and_changes(named)
         units, lost = _field_units(types, named), data.size - used
         texts = list(zip(named["MSG"].seconds, named["MSG"].texts("Message"), strict=False)) if "MSG" in named else []
         return RawLog(
@@ -95,7 +98,8 @@ class DataflashReader(LogReader):
             topics=tuple(
                 topic for name, table in named.items() for topic in _topics_of_instances(table, units.get(name, {}))
             ),
-            parameters=_last_parameter_values(named),
+            parameters=parameters,
+            parameter_changes=changes,
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
             metadata={"firmware": texts[0][1]} if texts else {},
             notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),) * (lost >= SMALLEST_DAMAGE),
@@ -124,12 +128,16 @@ class DataflashReader(LogReader):
         ]
 
 
-def _last_parameter_values(named: dict[str, MessageTable]) -> dict[str, float | str]:
-    """Return the last value of each parameter."""
+def _parameters_and_changes(
+    named: dict[str, MessageTable],
+) -> tuple[dict[str, float | str], tuple[LogParameterChange, ...]]:
+    """Return the last value of each parameter, and its changes."""
     try:
-        return dict(zip(named["PARM"].texts("Name"), named["PARM"].numbers("Value").tolist(), strict=False))
+        columns = (named["PARM"].seconds.tolist(), named["PARM"].texts("Name"), named["PARM"].numbers("Value").tolist())
     except (KeyError, ValueError):
-        return {}
+        return {}, ()
+    first = dict(reversed([(name, value) for _, name, value in zip(*columns, strict=False)]))
+    return apply_parameter_records(zip(*columns, strict=False), first)
 
 
 def _field_units(types: dict[int, MessageType], named: dict[str, MessageTable]) -> dict[str, dict[str, str]]:

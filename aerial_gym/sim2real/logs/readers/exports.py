@@ -14,7 +14,15 @@ import pandas as pd
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.raw_log import FREE_BYTES, MOST_GROWTH, LogChannel, LogMessage, RawLog, Topic
+from aerial_gym.sim2real.logs.raw_log import (
+    FREE_BYTES,
+    MOST_GROWTH,
+    LogChannel,
+    LogMessage,
+    LogParameterChange,
+    RawLog,
+    Topic,
+)
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.ros_files import MCAP, json_columns, read_message_sources
 
@@ -44,6 +52,12 @@ class LogExportReader(LogReader):
             messages = [
                 LogMessage(time=one["time_s"], level=one["level"], text=one["text"]) for one in head["messages"]
             ]
+            changes = [
+                LogParameterChange(
+                    time=float(one["time_s"]), name=one["name"], before=one["before"], value=one["value"]
+                )
+                for one in head.get("parameter_changes", ())
+            ]
             name, metadata = str(head["format"]), dict(head["metadata"])
             parameters = {key: v if isinstance(v, str) else float(v) for key, v in head["parameters"].items()}
         except DataError:
@@ -59,6 +73,7 @@ class LogExportReader(LogReader):
             format=name,
             topics=topics,
             parameters=parameters,
+            parameter_changes=tuple(changes),
             messages=tuple(messages),
             metadata=metadata,
         )

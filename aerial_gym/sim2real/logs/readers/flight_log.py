@@ -69,7 +69,9 @@ class LogFlights:
                 self.streams, span, path, notes, relative=relative, hover=self.hover, fastest=fastest
             )
             asked = {name: (one.time, one.values) for name, one in self.streams.items() if name in SETPOINTS}
-            log = replace(log, setpoints=asked, parameters=self.raw.parameters, log_format=self.raw.format)
+            log = replace(
+                log, setpoints=asked, parameters=self.raw.parameters_in_force(span.start), log_format=self.raw.format
+            )
         return log if self.mapping is None else _with_mapping(log, self.mapping)
 
     def select(self, number: int | None) -> "LogFlights":

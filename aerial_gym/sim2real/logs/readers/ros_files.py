@@ -343,6 +343,8 @@ class MessageLayout:
 def json_columns(messages: Sequence[bytes]) -> dict[str, Array]:
     """Return the numbers of messages in JSON by field, such as ``pose.position.x``; raise ``ValueError`` for other text."""
     table = pd.json_normalize(json.loads(b"[" + b",".join(messages) + b"]"), max_level=DEEPEST)
+    empty = [name for name in table.columns if bool(table[name].isna().all())]
+    table[empty] = np.nan
     return {str(name): table[name].to_numpy() for name in table.columns if pd.api.types.is_numeric_dtype(table[name])}
 
 

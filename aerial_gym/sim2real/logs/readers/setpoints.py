@@ -1,7 +1,8 @@
 """Setpoints in logs: targets of position, velocity, heading, attitude, body rates and thrust. Letters: T samples.
 
 Source: PX4 message definitions VehicleAttitudeSetpoint, VehicleRatesSetpoint, TrajectorySetpoint and
-VehicleLocalPositionSetpoint; Betaflight 4.5, ``blackbox.c``, for ``setpoint`` (deg/s, throttle in thousandths); Bitcraze, *Log
+VehicleLocalPositionSetpoint; Betaflight 4.5, ``blackbox.c``, for ``setpoint`` (deg/s, with
+``blackbox_high_resolution`` a tenth, throttle in thousandths); Bitcraze, *Log
 groups and variables*, ``ctrltarget``; ArduPilot, *Onboard Message Log Messages*, ATT, RATE and CTUN. INDIFLIGHT's flights show
 its units and axes: the gyro follows ``gyroSp`` in 0.1 deg/s, FRD, and ``spfSp`` balances the weight at hover in cm/s².
 """
@@ -75,7 +76,9 @@ def setpoint_channels(log: RawLog) -> Iterator[LogChannel]:
     for source in SOURCES.get(log.format, ()):
         for topic in log.topics:
             if source.topic in ("", topic.name) and topic.instance == 0 and set(source.fields) <= topic.columns.keys():
-                yield topic.channel(source.quantity, _in_package_axes(source, topic.numbers(*source.fields)))
+                values = _in_package_axes(source, topic.numbers(*source.fields))
+                fine = source.fields[0] == "setpoint[0]" and log.number("blackbox_high_resolution", 0.0) == 1.0
+                yield topic.channel(source.quantity, 0.1 * values if fine else values)
 
 
 def _in_package_axes(source: SetpointSource, values: Array) -> Array:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
 from io import BytesIO, StringIO
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,15 @@ import numpy as np
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first, note_on_rotor_order
+from aerial_gym.sim2real.logs.raw_log import (
+    LogChannel,
+    LogMessage,
+    RawLog,
+    Topic,
+    apply_parameter_records,
+    faster_first,
+    note_on_rotor_order,
+)
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
@@ -79,20 +86,25 @@ class UlogReader(LogReader):
                 log = ULog(UlogStream(path.read_bytes()))
         except Exception as error:  # pyulog raises many types
             raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
-        texts = [(m.timestamp, LEVELS.get(m.log_level_str(), "error"), m.message.strip()) for m in log.logged_messages]
-        texts += [(dropout.timestamp, "warning", "messages were lost") for dropout in log.dropouts]
+        told = [*log.logged_messages, *(one for some in log.logged_messages_tagged.values() for one in some)]
+        texts = [(one.timestamp, LEVELS.get(one.log_level_str(), "error"), one.message.strip()) for one in told]
+        texts += [(one.timestamp, "warning", f"messages of {one.duration} ms were lost") for one in log.dropouts]
+        parameters, changes = apply_parameter_records(
+            ((1e-6 * stamp, name, value) for stamp, name, value in log.changed_parameters), log.initial_parameters
+        )
+        lists = {
+            name: "\n".join("".join(map(str, one)) for one in some) for name, some in log.msg_info_multiple_dict.items()
+        }
         return RawLog(
             path=str(path),
             format=self.name,
             topics=tuple(
                 _topic(part.name, part.multi_id, part.data) for part in log.data_list if "timestamp" in part.data
             ),
-            parameters={  # damaged ones are bytes, or no finite number
-                name: value if isinstance(value, int | float) and isfinite(value) else str(value)
-                for name, value in log.initial_parameters.items()
-            },
+            parameters=parameters,
+            parameter_changes=changes,
             messages=tuple(LogMessage(time=1e-6 * stamp, level=level, text=text) for stamp, level, text in texts),
-            metadata={name: str(value) for name, value in log.msg_info_dict.items()},
+            metadata={name: str(value) for name, value in log.msg_info_dict.items()} | lists,
             notes=(Finding("file_damaged"),) if log.file_corruption else (),
         )
 

@@ -22,7 +22,7 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
+from aerial_gym.sim2real.logs.recording import interpolate_setpoint
 from aerial_gym.sim2real.predict.rows.batches import expand_vehicle, vehicle_of_row
 
 LEVELS = ("rates", "attitude", "position")  # Setpoints that a law follows, from the innermost
@@ -186,26 +186,20 @@ def _numbers(parameters: Mapping[str, float | str], name: str) -> list[float]:
 
 
 def _setpoint_rows(flight: Flight, name: str) -> tuple[Array, Flags] | None:
-    """Return a setpoint in the rows of a flight, linear between its samples, and the rows between close samples."""
-    time, values = flight.setpoints.get(name, (np.empty(0), np.empty(0)))
-    if time.size < 2:
+    """Return a setpoint in the rows of a flight and the rows that it covers; None if it is not logged."""
+    if name not in flight.setpoints or flight.setpoints[name][0].size < 2:
         return None
-    rows = np.stack([np.interp(flight.time, time, column) for column in values.T], axis=1)
+    rows, known = interpolate_setpoint(flight, name)
     if name == "attitude_setpoint":
         rows /= np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-9)
-    place = np.clip(np.searchsorted(time, flight.time, side="right"), 1, time.size - 1)
-    close = time[place] - time[place - 1] <= longest_bridgeable_gap(float(np.median(np.diff(time))))
-    edge = 0.5 / flight.rate
-    return rows, close & (flight.time >= time[0] - edge) & (flight.time <= time[-1] + edge)
+    return rows, known
 
 
 def _yaw_rows(flight: Flight) -> tuple[Array, Flags] | None:
     """Return the heading [rad] to hold in each row, (T, 1): of the attitude setpoint, or else the yaw setpoint."""
     attitude = _setpoint_rows(flight, "attitude_setpoint")
     if attitude is None:
-        time, values = flight.setpoints.get("yaw_setpoint", (np.empty(0), np.empty((0, 1))))
-        turned = replace(flight, setpoints={"yaw": (time, np.unwrap(values, axis=0))})
-        return _setpoint_rows(turned, "yaw")
+        return _setpoint_rows(flight, "yaw_setpoint")
     x, y, z, w = attitude[0].T
     return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))[:, None], attitude[1]
 

@@ -22,6 +22,7 @@ from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.recording import FlightLog, row_arrays
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from tests.unit.sim2real.flat_flights import flight, write
+from tests.unit.sim2real.logs.readers import dataflash_files
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 
@@ -194,6 +195,22 @@ def test_flights_as_csv_are_the_flights_of_the_log(kind: str, table: pd.DataFram
     assert_same_flights(read_flights([path]), read_flights(files))
 
 
+def test_setpoints_and_firmware_survive_csv(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Setpoints at 20 Hz, linear between samples and missing for a second, and the numbers of the control law."""
+    results, count = topics(table), len(table) // 10
+    stamp = results["esc_status"]["timestamp"][::5]
+    fields = {"roll": np.sin(np.arange(count)), "pitch": np.zeros(count), "yaw": np.ones(count)}
+    part = np.abs(stamp - stamp[count // 2].astype(float)) > 500_000
+    results["vehicle_rates_setpoint"] = {name: one[part] for name, one in ({"timestamp": stamp} | fields).items()}
+    path = write_ulog(tmp_path / "a.ulg", results, {"MC_ROLLRATE_P": 0.125, "B": np.nan})
+    (original,), (copy,) = read_flights([path]), read_flights(convert_log(path, "csv", tmp_path / "out"))
+    assert (copy.log_format, dict(copy.parameters)) == ("ulog", {"MC_ROLLRATE_P": 0.125, "B": "nan"})
+    (time, values), (rows, asked) = (log.setpoints["rate_setpoint"] for log in (original, copy))
+    np.testing.assert_allclose(asked[:, 0], np.interp(rows, time, values[:, 0]), atol=1e-9)
+    assert np.diff(rows).max() == pytest.approx(1.0, abs=0.11)
+    assert np.ptp(rows) == pytest.approx(np.ptp(time), abs=0.01)
+
+
 @pytest.mark.parametrize("kind", ["parquet", "mcap"])
 def test_a_converted_log_is_the_log(kind: str, table: pd.DataFrame, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", exc_type=ImportError)
@@ -206,6 +223,26 @@ def test_a_converted_log_is_the_log(kind: str, table: pd.DataFrame, tmp_path: Pa
     assert (second.format, second.messages, second.metadata) == (first.format, first.messages, first.metadata)
     np.testing.assert_equal(dict(second.parameters), dict(first.parameters))
     assert_same_flights(read_flights([path]), read_flights([file]), tolerance=0.0 if kind == "parquet" else 1e-7)
+
+
+@pytest.mark.parametrize("kind", ["parquet", "mcap"])
+def test_changes_of_parameters_are_kept(kind: str, tmp_path: Path) -> None:
+    """A gain is set at 3 and at 5 s; each time has the value in force, and NaN of a column stays."""
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    changes = [
+        dataflash_files.message("PARM", at, "ATC_RAT_RLL_P", value) for at, value in ((10**6, 0.5), (3 * 10**6, 1.0))
+    ]
+    changes += [dataflash_files.message("PARM", 5 * 10**6, "ATC_RAT_RLL_P", 2.0)]
+    changes += [dataflash_files.message("BAT", 10**6, 1, np.nan)]
+    (tmp_path / "a.bin").write_bytes(dataflash_files.log()[0] + b"".join(changes))
+    convert_log(tmp_path / "a.bin", kind, tmp_path / "out")
+    for file in (tmp_path / "a.bin", tmp_path / "out" / ("a.mcap" if kind == "mcap" else "")):
+        raw = read_raw_log(file)
+        assert raw is not None
+        assert [raw.parameters_in_force(at)["ATC_RAT_RLL_P"] for at in (2.0, 4.0, 6.0)] == [0.5, 1.0, 2.0]
+        assert [(one.time, one.before) for one in raw.parameter_changes] == [(3.0, 0.5), (5.0, 1.0)]
+        battery = next(one for one in raw.topics if one.source == "BAT[1]")
+        np.testing.assert_array_equal(battery.columns["Volt"], [np.nan])
 
 
 EMPTY_EXPORT = {"aerial_gym_log": 1, "topics": {}, "messages": [], "format": "ulog", "metadata": {}}

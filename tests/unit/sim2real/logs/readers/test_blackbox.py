@@ -76,6 +76,13 @@ def test_channels_have_si_units(tmp_path) -> None:
     np.testing.assert_allclose(channel(log, "battery").values[:, 0], 0.01 * columns["vbatLatest"])
 
 
+def test_the_attitude_of_newer_versions_is_read() -> None:
+    """Since 2025.12 three components are logged, with w >= 0; a turn of 60 deg about y, nose down in FLU."""
+    columns = {f"imuQuaternion[{i}]": np.full(3, value) for i, value in enumerate((0, round(0.5 * 0x7FFF), 0))}
+    log = RawLog(path="a", format="blackbox", topics=(Topic(name="main", time=np.arange(3.0), columns=columns),))
+    np.testing.assert_allclose(channel(log, "attitude").values[0], (0.0, 0.5, 0.0, 0.75**0.5), atol=1e-4)
+
+
 def test_a_low_resolution_gyro_counts_whole_degrees_per_second(tmp_path) -> None:
     rows = files.random_rows(0, 32)
     log = read(tmp_path, files.flight(rows, files.HEADER | {"blackbox_high_resolution": "0"}))

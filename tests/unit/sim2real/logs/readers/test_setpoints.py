@@ -10,14 +10,17 @@ from aerial_gym.sim2real.logs.readers.setpoints import setpoint_channels, setpoi
 LEVEL_EAST = {"q_d[0]": 0.5**0.5, "q_d[1]": 0.0, "q_d[2]": 0.0, "q_d[3]": 0.5**0.5}  # PX4: heading east, yaw +90 deg
 
 
-def setpoints(format_name: str, **topics: dict[str, float]) -> dict[str, list[float]]:
+def setpoints(
+    format_name: str, parameters: dict[str, float | str] | None = None, **topics: dict[str, float]
+) -> dict[str, list[float]]:
     """Return the first value of each setpoint, the best source first."""
     time = np.arange(2.0)
     parts = [
         Topic(name=name, time=time, columns={field: np.full(2, value) for field, value in columns.items()})
         for name, columns in topics.items()
     ]
-    channels = list(setpoint_channels(RawLog(path="a", format=format_name, topics=tuple(parts))))
+    log = RawLog(path="a", format=format_name, topics=tuple(parts), parameters=parameters or {})
+    channels = list(setpoint_channels(log))
     return {one.quantity: one.values[0].tolist() for one in reversed(channels)}
 
 
@@ -44,6 +47,10 @@ def test_setpoints_of_betaflight_are_in_flu_and_those_of_indiflight_in_frd() -> 
     asked = setpoints("blackbox", main=vector("setpoint", 180.0, -90.0, 45.0, 400.0))
     np.testing.assert_allclose(asked["rate_setpoint"], (np.pi, -np.pi / 2, np.pi / 4))
     np.testing.assert_allclose(asked["thrust_setpoint"], (0.4,))
+    fine = setpoints(
+        "blackbox", {"blackbox_high_resolution": 1.0}, main=vector("setpoint", 1800.0, -900.0, 450.0, 400.0)
+    )
+    assert fine == asked
     main = (
         vector("gyroSp", 1800.0, 900.0, 0.0) | vector("spfSp", 0.0, 0.0, -981.0) | vector("posSp", 0.0, 1000.0, -1500.0)
     )

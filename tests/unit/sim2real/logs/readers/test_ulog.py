@@ -36,6 +36,19 @@ def hover(**more: dict[str, float]) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
+def test_a_single_event_of_landing_counts_and_an_esc_without_telemetry_does_not() -> None:
+    """A log that begins in the air, with one landing; three of four ESCs send their speed, which no rotor is known to have."""
+    parts = topics(flight(5, seconds=8.0, rate=100.0))
+    stamp = parts["esc_status"]["timestamp"]
+    parts["esc_status"]["esc[1].esc_rpm"] = np.zeros(stamp.size)
+    parts["actuator_motors"] = {"timestamp": stamp} | {f"control[{i}]": np.full(stamp.size, 0.5) for i in range(4)}
+    parts["vehicle_land_detected"] = {"timestamp": stamp[:1], "landed": np.zeros(1)}
+    log = read_topics(parts)
+    assert log.rotor_speed is None
+    assert log.num_rotors == 4
+    assert [note.values["topic"] for note in log.notes if note.code == "topic_left_out"] == ["esc_status[0]"]
+
+
 def test_hover_has_gravity_up_and_north_is_enu_y() -> None:
     """Signed cases, each by hand."""
     log = read_topics(hover(esc_status={f"esc[{i}].esc_rpm": 6000.0 * (i < 4) for i in range(8)}))
