@@ -11,6 +11,7 @@ import numpy as np
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array, Flags, true_spans
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.checks.time_courses import APART, SURPRISE
 from aerial_gym.sim2real.logs.raw_log import NO_MOTION, STATES
 from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 from aerial_gym.sim2real.logs.streams import Stream
@@ -30,7 +31,7 @@ class FlightSpan:
 
     start: float  # [s]
     end: float  # [s]
-    ended_by: str  # landing, gap, velocity_reset, impact or log_end
+    ended_by: str  # landing, gap, velocity_reset, clock_set_back, impact or log_end
 
     @property
     def duration(self) -> float:
@@ -87,11 +88,13 @@ def _airborne_spans(states: Sequence[Stream], first: float, last: float) -> list
 
 
 def _split_span(span: FlightSpan, streams: Sequence[Stream]) -> list[FlightSpan]:
-    """Return the parts of a span between gaps of any stream and resets of the velocity."""
+    """Return the parts of a span between gaps of any stream, clock steps with a jump of it, and resets of the velocity."""
     cuts = [(span.end, span.end, span.ended_by)]
     for stream in streams:
         for row in np.flatnonzero(np.diff(stream.time) > longest_bridgeable_gap(stream.sample_step)).tolist():
             cuts.append((float(stream.time[row]), float(stream.time[row + 1]), "gap"))
+        for row in _discontinuous_clock_steps(stream):
+            cuts.append((float(stream.time[row - 1]), float(stream.time[row]), "clock_set_back"))
         resets = stream.channel.resets if stream.quantity == "lin_vel" else None
         cuts += [
             (time - stream.sample_step, time, "velocity_reset") for time in ([] if resets is None else resets.tolist())
@@ -103,6 +106,16 @@ def _split_span(span: FlightSpan, streams: Sequence[Stream]) -> list[FlightSpan]
                 parts.append(FlightSpan(start=start, end=stop, ended_by=reason))
             start = max(start, following)
     return parts
+
+
+def _discontinuous_clock_steps(stream: Stream) -> list[int]:
+    """Return the rows after backward clock steps across which the motion jumps, as after a restart of the vehicle."""
+    rows = [step.row for step in stream.backward_steps]
+    changes = np.linalg.norm(np.diff(stream.values, axis=0), axis=1)
+    usual = np.delete(changes, [row - 1 for row in rows])
+    if stream.quantity not in ("attitude", "position", "lin_vel") or not usual.size or not rows:
+        return []
+    return [row for row in rows if changes[row - 1] > APART * float(np.quantile(usual, 1.0 - SURPRISE))]
 
 
 def _end_at_impact(span: FlightSpan, force: Stream | None) -> FlightSpan:

@@ -111,7 +111,7 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
         "products": smooth(np.stack([rates[:, j] * rates[:, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)),
         "motion": smooth(np.concatenate((derivative(rates), log.specific_force[:, 2:]), axis=1)),
     }
-    powered = _rows_under_power(parts["inputs"])
+    powered = rows_under_power(parts["inputs"])
     if powered.any():
         total = parts["inputs"].sum(axis=1)
         lift = (felt * total)[powered].sum() / (total * total)[powered].sum()
@@ -123,7 +123,7 @@ def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -
     )  # fmt: skip
 
 
-def _rows_under_power(inputs: Array) -> Flags:
+def rows_under_power(inputs: Array) -> Flags:
     """Return the rows in which all rotors turn, (T,)."""
     return (inputs > SLOWEST**2 * np.quantile(inputs, 0.99)).all(axis=1)
 
@@ -267,7 +267,7 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
         if log.rotor_command is None or log.specific_force is None or not log.torques:
             return None
         rate, command = sample_rate(log), np.clip(log.rotor_command, 1e-6, None)
-        rows = _without_edges(_rows_under_power(command**2), rate)
+        rows = _without_edges(rows_under_power(command**2), rate)
         if rows.any():
             flights.append((rate, command, gaussian_filter1d(log.specific_force[:, 2], rate * BAND_STD_S), rows))
     if not flights:
@@ -341,7 +341,7 @@ def _curve_parts(log: FlightLog, count: int) -> list[CurvePart]:
     assert log.rotor_speed is not None
     step = max(1, int(sample_rate(log) / CURVE_HZ))
     command, speed, rate = log.rotor_command[::step], log.rotor_speed[::step], sample_rate(log) / step
-    turning = _without_edges(_rows_under_power(speed**2), rate)
+    turning = _without_edges(rows_under_power(speed**2), rate)
     groups = np.array_split(np.flatnonzero(turning), count)
     rows = [np.isin(np.arange(len(speed)), group) for group in groups if group.size]
     return [CurvePart(command=command, speed=speed, rate=rate, rows=flags) for flags in rows]

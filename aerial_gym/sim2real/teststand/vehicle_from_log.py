@@ -6,7 +6,7 @@ number that stands on an assumed one is assumed itself. Letters: T rows, R rotor
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf
+from math import inf, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
@@ -29,6 +30,7 @@ from aerial_gym.sim2real.teststand.effectiveness import (
     fit_thrust_power,
     mean_force_per_input,
     rows_of_flight,
+    rows_under_power,
 )
 from aerial_gym.sim2real.teststand.log_geometry import FRAMES, RotorLayout, ThrustLaw, layout_in_log
 from aerial_gym.sim2real.teststand.vehicle_draft import (
@@ -65,6 +67,8 @@ def draft_vehicle(
         low, high = power[0].low, power[0].high
         law = ThrustLaw(power=power[0].value, origin=f"measured here: u^{power[0].value:.2f} [{low:.2f}, {high:.2f}]")
         layout = replace(layout, law=law)
+    if not has_speeds and not fast:
+        layout = replace(layout, law=_law_of_slow_commands(logs, layout.law))
 
     def thrust_input(log: FlightLog) -> Array:
         if has_speeds and log.rotor_speed is not None:
@@ -85,6 +89,21 @@ def draft_vehicle(
     lag = curve.lag if curve is not None else power[1] if power is not None else None
     draft = _assemble_draft(layout, effect, curve, lag, mean_force_per_input(flights), has_speeds, mass, arm, logs)
     return replace(draft, mapping=command_mapping_yaml(draft, layout, logs, mapping))
+
+
+def _law_of_slow_commands(logs: Sequence[FlightLog], law: ThrustLaw) -> ThrustLaw:
+    """Return the law of the log, or a power law if all flights show other slopes of the force, which it then has."""
+    slopes = [(0.0, inf)]
+    for log in logs:
+        if log.rotor_command is not None and log.specific_force is not None:
+            thrust = law.share(log.rotor_command)
+            slopes.append(interval_of_thrust_slope(log, thrust.sum(axis=1), ~rows_under_power(thrust)))
+    low, high = max(one for one, _ in slopes), min(one for _, one in slopes)
+    if low <= 1.0 <= high or low > high:
+        return law
+    stated = law.slope(mean_command(logs))
+    slope = Estimate(value=stated * sqrt(low * high), low=stated * low, high=stated * high)
+    return ThrustLaw(power=slope.value, origin=_value_of_estimate(slope).origin)
 
 
 def _fit_to_layout(flights: Sequence[FlightRows], layout: RotorLayout) -> Effectiveness:

@@ -1,11 +1,14 @@
 """Flights within a log: arming, landing, gaps, resets of the velocity, and an impact at the end."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan, flight_spans, leave_out_partial_streams
 from aerial_gym.sim2real.logs.raw_log import LogChannel
+from aerial_gym.sim2real.logs.readers.stamps import ClockStep
 from aerial_gym.sim2real.logs.streams import Stream
 
 TIME = 0.01 * np.arange(6001)
@@ -67,6 +70,16 @@ def test_an_impact_at_the_end_is_cut_off_and_a_hard_manoeuvre_is_not() -> None:
     assert spans(stream("ang_vel", TIME), stream("specific_force", TIME, force)) == [(0.0, 58.9, "impact")]
     force[5900], force[3000] = 9.81, 50.0  # a knock in the middle of a flight does not end it
     assert spans(stream("ang_vel", TIME), stream("specific_force", TIME, force)) == [(0.0, 60.0, "log_end")]
+
+
+def test_a_clock_that_was_set_back_splits_the_log() -> None:
+    """As of a file that a vehicle continues after a restart at another place; a continuous motion is one flight."""
+    steps = (ClockStep(row=2000, before=20.0, after=1.0, shift=19.0, counter=""),)
+    gyro = stream("ang_vel", TIME)
+    assert len(spans(gyro, replace(stream("position", TIME, TIME), steps=steps))) == 1
+    parts = spans(gyro, replace(stream("position", TIME, TIME - 9.0 * (TIME >= 20.0)), steps=steps))
+    assert [round(start, 2) for start, _, _ in parts] == [0.0, 20.0]
+    assert [reason for _, _, reason in parts] == ["clock_set_back", "log_end"]
 
 
 def test_a_stream_of_less_than_half_the_log_is_left_out() -> None:

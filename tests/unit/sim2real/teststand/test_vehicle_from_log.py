@@ -27,6 +27,7 @@ from aerial_gym.sim2real.teststand.log_geometry import (
 )
 from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, robot_yaml_with_origins
 from aerial_gym.sim2real.teststand.vehicle_from_log import _torque_ratio_and_yaw_inertia, draft_vehicle
+from tests.unit.sim2real import flat_flights, ulog_files
 
 RATE, SECONDS, MASS = 400.0, 16.0, 0.5
 SIGNS = np.array(((-1, -1, 1, 1), (1, -1, 1, -1), (1, -1, -1, 1)))  # Roll, pitch, yaw, of Betaflight's order
@@ -233,6 +234,18 @@ def test_fast_commands_show_the_exponent_of_their_thrust(tmp_path: Path) -> None
     assert exponent.value == pytest.approx(2.0 * POWER * part / (IDLE + part), rel=0.05)
     assert exponent.origin.startswith("measured here")
     assert draft.values["lag"].value == pytest.approx(LAG, rel=0.3)
+
+
+def test_slow_commands_show_an_exponent_that_contradicts_the_log(tmp_path: Path) -> None:
+    """PX4's default curve is straight, but thrust follows the square of the command: its file must hold for the same log."""
+    table = flat_flights.flight(3, seconds=20.0, noise=1.0)
+    parts = ulog_files.topics(table)
+    stamp, share = parts.pop("esc_status")["timestamp"][::10], table.filter(like="rotor_").to_numpy()[::20] / 1600.0
+    parts["actuator_motors"] = {"timestamp": stamp} | {f"control[{i}]": share[:, i] for i in range(4)}
+    path = ulog_files.write_ulog(tmp_path / "a.ulg", parts, {"THR_MDL_FAC": 0.0})
+    draft = draft_vehicle([path], mass=0.6, arm=0.14, frame="quad_x")
+    assert draft.values["thrust_exponent"].value == pytest.approx(2.0, rel=0.05)
+    assert draft.values["thrust_exponent"].origin.startswith("measured here")
 
 
 def test_curves_of_firmwares() -> None:
