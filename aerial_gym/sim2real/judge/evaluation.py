@@ -69,14 +69,18 @@ class ModelEvaluation:
 def evaluate_models(
     robot: RobotCfg, predictor: Predictor, models: Sequence[ModelParams], *, floor: Array | None, seed: int
 ) -> list[ModelEvaluation]:
-    """Return residuals and rollouts of each model on flights that were not used for its fit."""
+    """Return residuals and rollouts of each model on flights that were not used for its fit.
+
+    Rollouts are free only if all flights show torques; others take the attitude of the log.
+    """
     flights, group = predictor.flights, time_block_of_rows(predictor.times)
     residuals = [np.concatenate(predictor.residuals(one)) for one in models]
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not reason_against_rollouts(flights):
-        links, variants = [predictor.load_links(one) for one in models], {"free": False, "given_attitude": True}
-        more = {"links": links, "tolerances": predictor.tolerances}
-        rollouts = rollout_errors_of_models(robot, flights, models, variants, **more)
+        turns = all(flight.torques and not flight.collective for flight in flights)
+        variants = {"free": False} if turns else {}
+        more = {"links": [predictor.load_links(one) for one in models], "tolerances": predictor.tolerances}
+        rollouts = rollout_errors_of_models(robot, flights, models, variants | {"given_attitude": True}, **more)
     results, floors = [], None if floor is None else tuple(floor.tolist())
     for residual, flown in zip(residuals, rollouts, strict=True):
         rms = tuple(rms_with_interval(residual, group, seed=seed))

@@ -44,15 +44,17 @@ def resample_streams(streams: Mapping[str, Stream], rows: Array) -> dict[str, Ar
 
 def without_slow_rotor_data(log: FlightLog, rates: Mapping[str, float]) -> FlightLog:
     """Return the log without the lags and torques that rotor data at native ``rates`` [Hz], by quantity, do not show."""
-    slow = [n for n in ("rotor_speed", "rotor_command") if rates.get(n, inf) < SLOWEST_COMMANDS_HZ]
+    logged = [name for name in ("rotor_speed", "rotor_command") if getattr(log, name) is not None]
+    slow = [name for name in logged if rates.get(name, inf) < SLOWEST_COMMANDS_HZ]
     if not slow:
         return log
-    notes = [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": rates[name]}) for name in slow]
-    lag = log.rotor_speed is None  # a lag needs both, fast
+    torques = log.torques and logged[0] not in slow  # measured speeds come before commands
+    values = {"torques": torques}
+    notes = [Finding("rotors_too_slow", "", {"quantity": name, "rate_hz": rates[name]} | values) for name in slow]
     return replace(
         log,
-        rotor_command=log.rotor_command if lag else None,
-        torques=log.torques and ("rotor_command" if lag else "rotor_speed") not in slow,
+        rotor_command=log.rotor_command if log.rotor_speed is None else None,  # a lag needs both, fast
+        torques=torques,
         notes=tuple(dict.fromkeys((*log.notes, *notes))),
     )
 

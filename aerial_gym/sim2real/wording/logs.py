@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import Template, join_words, value_text
+from aerial_gym.sim2real.wording.words import Template, join_words, number_text, value_text
 
 
 def _place_list(items: Sequence[object], count: int, word: str = "line") -> str:
@@ -95,6 +95,14 @@ def _stream_delay_text(finding: Finding) -> str:
     return f"Stream {values['topic']} is {delay} ms {'late' if late > 0.0 else 'early'} against the inertial sensors"
 
 
+def _slow_rotors_sentence(finding: Finding) -> str:
+    values = finding.values
+    start = f"{values['quantity']} comes at {number_text(values['rate_hz'])} Hz"
+    if values["torques"]:
+        return f"{start}: the lag cannot be judged, and the measured rotor speeds alone drive the model."
+    return f"{start}: lag, torques and order of the rotors cannot be judged, and rollouts take the logged attitude."
+
+
 def _reset_sentence(finding: Finding) -> str:
     values = finding.values
     size = f"{values['angle_deg']:.3g} deg" if "angle_deg" in values else f"{values['distance_m']:.3g} m"
@@ -124,7 +132,7 @@ LOGS: dict[str, Template] = {
     "stream_too_late": lambda f: f"{_stream_delay_text(f)}, more than is corrected, and is left out.",
     "stream_moved": lambda f: f"{_stream_delay_text(f)}; it is moved.",
     "reset_undone": _reset_sentence,
-    "rotors_too_slow": "{quantity} comes at {rate_hz:number} Hz: lag, torques and order of the rotors cannot be judged.",
+    "rotors_too_slow": _slow_rotors_sentence,
     "flight_state_unknown": "Arming and landing show no flight: the whole log counts as one.",
     "rotor_order_of_firmware": "Rotors are in the order of {firmware}; the robot file must list them in the same order.",
     "commands_mixed": "Rotor commands are computed from torque and thrust commands by the mixer of an X frame.",
@@ -183,8 +191,10 @@ LOGS: dict[str, Template] = {
     "velocity_unknown": "Neither velocity nor position is logged: drag is predicted as if the vehicle stood still.",
     "force_derived": "Specific force is derived from velocity.",
     "rates_derived": "Angular velocity is derived from attitude; angular acceleration is not compared.",
-    "one_command": "All rotors have one command; angular acceleration is not compared.",
-    "torques_not_logged": "These logs show no torques; angular acceleration is not compared.",
+    "one_command": "All rotors have one command: angular acceleration is not compared, rollouts take the logged attitude.",
+    "torques_not_logged": (
+        "These logs show no torques: angular acceleration is not compared, rollouts take the logged attitude."
+    ),
     "on_ground": "In {share:percent} of the rows it stands, is carried or thrown; they are not compared.",
     "commands_copied": "The commands are left out: they equal the measured rotor speeds, so that they show no lag.",
     "commands_scaled": "Commands are scaled by {factor:.4f} to the thrust measured above {height_m:g} m.",

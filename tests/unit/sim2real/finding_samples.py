@@ -211,7 +211,10 @@ SAMPLES = [
     Finding("topic_covers_part", "f1", {"topic": "esc_status[0]", "covered_s": 3.0, "log_s": 31.5}),
     Finding("stream_too_late", "f1", {"topic": "mocap[0]", "late_ms": 412.0, "half_width_ms": 3.0}),
     Finding("stream_moved", "f1", {"topic": "vehicle_attitude[0]", "late_ms": -5.3, "half_width_ms": 0.2}),
-    Finding("rotors_too_slow", "f1", {"quantity": "rotor_command", "rate_hz": 10.03}),
+    *(
+        Finding("rotors_too_slow", "f1", {"quantity": "rotor_command", "rate_hz": 10.03, "torques": torques})
+        for torques in (False, True)
+    ),
     Finding("flight_state_unknown", "f1"), Finding("commands_mixed", "f1"),
     Finding("rotor_order_of_firmware", "f1", {"firmware": "PX4"}),
     Finding("reset_undone", "f1", {"quantity": "attitude", "time_s": 12.25, "angle_deg": 17.3}),

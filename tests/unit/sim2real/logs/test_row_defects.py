@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.flight_replay import replay_flights
 from aerial_gym.sim2real.logs.flights import SETTLE_S, Flight, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -85,6 +86,7 @@ def test_held_commands_are_judged_at_their_own_rate(rows: int, slow: bool, table
     rates = [one["rate_hz"] for one in notes(loaded, "rotors_too_slow")]
     assert (loaded.rotor_command is None) is slow
     assert rates == ([pytest.approx(RATE / rows)] if slow else [])
+    assert [one["torques"] for one in notes(loaded, "rotors_too_slow")] == [True] * slow
     assert loaded.gyro
 
 
@@ -94,12 +96,16 @@ def test_slow_commands_alone_show_no_torques(table: pd.DataFrame, tmp_path: Path
     assert not loaded.gyro
     assert loaded.rotor_command is not None
     assert {channel.kind for channel in find_channels([loaded])} == {"specific_force", "kinematic_force"}
+    assert replay_flights(ROBOT, [loaded], bandwidth=2.0).evaluation.rollouts.keys() == {"given_attitude"}
 
 
 @pytest.mark.parametrize("rows", [20, 8])
 def test_slow_rows_show_no_torques_where_a_file_is_opened(rows: int, table: pd.DataFrame, tmp_path: Path) -> None:
-    path = write(table.iloc[::rows], tmp_path / "a.csv")
-    assert open_log(path).flight(1).torques is (RATE / rows >= 40.0)
+    """A note names only quantities that are logged."""
+    path = write(table.iloc[::rows].drop(columns=[f"rotor_{n}" for n in range(1, 5)]), tmp_path / "a.csv")
+    log, fast = open_log(path).flight(1), RATE / rows >= 40.0
+    assert log.torques is fast
+    assert [one["quantity"] for one in notes(log, "rotors_too_slow")] == ["rotor_command"] * (not fast)
 
 
 def test_rows_near_a_gap_are_not_compared(table: pd.DataFrame, tmp_path: Path) -> None:
