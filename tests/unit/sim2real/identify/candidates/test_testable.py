@@ -162,6 +162,6 @@ def test_a_line_is_found_where_one_flight_lacks_the_velocity() -> None:
     time, rng = np.arange(1200) / 50.0, np.random.default_rng(0)
     motion, noise = rng.standard_normal((2, 1200, 6)), 0.1 * rng.standard_normal((2, 1200))
     lines = CommonLines([time, time], [motion[0], motion[1, :, :3]])
-    found = lines.strongest_line([np.sin(2.0 * np.pi * 7.0 * time) + part for part in noise])
-    assert found is not None
-    assert found[0] == pytest.approx(7.0, abs=0.5)
+    line = lines.strongest_line([np.sin(2.0 * np.pi * 7.0 * time) + part for part in noise])
+    assert line is not None
+    assert line[0] == pytest.approx(7.0, abs=0.5)
