@@ -103,7 +103,7 @@ def judge_on_test_flights(
     learned, params, after = None, model, unexplained.evaluation_with_wind_floor(named)
     if learn_residual or (made.kind == "unexplained" and can_learn_residual(declared)):
         progress("fit of the learned residual", 0.9)
-        learned = fit_residual(declared, result, model, unexplained.floor, seed=seed)
+        learned = fit_residual(declared, result, model, unexplained.within, unexplained.floor, seed=seed)
     if learned is not None and learned.effect is not None:
         params = replace(model, learned=learned.effect)
         (after,) = evaluate_models(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)

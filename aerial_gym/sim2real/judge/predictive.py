@@ -15,12 +15,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library, linearise_candidates
+from aerial_gym.sim2real.identify.candidates.nuisance import channels_with_common_offsets
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
@@ -85,16 +87,18 @@ def largest_open_squares(
     mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
     rows = np.array([time.size for time in test.times])
     offset_channels, significance = selection.flight_offsets, selection.criteria.significance
-    flights = np.unique(fit.moments.flight).size
+    freedom = np.ones(len(test.channels)) * max(1, np.unique(fit.moments.flight).size - 1)
+    for places in channels_with_common_offsets(test.channels).values():
+        freedom[places] *= len(places)
 
-    def with_offsets(size: Array, covariance: Array, freedom: float) -> Array:
+    def with_offsets(size: Array, covariance: Array, freedom: ArrayLike) -> Array:
         offsets = size[:, None, None] ** 2 * np.diag(rows / rows.sum())
         products = np.stack([block_diagonal(one, other) for one, other in zip(mean_product, offsets, strict=True)])
         whole = block_diagonal(covariance, np.eye(rows.size))
         return quantile_of_squares(products, whole, significance, estimated=rows.size, freedom=freedom)
 
     def limits(covariance: Array) -> tuple[Array, Array]:
-        estimated = with_offsets(offset_channels.size, covariance, max(1, flights - 1))
+        estimated = with_offsets(offset_channels.size, covariance, freedom)
         return (
             quantile_of_squares(mean_product, covariance, significance),
             np.minimum(estimated, with_offsets(offset_channels.most, covariance, MANY)),
@@ -113,7 +117,7 @@ def block_diagonal(one: Array, other: Array) -> Array:
 
 
 def quantile_of_squares(
-    product: Array, covariance: Array, significance: float, *, estimated: int = 0, freedom: float = MANY
+    product: Array, covariance: Array, significance: float, *, estimated: int = 0, freedom: ArrayLike = MANY
 ) -> Array:
     """Return the upper quantile of ``d^T M d`` for normal d, which it exceeds with probability ``significance``, (C,).
 
@@ -121,7 +125,7 @@ def quantile_of_squares(
         product: A matrix M for each channel, (C, K, K).
         covariance: Covariance S of d, (K, K).
         estimated: Number of last entries of d whose variance is itself an estimate.
-        freedom: Degrees of freedom of that estimate.
+        freedom: Degrees of freedom of that estimate, for all channels or for each, (C,).
 
     Source:
         Satterthwaite (1946), An approximate distribution of estimates of variance components, Biometrics Bulletin 2. The form

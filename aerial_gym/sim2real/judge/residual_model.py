@@ -23,14 +23,19 @@ def fit_residual(
     declared: LoopSetup,
     selection: SelectionResult,
     model: ModelParams,
+    within: ModelParams,
     floor: Array | None,
     *,
     seed: int,
 ) -> ResidualFit:
     """Return a residual learned on the training flights, with its share of the error of the test flights.
 
-    Cross-validation over the training flights decides whether it is kept; the test flights only report.
+    Cross-validation over the training flights decides whether it is kept; the test flights only report. It must also hold
+    beside the best deviations ``within`` the tolerances, because tolerances need no network.
     """
     left_out = leave_out_flights(declared.train, selection.weights, selection.criteria, selection.tolerated)
+    beyond = train_residual(declared.train, within, left_out, seed=seed)
+    if beyond.cfg is None:
+        return beyond
     trained = train_residual(declared.train, model, left_out, seed=seed)
     return add_test_shares(trained, declared.test, (declared.params, model), floor)

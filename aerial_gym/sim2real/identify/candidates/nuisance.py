@@ -37,7 +37,7 @@ class NuisanceColumns:
     """Columns of one kind of structure in one channel."""
 
     kind: str  # position, heading, velocity, voltage, time, periodic or flight
-    channel: str  # Channel; forces are in world axes for position and heading
+    channel: str  # Channel, or kind of channels with a common size; world axes for forces of position and heading
     columns: list[SparseDerivatives]  # F functions times ``size``, (T, C, F) of each flight
     size: float  # RMS of one unit in the channel's unit: the declared model's residual, or the scatter between flights
     most: float = np.inf  # Upper limit of ``size`` if it is the scatter between flights
@@ -130,7 +130,7 @@ class Nuisances:
             for number, time in enumerate(times):
                 turn = 2.0 * np.pi * line[0] * time
                 waves = size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))[:, None]
-                columns.append(_columns_of_one_flight(number, len(times), waves, place))
+                columns.append(_columns_of_one_flight(number, len(times), waves, (place,)))
             matrices.append(
                 NuisanceColumns(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0])
             )
@@ -142,7 +142,8 @@ def prior_of_flight_offsets(
 ) -> FlightOffsets:
     """Return the flight offsets among some structures; ``weight``: weight of a row of each channel, (C,)."""
     own = {one.channel: (one.size, one.most) for one in structures if one.is_flight_offset}
-    size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
+    none = (0.0, 0.0)
+    size, most = np.array([own.get(channel.name, own.get(channel.kind, none)) for channel in channels]).T
     return FlightOffsets(size=size, weight=weight, most=most)
 
 
@@ -191,27 +192,40 @@ def limits_of_flight_offsets(predictor: Predictor, tolerated: Array) -> Array:
     return np.hypot(tolerated, force * predictor.tolerances.acc_of_flight)
 
 
+def channels_with_common_offsets(channels: Sequence[Channel]) -> dict[str, list[int]]:
+    """Return the indices of the channels whose flight offsets have one standard deviation: the axes of an accelerometer.
+
+    A few flights may agree on one axis by chance, which would then look like a force on the vehicle.
+    """
+    results = dict[str, list[int]]()
+    for place, channel in enumerate(channels):
+        results.setdefault(channel.kind if channel.kind in FORCES else channel.name, []).append(place)
+    return results
+
+
 def _flight_offset_columns(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[NuisanceColumns]:
-    """Return an offset per flight in each channel, of the flights' standard deviation up to ``most`` (C,)."""
+    """Return an offset per flight and channel, of the flights' standard deviation up to ``most`` (C,)."""
     if len(present) < 2:
         return []
-    sizes = np.minimum(np.std([part.mean(axis=0) for part in present], axis=0, ddof=1), most)
+    stds = np.minimum(np.std([part.mean(axis=0) for part in present], axis=0, ddof=1), most)
     matrices = []
-    for place, (channel, size, limit) in enumerate(zip(channels, sizes.tolist(), most.tolist(), strict=True)):
+    for name, places in channels_with_common_offsets(channels).items():
+        size, limit = (float(np.sqrt(np.mean(np.square(values[places])))) for values in (stds, most))
         if not size:
             continue
-        columns = []
-        for number, part in enumerate(present):
-            columns.append(_columns_of_one_flight(number, len(present), np.full((len(part), 1, 1), size), place))
-        matrices.append(NuisanceColumns(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
+        columns = [
+            _columns_of_one_flight(number, len(present), np.tile(size * np.eye(len(places)), (len(part), 1, 1)), places)
+            for number, part in enumerate(present)
+        ]
+        matrices.append(NuisanceColumns(kind=OF_FLIGHTS, channel=name, columns=columns, size=size, most=limit))
     return matrices
 
 
-def _columns_of_one_flight(flight: int, flights: int, values: Array, channel: int) -> SparseDerivatives:
-    """Return the columns of one flight, (T, 1, p), among equal numbers of columns for every flight."""
+def _columns_of_one_flight(flight: int, flights: int, values: Array, channels: Sequence[int]) -> SparseDerivatives:
+    """Return the columns of one flight, (T, c, p), among equal numbers of columns for every flight."""
     own = values.shape[2]
     return SparseDerivatives(
-        values=values.astype(np.float32), channels=(channel,), width=own * flights, first=own * flight
+        values=values.astype(np.float32), channels=tuple(channels), width=own * flights, first=own * flight
     )
 
 

@@ -84,19 +84,35 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[ResidualFit
     assert set(judged.gaps.values()) == {0.0}
 
 
-def test_test_flights_report_and_do_not_choose(tmp_path: Path) -> None:
-    """A test flight that is pushed where training flights are braked gets worse: the share says so, the training decides."""
-    train, _ = fly(tmp_path, CUBIC)
-    test = write(flight(23, noise=1.0, seconds=8.0, rate=100.0, cubic=-CUBIC), tmp_path / "pushed.csv")
+def judge_residual(train: list[Path], test: Path, **deviations: float) -> ResidualFit:
+    """Return the residual learned on training flights beside deviations of the vehicle, in standard deviations."""
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
     params, predictor = params_from_robot(ROBOT), make_predictor(fit)
     weights = inverse_variance_weights(predictor.residuals(params))
     tolerated = np.full(len(predictor.channels), 0.02)
     chosen = replace(make_choice(make_fit()), weights=weights, tolerated=tolerated)
     setup = replace(make_setup(), params=params, train=predictor, test=make_predictor(held))
-    learned = fit_residual(setup, make_selection(chosen), params, None, seed=0)
+    names = predictor.tolerances.names(ROBOT.num_rotors)
+    within = replace(params, deviation=np.array([deviations.get(name, 0.0) for name in names]))
+    return fit_residual(setup, make_selection(chosen), params, within, None, seed=0)
+
+
+def test_test_flights_report_and_do_not_choose(tmp_path: Path) -> None:
+    """A test flight that is pushed where training flights are braked gets worse: the share says so, the training decides."""
+    train, _ = fly(tmp_path, CUBIC)
+    learned = judge_residual(
+        train, write(flight(23, noise=1.0, seconds=8.0, rate=100.0, cubic=-CUBIC), tmp_path / "pushed.csv")
+    )
     assert learned.effect is not None
     assert max(learned.gaps[name] or 0.0 for name in FORCES) < -0.5
+
+
+def test_what_a_tolerance_explains_is_not_learned(tmp_path: Path) -> None:
+    """Rotors of 1.2 % less thrust, three standard deviations: a network learns it, but beside that deviation nothing."""
+    tables = [flight(20 + n, noise=1.0, seconds=8.0, rate=100.0, thrust_scale=0.988) for n in range(4)]
+    *train, test = [write(table, tmp_path / f"f{n}.csv") for n, table in enumerate(tables)]
+    assert judge_residual(train, test).effect is not None
+    assert judge_residual(train, test, **{f"thrust_{rotor}": -3.0 for rotor in range(1, 5)}).effect is None
 
 
 def test_training_repeats_itself(tmp_path: Path) -> None:

@@ -78,25 +78,29 @@ def residuals() -> list[np.ndarray]:
     return [mean + wave[:, None] for mean, wave in zip(MEANS, waves, strict=True)]
 
 
-def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_differ_and_no_larger_than_they_may() -> (
+def test_the_flight_offsets_of_an_accelerometer_have_one_size_from_all_axes_and_those_of_other_channels_their_own() -> (
     None
 ):
-    result = _flight_offset_columns(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
-    assert [one.name for one in result] == ["flight in specific_force.x", "flight in specific_force.y"]
-    x, y = result
-    assert x.is_flight_offset
-    assert x.size == pytest.approx(0.2)
-    assert y.size == 0.5
-    for number, columns in enumerate(x.columns):
-        expected = np.zeros((40, 3))
-        expected[:, number] = 0.2
-        np.testing.assert_allclose(columns.dense_columns((0,))[:, 0], expected, rtol=1e-6)
-        assert not columns.dense_columns((1,)).any()
-        assert columns.values.shape == (40, 1, 1)  # no zeros are kept
-    weight = np.array([1.0, 2.0, 3.0])
-    own = prior_of_flight_offsets(result, CHANNELS, weight)
-    np.testing.assert_allclose(own.size, [0.2, 0.5, 0.0])
-    np.testing.assert_allclose(own.most, [1.0, 0.5, 0.0])
+    """Standard deviations 0.2, 3 (at most 0.5) and 0 of the axes have the rms sqrt(0.29 / 3); that of a rotor stays 0.2."""
+    channels, most = [*CHANNELS, Channel(kind="rotor_speed", axis="1")], np.array([1.0, 0.5, 1.0, 9.0])
+    flown = [np.column_stack((part, part[:, 0])) for part in residuals()]
+    result = _flight_offset_columns(channels, flown, most)
+    assert [one.name for one in result] == ["flight in specific_force", "flight in rotor_speed.1"]
+    force, rotor = result
+    size, limit = (0.29 / 3.0) ** 0.5, (2.25 / 3.0) ** 0.5
+    assert force.is_flight_offset
+    assert force.size == pytest.approx(size)
+    assert rotor.size == pytest.approx(0.2)
+    for number, columns in enumerate(force.columns):
+        for axis in range(3):
+            expected = np.zeros((40, 9))
+            expected[:, 3 * number + axis] = size
+            np.testing.assert_allclose(columns.dense_columns((axis,))[:, 0], expected, rtol=1e-6)
+        assert not columns.dense_columns((3,)).any()
+        assert columns.values.shape == (40, 3, 3)  # no columns of other flights are kept
+    own = prior_of_flight_offsets(result, channels, np.array([1.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_allclose(own.size, [size, size, size, 0.2])
+    np.testing.assert_allclose(own.most, [limit, limit, limit, 9.0])
 
 
 def test_one_flight_alone_has_no_offset_of_its_own() -> None:
