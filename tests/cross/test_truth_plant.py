@@ -30,6 +30,18 @@ EFFECTS = (
     "inertia_error", "wind_shear", "ground_effect", "ceiling_effect", "downwash", "slung_payload", "joint_spring",
     "thrust_curve",
 )  # fmt: skip
+DRAG = dict(zip(("dx", "dy", "dz"), DECLARED.linear_drag.tolist(), strict=True))
+OTHER_LAWS: dict[str, tuple[dict[str, float], dict[str, dict[str, float]]]] = {
+    "rotor_drag/thrust": (
+        {"dx": 0.4, "dy": 0.4, "dz": 0.0},
+        {"rotor_drag": dict.fromkeys(("dx", "dy", "dz"), 0.0), "rotor_drag_of_thrust": {**DRAG, "k": 0.4}},
+    ),
+    "quadratic_drag/plate": (
+        {"dx": 0.1, "dy": 0.11, "dz": 0.12}, {"quadratic_drag_of_axes": {"dx": 0.1, "dy": 0.11, "dz": 0.12}}
+    ),
+}  # fmt: skip
+"""Laws of the plant that the package has too, with the numbers of both."""
+
 TOGETHER = tuple(
     name
     for name in EFFECTS
@@ -51,10 +63,13 @@ def tensor(values: Array) -> Tensor:
     return torch.tensor(np.ascontiguousarray(values), dtype=F64)
 
 
-@pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), TOGETHER], ids="+".join)
+@pytest.mark.parametrize("names", [(), *((name,) for name in (*EFFECTS, *OTHER_LAWS)), TOGETHER], ids="+".join)
 def test_accelerations_agree(names: tuple[str, ...]) -> None:
     """Angular acceleration while rotors change their speed, and specific force at the body origin while they do not."""
-    rng, params = np.random.default_rng(0), effect_parameters(dict.fromkeys(names, "large"), declared=DECLARED, seed=1)
+    rng = np.random.default_rng(0)
+    params = effect_parameters(
+        {name: OTHER_LAWS[name][0] if name in OTHER_LAWS else "large" for name in names}, declared=DECLARED, seed=1
+    )
     around = PlantSurroundings(ceiling=CEILING, other=np.tile(OTHER_VEHICLE, (1, COUNT, 1)))
     plant = FullPlant(split_vehicles(DECLARED, params)[1], around)
     state = random_states(rng, plant)
@@ -66,8 +81,9 @@ def test_accelerations_agree(names: tuple[str, ...]) -> None:
         given["load"] = tensor(np.hstack((state[:, CABLE], state[:, CABLE_RATE])))
     slope = plant.derivative(state, state[:, ROTOR] + rng.uniform(-50.0, 50.0, (COUNT, 4)))
     robot = build(RobotCfg, robot_document(DECLARED, radius=True), where="plant")
+    own = params if not OTHER_LAWS.keys() & params.keys() else OTHER_LAWS[names[0]][1]
     model = build_model(
-        vehicle_from_config(robot, num_envs=COUNT, dtype=F64), make_effects({**robot.effects, **params}, COUNT),
+        vehicle_from_config(robot, num_envs=COUNT, dtype=F64), make_effects({**robot.effects, **own}, COUNT),
         ceiling_height=CEILING, other_position=tensor(np.tile(OTHER_VEHICLE, (COUNT, 1))),
     )  # fmt: skip
     body = BodyState(

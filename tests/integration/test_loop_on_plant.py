@@ -41,6 +41,22 @@ def run_case(folder: Path, effects: dict[str, Any], seed: int, **flights: Any) -
     return json.loads((folder / "out" / "verdict.json").read_text()), truth
 
 
+LAWS = {
+    "quadratic_drag/plate": "quadratic_drag_of_axes",
+    "rotor_drag/thrust": "rotor_drag_of_thrust",
+}
+"""Laws of the plant, and what the corrected robot file holds in their place."""
+
+
+@pytest.mark.parametrize("hidden", rare_values(LAWS, tuple(LAWS)[1:]))
+def test_the_law_that_the_flights_prefer_explains_them(hidden: str, tmp_path: Path) -> None:
+    verdict, _ = run_case(tmp_path, {hidden: "moderate"}, 212, **BRIEF)
+    assert [result["name"] for result in verdict["effects"]] == [hidden.partition("/")[0]]
+    assert verdict["verdict"] == "explained"
+    assert LAWS[hidden] in robot_by_name(tmp_path / "out" / "robot.yaml").effects
+    assert "law_preferred" in [finding["code"] for finding in verdict["findings"]]
+
+
 @pytest.mark.parametrize("effect", rare_values([*EFFECTS, *MORE_EFFECTS], MORE_EFFECTS))
 def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
     """The right name, every parameter within four standard deviations (of some 40), the residual down to near the noise

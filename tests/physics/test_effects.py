@@ -95,6 +95,18 @@ WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, Any], list[float]]] 
     (DRAG_XYZ, {"attitude": roll_and_yaw(0.0, pi / 2), "lin_vel": [1.0, 0.0, 0.0]}, [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]),
     # -d |v| v with v = (3, 4, 0)
     ({"quadratic_drag": {"dx": 0.01, "dy": 0.02, "dz": 0.05}}, {"lin_vel": [3.0, 4.0, 0.0]}, [-0.15, -0.4, 0, 0, 0, 0]),
+    # -d |v_i| v_i of each axis
+    (
+        {"quadratic_drag_of_axes": {"dx": 0.01, "dy": 0.02, "dz": 0.05}},
+        {"lin_vel": [3.0, -4.0, 2.0]},
+        [-0.09, 0.32, -0.2, 0, 0, 0],
+    ),
+    # -d v, and -k (T / m g) v across the axes of the rotors, here with T = 4 THRUST
+    (
+        {"rotor_drag_of_thrust": {"dx": 0.3, "dy": 0.2, "dz": 0.1, "k": 0.5}},
+        {"lin_vel": [1.0, -2.0, 3.0]},
+        [-0.3 - 0.5 * 4 * THRUST / (MASS * 9.81), 0.4 + 4 * THRUST / (MASS * 9.81), -0.3, 0.0, 0.0, 0.0],
+    ),
     # Wind drags a body at rest, and not one that moves with it
     (DRAG_XYZ | {"constant_wind": {"x": 2.0, "y": -1.0, "z": 0.5}}, {}, [0.6, -0.2, 0.05, 0.0, 0.0, 0.0]),
     (DRAG_XYZ | {"constant_wind": {"x": 2.0, "y": -1.0, "z": 0.5}}, {"lin_vel": [2.0, -1.0, 0.5]}, [0.0] * 6),

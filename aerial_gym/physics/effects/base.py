@@ -111,6 +111,7 @@ class Effect(ABC):
     confused_with: ClassVar[tuple[str, ...]]  # Effects with a similar signature, to be weighed against this one
     law_of: ClassVar[str] = ""  # Effect, named by its cause, of which it is another law; empty for the first law
     law: ClassVar[str] = "formula"  # Its law, in words
+    in_place: ClassVar[bool] = False  # Whether selection fits it only in place of another law of its cause
     contains: ClassVar[tuple[str, ...]] = ()  # Special cases with as many parameters, preferred where flights fit both
     memory: ClassVar[tuple[float, ...]] = ()  # Values of its memory per environment right after a reset
     drifting: ClassVar[tuple[int, ...]] = ()  # Indices of remembered numbers that grow in a flight, such as charge

@@ -12,7 +12,9 @@ EFFECTS: "Registry[Effect]" = Registry("effect")
 
 for _name, _place in (
     ("rotor_drag", "drag:RotorDrag"),
+    ("rotor_drag_of_thrust", "drag:RotorDragOfThrust"),
     ("quadratic_drag", "drag:QuadraticDrag"),
+    ("quadratic_drag_of_axes", "drag:QuadraticDragOfAxes"),
     ("h_force_flapping", "rotor_flow:HForceFlapping"),
     ("axial_inflow", "rotor_flow:AxialInflow"),
     ("translational_lift", "rotor_flow:TranslationalLift"),

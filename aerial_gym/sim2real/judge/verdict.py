@@ -219,7 +219,7 @@ def notes_on_laws(selection: SelectionResult) -> list[Finding]:
     """Return a note for each named effect on its law and each other one that was fitted, with the log odds between them."""
     return [
         Finding(
-            "law_preferred",
+            "law_preferred" if rival.is_clearly_less_probable else "laws_tied",
             name,
             {"law": EFFECTS.get(name).law, "other": EFFECTS.get(rival.effect).law, "log_odds": -rival.log_odds},
         )

@@ -265,7 +265,11 @@ MOUNT_WORDS = {
 
 EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "rotor_drag": _coefficient_template("Air drag per airspeed is", AXES, "N s/m"),
-    "quadratic_drag": _coefficient_template("Air drag per squared airspeed is", AXES, "N s²/m²"),
+    "rotor_drag_of_thrust": _coefficient_template("Air drag per airspeed is", AXES | {"k": "by thrust"}, "N s/m"),
+    **dict.fromkeys(
+        ("quadratic_drag", "quadratic_drag_of_axes"),
+        _coefficient_template("Air drag per squared airspeed is", AXES, "N s²/m²"),
+    ),
     "h_force_flapping": _h_force_flapping_sentence,
     "axial_inflow": _coefficient_template("Rotor thrust falls in climb by", {"ka": ""}, "µN s²/(m rad)", 1e6),
     "translational_lift": _coefficient_template("Rotor thrust grows with squared airspeed by", {"kt": ""}, "N s²/m²"),

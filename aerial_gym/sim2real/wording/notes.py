@@ -183,6 +183,7 @@ NOTES: dict[str, Template] = {
     ),
     "gusts_are_random": "Gusts predict no row and lower no residual; the noise floor after the correction includes them.",
     "law_preferred": "{subject}: the flights prefer {law} to {other} (log odds {log_odds:.1f}).",
+    "laws_tied": "{subject}: these flights do not distinguish {law} from {other} (log odds {log_odds:.1f}).",
     "gusts_refused": lambda f: f"The remaining residual is not attributed to gusts. {_objection_sentences(f)}",
     "may_be_noise": "It may be noise (p = {p_value:number2}).",
     "adds_too_little": "It adds too little to the noise of any channel, or less than the tolerances may cause.",

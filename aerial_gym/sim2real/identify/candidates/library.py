@@ -216,6 +216,15 @@ def has_several_starts(name: str, robot: RobotCfg) -> bool:
     return len(EFFECTS.get(name).starts(robot)) > 1
 
 
+def law_relatives(name: str) -> tuple[str, ...]:
+    """Return the effects that cannot act beside an effect: other laws of its cause, its special cases and generalisations."""
+    own = EFFECTS.get(name)
+    laws = ((other, EFFECTS.get(other)) for other in EFFECTS if other != name)
+    return tuple(
+        other for other, law in laws if law.cause == own.cause or other in own.contains or name in law.contains
+    )
+
+
 def is_of_one_rotor(name: str) -> bool:
     """Return whether an effect acts on one rotor."""
     return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)

@@ -8,7 +8,13 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.candidates.library import Library, has_several_starts, is_of_one_rotor, neutral_params
+from aerial_gym.sim2real.identify.candidates.library import (
+    Library,
+    has_several_starts,
+    is_of_one_rotor,
+    law_relatives,
+    neutral_params,
+)
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns, prior_of_flight_offsets
 from aerial_gym.sim2real.identify.evidence.guard import (
     Support,
@@ -318,20 +324,31 @@ class Fitter:
             params = params.with_effect(name, np.clip(values, *parameter_bounds(self.predictor.robot, (name,))))
         return params
 
-    def fit_special_cases(
+    def fit_other_laws(
         self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE
     ) -> list[EffectSetFit]:
-        """Return the fits with a narrower effect in place of a general one, which may win by its curvature alone."""
+        """Return the fits with another law in place of an effect: a special case, or a law that is no candidate by itself.
+
+        A law that the robot file declares is not replaced.
+        """
         results = []
-        for wide in fitted.effects:
-            for name in EFFECTS.get(wide).contains:
+        for old in fitted.effects:
+            for name in EFFECTS.get(old).contains if old in self.declared.effects else laws_in_place(old):
                 if name in names and name not in fitted.effects:
-                    kept = {other: values for other, values in fitted.params.effects.items() if other != wide}
+                    kept = {other: values for other, values in fitted.params.effects.items() if other != old}
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, self.neutral_of_effect(name))
-                    effects = [name if other == wide else other for other in fitted.effects]
+                    effects = [name if other == old else other for other in fitted.effects]
                     results.append(self.fit(effects, fitted.structures, start, rule=rule))
         return results
+
+
+def laws_in_place(old: str) -> tuple[str, ...]:
+    """Return the special cases of an effect, and the laws of its cause that are fitted only in place of others."""
+    cases, in_place = EFFECTS.get(old).contains, EFFECTS.get(old).in_place
+    return cases + tuple(
+        name for name in law_relatives(old) if name not in cases and (in_place or EFFECTS.get(name).in_place)
+    )
 
 
 def set_label(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -> Label:

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.candidates.library import Library
+from aerial_gym.sim2real.identify.candidates.library import Library, law_relatives
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, NormalEquations, log_evidences, posterior
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.covariance import is_identifiable
@@ -45,7 +44,7 @@ def make_candidates(library: Library) -> Candidates:
             frozenset((candidate.name, name))
             for candidate in library.candidates
             if not candidate.structure
-            for name in EFFECTS.get(candidate.name).contains
+            for name in law_relatives(candidate.name)
         ),
         structures=frozenset(k for k, candidate in enumerate(library.candidates) if candidate.structure),
     )

@@ -15,7 +15,12 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import is_of_one_rotor, neutral_params, observable_candidates
+from aerial_gym.sim2real.identify.candidates.library import (
+    is_of_one_rotor,
+    law_relatives,
+    neutral_params,
+    observable_candidates,
+)
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     OF_FLIGHTS,
     NuisanceColumns,
@@ -85,8 +90,12 @@ class MostProbableSet:
 
     @property
     def sets(self) -> dict[tuple[str, ...], float]:
-        """Return the probability of each set over all structures; generalisations of an effect of the best set count as it."""
-        meant = {wide: name for name in self.best.effects for wide in EFFECTS if name in EFFECTS.get(wide).contains}
+        """Return the probability of each set over all structures.
+
+        Generalisations, and other laws, of an effect of the best set count as it.
+        """
+        special = {case for name in self.best.effects for case in EFFECTS.get(name).contains}
+        meant = {law: name for name in self.best.effects for law in law_relatives(name) if law not in special}
         fits = [
             replace(one, effects=tuple(meant.get(name, name) for name in one.effects)) for one in self.sets_with_support
         ]

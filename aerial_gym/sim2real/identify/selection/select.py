@@ -8,7 +8,7 @@ import numpy as np
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import neutral_params
+from aerial_gym.sim2real.identify.candidates.library import law_relatives, neutral_params
 from aerial_gym.sim2real.identify.candidates.nuisance import prior_of_flight_offsets
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Label
@@ -81,17 +81,16 @@ class SelectionResult(MostProbableSet):
         return sorted(rival_fits.values(), key=lambda rival: -rival.log_odds)
 
     def effect_ties(self, name: str) -> list[Rival]:
-        """Return the rivals that are not distinct from a named effect, without its generalisations."""
-        return [rival for rival in self.effect_rivals(name) if not rival.is_clearly_less_probable and not rival.wider]
+        """Return the rivals that are not distinct from a named effect, without its generalisations and other laws."""
+        rivals, cause = self.effect_rivals(name), EFFECTS.get(name).cause
+        rest = (rival for rival in rivals if not rival.wider and EFFECTS.get(rival.effect).cause != cause)
+        return [rival for rival in rest if not rival.is_clearly_less_probable]
 
 
 def replacement_effects(name: str, best: Sequence[str], other: Sequence[str]) -> list[str]:
-    """Return the effects of another set that replace a named one: relatives by ``contains``, else new unrelated effects."""
+    """Return the effects of another set that replace a named one: related laws, else new unrelated effects."""
     lacking, new = [one for one in best if one not in other], [one for one in other if one not in best]
-    cases = {
-        one: [case for case in new if one in EFFECTS.get(case).contains or case in EFFECTS.get(one).contains]
-        for one in lacking
-    }
+    cases = {one: [case for case in new if case in law_relatives(one)] for one in lacking}
     return cases[name] or [one for one in new if not any(one in of for of in cases.values())]
 
 

@@ -75,7 +75,8 @@ class SetSearch:
     _weighed: tuple[ModelParams, Weighting]  # The last model whose channel weights were computed, with these weights
 
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
-        self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
+        self.predictor, self.declared, self.progress, self.allowed = predictor, declared, progress, tuple(names)
+        self.names = tuple(name for name in names if not EFFECTS.get(name).in_place)
         tolerance = tolerance_jacobian(predictor, declared)
         self.tolerated = rms_caused_by_tolerances(tolerance, predictor.robot.num_rotors)
         self._tolerance = to_single_precision(tolerance)
@@ -267,11 +268,11 @@ class SetSearch:
                 vain = vain + 1 if best is before else 0
 
     def fit_smaller_sets(self, view: CandidateView) -> None:
-        """Fit the sets with one effect less than the present one, and those with a special case of an effect."""
+        """Fit the sets with one effect less than the present one, and those with another law of an effect."""
         for gone in (k for k in view.present_set if not view.library.candidates[k].structure):
             view.fit_if_promising(tuple(k for k in view.present_set if k != gone))
         rule = view.stop_rule_of_comparison(beside=not view.present.has_no_structures_but_offsets)
-        for fitted in view.fitter.fit_special_cases(view.present, self.names, rule):
+        for fitted in view.fitter.fit_other_laws(view.present, self.allowed, rule):
             view.add_fit(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:

@@ -16,7 +16,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import RotorSensorEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import has_several_starts, neutral_params
+from aerial_gym.sim2real.identify.candidates.library import has_several_starts, law_relatives, neutral_params
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     effect_jacobian,
@@ -77,7 +77,7 @@ def find_value_ties(
     own = [
         name for name in fit.effects if _is_on_declared_value(name, predictor, declared) or _scales_rotor_speeds(name)
     ]
-    relatives = {name for one in fit.effects for name in (one, *_relatives(one))}
+    relatives = {name for one in fit.effects for name in (one, *law_relatives(one))}
     new = [name for name in names if name not in relatives and _is_on_declared_value(name, predictor, declared)]
     if not own or not new:
         return ()
@@ -111,11 +111,6 @@ def _is_on_declared_value(name: str, predictor: Predictor, declared: ModelParams
 def _scales_rotor_speeds(name: str) -> bool:
     """Return whether an effect scales measured rotor speeds, which act as a thrust and a rotor inertia of another size."""
     return isinstance(EFFECTS.get(name), RotorSensorEffect)
-
-
-def _relatives(effect: str) -> set[str]:
-    """Return the generalisations and special cases of an effect, which are no other cause."""
-    return {name for name in EFFECTS if effect in EFFECTS.get(name).contains}.union(EFFECTS.get(effect).contains)
 
 
 def _names(effect: str) -> list[str]:

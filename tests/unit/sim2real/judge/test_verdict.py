@@ -74,6 +74,10 @@ def test_the_law_of_an_effect_is_a_note_and_its_cause_the_name() -> None:
         )
         == []
     )
+    tied = make_selection(make_choice(make_fit("quadratic_drag"), make_fit("quadratic_drag_of_axes", log=-1.0)))
+    assert [(note.code, note.values["log_odds"]) for note in notes_on_laws(tied)] == [("laws_tied", 1.0)]
+    assert tied.effect_ties("quadratic_drag") == []
+    assert tied.inclusion == {"quadratic_drag": pytest.approx(1.0)}
     told = make_named_effect("ground_effect_curve", params={"g1": 0.1}).as_mapping()
     assert (told["name"], told["law"]) == ("ground_effect", "curve")
     assert verdict.cause_shares({"ground_effect": 0.2, "ground_effect_curve": 0.7}) == {

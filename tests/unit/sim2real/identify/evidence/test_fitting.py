@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
+from aerial_gym.sim2real.identify.evidence.fitting import laws_in_place
 from aerial_gym.sim2real.identify.evidence.guard import (
     Guard,
     Support,
@@ -173,3 +174,12 @@ def test_what_flights_contradict_goes_and_the_rest_stays() -> None:
     assert sets.most_probable_set == (0, 1)
     assert guard.drop_unsupported((0, 1)) == (0,)
     assert guard.support((0, 1))[1].log_odds > 50.0
+
+
+@pytest.mark.parametrize(("law", "alternatives"), [
+    ("rotor_drag", ("rotor_drag_of_thrust",)), ("rotor_drag_of_thrust", ("rotor_drag",)),
+    ("quadratic_drag_of_axes", ("quadratic_drag",)), ("ground_effect", ()), ("ground_effect_curve", ("ground_effect",)),
+])  # fmt: skip
+def test_laws_take_the_place_of_others_of_the_same_cause(law: str, alternatives: tuple[str, ...]) -> None:
+    """A curve is a candidate by itself, so that it is not tried in place of the formula."""
+    assert laws_in_place(law) == alternatives
