@@ -20,7 +20,7 @@ _BY_SEVERITY = {
     Severity.RESULT: (
         # the answer
         "effect_found effects_none declared_explains failure_found joint_found joint_effort joints_felt "
-        "errors_fall no_error_falls gusts_lower_no_error law_preferred load_robot_file keep_declared "
+        "effect_immaterial errors_fall no_error_falls gusts_lower_no_error law_preferred load_robot_file keep_declared "
         # meaning of the verdict
         "trust_corrected trust_declared correction_helps "
         # identification and learned residual
@@ -46,6 +46,7 @@ _BY_SEVERITY = {
         # the answer
         "error_may_rise effect_tied effects_open left_open offsets_of_flights floor_unknown forces_not_judged "
         "materiality_open fly weigh_or_log train_like_test log_velocity log_faster inspect_rest trust_ambiguous trust_as_shown "
+        "trust_as_trained test_like_train "
         "ties_named certain_beside_ties open_in_channels rigid_vehicle_only until_failure_only doubt_by_test "
         "left_open_note offsets_sizes parameter_tied values_tied laws_tied stands_in "
         # not testable, not named
@@ -64,7 +65,7 @@ _BY_SEVERITY = {
     ),
     Severity.INFO: (
         # verdict
-        "controller_flown effect_immaterial gusts_are_random band_limited few_flights "
+        "controller_flown gusts_are_random band_limited few_flights "
         # logs
         "rows_with_bad_stamps rows_not_of_header rows_without_numbers rows_without_quaternion "
         "samples_with_bad_stamps clock_set_back clock_wrapped rows_copied blocks_ordered fields_filled battery_without_voltage "

@@ -96,7 +96,7 @@ def score_rows(rows: list[dict]) -> dict[str, list[int]]:
         "false name": share(bool(row["material"]) for row in controls),
         "false name beside an effect": share(bool(set(row["material"]) - _causes(row)) for row in hidden),
         "effects shown": share(row in shown for row in hidden),
-        "shown effects named": share(bool(set(row["named"]) & _causes(row)) for row in shown),
+        "shown effects named": share(bool(set(row["material"]) & _causes(row)) for row in shown),
         "named, or ambiguous with it": share(bool(_offers(row) & _causes(row)) for row in hidden),
         "open controls": share(row["verdict"] in OPEN for row in controls),
         "errors": share("error" in row for row in rows),
@@ -113,8 +113,8 @@ def _causes(row: dict) -> set[str]:
 
 
 def _offers(row: dict) -> set[str]:
-    """Return the named effects, and the candidates of an ambiguous verdict."""
-    return {*row["named"], *(row["candidates"] if row["verdict"] == "ambiguous" else ())}
+    """Return the effects that test flights show, and the candidates of an ambiguous verdict."""
+    return {*row["material"], *(row["candidates"] if row["verdict"] == "ambiguous" else ())}
 
 
 def scores_text(scores: dict[str, dict[str, list[int]]], rows: list[dict]) -> str:
@@ -130,7 +130,7 @@ def scores_text(scores: dict[str, dict[str, list[int]]], rows: list[dict]) -> st
             row for row in rows if row["logger"] == logger and "+".join(row["effects"]) == name and "error" not in row
         ]
         shown = sum(can_show(row) for row in group) if name else "-"
-        named = sum(bool(set(row["named"]) & _causes(row)) for row in group)
+        named = sum(bool(set(row["material"]) & _causes(row)) for row in group)
         strangers = sorted({one for row in group for one in row["material"]} - _causes(group[0]))
         verdicts = [row["verdict"] for row in group]
         counts = ", ".join(f"{verdicts.count(kind)} {kind}" for kind in sorted(set(verdicts)))

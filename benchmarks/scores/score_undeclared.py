@@ -7,7 +7,8 @@
 Without --effects the first six effects are hidden: one case for each effect, size and seed. Controls have nothing hidden, one
 for each kind of flight. A case whose result is in --out is not flown again. Each row has the verdict, the named effects, the
 largest error of a parameter in standard deviations, and the largest residual on the test flights as a multiple of its noise
-floor, before and after. The plant shares no code with the package.
+floor, before and after. A name that the test flights do not show to be material counts as not named. The plant shares no code
+with the package.
 """
 
 import json
@@ -149,17 +150,18 @@ def judge_verdict(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str
             for key, true in truth[effect].items()
             if stds.get(key)
         ]
+    claims = [name for name, one in named.items() if one["material"]]  # Not those that test flights do not show
     distances = [abs(p["value"] - p["true"]) / p["std"] for p in parameters]
     expected = ("explained",) if truth else ("none", "not shown")
     return {
         "verdict": verdict["verdict"],
         "named": list(named),
-        "material": [name for name, one in named.items() if one.get("material", True) is not False],
+        "material": claims,
         "candidates": list(verdict.get("candidates", [])),
         "not_testable": list(verdict.get("not_testable", [])),
         "structure": verdict.get("structure"),
-        "right": set(named) == set(truth) and verdict["verdict"] in expected,
-        "judgement": _judgement(list(named), list(truth), verdict),
+        "right": set(claims) == set(truth) and verdict["verdict"] in expected,
+        "judgement": _judgement(claims, list(truth), verdict),
         "worst_z": max(distances, default=0.0),
         "inside": sum(z < 1.96 for z in distances),
         "intervals": len(distances),

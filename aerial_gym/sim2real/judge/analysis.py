@@ -22,6 +22,7 @@ from aerial_gym.sim2real.judge.outcome import (
     Decision,
     Outcome,
     channel_outcomes,
+    decision_on_materiality,
     decision_with_harm,
     error_outcomes,
     verdict_decision,
@@ -47,7 +48,6 @@ from aerial_gym.sim2real.judge.verdict import (
     effects_of_selection,
     names_of_ties,
     notes_on_laws,
-    notes_on_materiality,
 )
 from aerial_gym.sim2real.judge.whiteness import whiteness_of_channels
 from aerial_gym.sim2real.logs.flights import findings_on_rigid_joints, merge_findings_of_flights
@@ -96,6 +96,7 @@ def judge_on_test_flights(
     if NAME not in declared.robot.effects and unexplained.wind.is_accepted:
         gusts = (unexplained.wind.as_effect(declared.stated),)
     made = decision_with_gusts(declared, result, unexplained, gusts)
+    made = decision_on_materiality(made, [one.material for one in (*effects, *gusts)])
     models, both, least = (declared.params, model), (before, named), result.criteria.material
     became = error_outcomes(tested, models, both, least=least) if effects or gusts else ()
     if any(one.is_materially_worse for one in became):
@@ -232,7 +233,6 @@ def verdict_notes(
         *unexplained.wind.notes,
         *notes_on_laws(selection),
         *notes_on_bounds(declared, selection),
-        *notes_on_materiality(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
         *(tie.finding for tie in selection.value_ties),
         *notes_on_redeclared_values(declared, model),

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, WORSE, Outcome
-from aerial_gym.sim2real.judge.verdict import Verdict
+from aerial_gym.sim2real.judge.verdict import Verdict, notes_on_materiality
 from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
@@ -42,7 +42,7 @@ def trust_findings(verdict: Verdict) -> tuple[Finding, ...]:
     if tied and certain:
         findings.append(Finding("certain_beside_ties", "", {"effects": certain}))
     if not tied:
-        findings.append(Finding(TRUST[kind]))
+        findings.append(Finding("trust_as_trained" if kind == NOT_SHOWN and verdict.effects else TRUST[kind]))
     if verdict.outcomes:
         findings.append(Finding("correction_helps", "", {"errors": better}) if better else Finding("no_error_falls"))
     if verdict.not_shown and kind != NOT_SHOWN:
@@ -76,6 +76,7 @@ def _result_findings(verdict: Verdict) -> Iterator[Finding]:
     yield from (failure.finding for failure in verdict.failures if failure.name not in named)
     yield from verdict.joint_findings
     yield from (effect.finding for effect in verdict.effects)
+    yield from notes_on_materiality(verdict.effects)
     if verdict.effects and not named <= {failure.name for failure in verdict.failures}:
         return
     if verdict.unexplained:
@@ -168,7 +169,9 @@ def _next_steps(verdict: Verdict) -> Iterator[Finding]:
         kind, freq = verdict.structure.kind, verdict.structure.freq_hz
         yield Finding("inspect_rest") if kind == "none" else Finding("fly_structure", kind, {"freq_hz": freq})
         return
-    if verdict.corrects or verdict.joint_findings:
+    if verdict.verdict == NOT_SHOWN and verdict.effects:
+        yield Finding("test_like_train")
+    elif verdict.corrects or verdict.joint_findings:
         yield _advice_on_robot_file(verdict)
     if "left_open" in open_codes:
         yield Finding("train_like_test", "", {"channels": list(verdict.not_shown)})

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 BETTER, SAME, WORSE, NOT_SHOWN = "better", "same", "worse", "not shown"
 
-NOTHING_NAMED = ("none", NOT_SHOWN)  # Verdicts that name no effect
+NOTHING_NAMED = ("none", NOT_SHOWN)  # Verdicts without an effect that the test flights show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +99,11 @@ def decision_with_harm(made: Decision, harmed: Sequence[Outcome]) -> Decision:
         return made
     findings = tuple(one for one in made.findings if one.code != "remains_near_floor")
     return replace(made, kind="unexplained", findings=findings)
+
+
+def decision_on_materiality(made: Decision, material: Sequence[bool | None]) -> Decision:
+    """Return the decision; effects of which the test flights show none to be ``material`` explain nothing."""
+    return replace(made, kind=NOT_SHOWN) if made.kind == "explained" and True not in material else made
 
 
 def verdict_decision(

@@ -68,6 +68,11 @@ class NamedEffect:
     place: str = ""  # Place of its rotor on the vehicle, such as ``front left``
 
     @property
+    def material(self) -> bool | None:
+        """Return whether it is material on the test flights; None if they do not show that."""
+        return True if self.ablation is None else self.ablation.material
+
+    @property
     def finding(self) -> Finding:
         """Return the effect with its parameters, each with its declared value and the half width of its interval.
 
@@ -78,6 +83,7 @@ class NamedEffect:
         numbers = [one.name for one in own if one.kind == "number" and one.name not in self.frozen]
         shown = [name for name in numbers if name not in rivals] or numbers
         values: dict[str, object] = {"place": self.place} if self.place else {}
+        values |= {} if self.material else {"material": self.material}
         for parameter in own:
             if parameter.name in shown or parameter.kind != "number":
                 std = self.std.get(parameter.name)
@@ -102,7 +108,7 @@ class NamedEffect:
             "law": EFFECTS.get(self.name).law,
             **select_fields(self, "params", "std", "interval", "noise_std", "frozen", "confidence", "ties"),
             "ties_in_part": plain(self.in_part),
-            "material": worth is None or worth.material,
+            "material": self.material,
             "without_it": plain(worth),
             "where_it_acts": plain(self.regime),
             "rival": plain(worth.rivals[0]) if worth and worth.rivals else None,

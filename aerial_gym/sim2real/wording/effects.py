@@ -62,13 +62,18 @@ def parameter_changes(finding: Finding) -> ParameterChanges:
 
 
 def effect_sentence(finding: Finding) -> str:
-    """Return the sentence of a named effect: with ``Probably`` if uncertain, with ``If it is`` if tied."""
+    """Return the sentence of a named effect: with ``Probably`` if uncertain, with ``If it is`` if tied.
+
+    One that the test flights do not show to be material says so.
+    """
     params, ties = parameter_changes(finding), finding.values["ties"]
     try:
         sentence = EFFECT_TEMPLATES.get(finding.subject, _parameter_sentence)(finding, params)
     except KeyError:  # a parameter of the template is not shown by the flights
         sentence = _parameter_sentence(finding, params)
     lower = sentence if sentence[:3] == "IMU" else sentence[0].lower() + sentence[1:]
+    if not finding.values.get("material", True):
+        return f"By the training flights alone, {'if it is ' + finding.subject + ', ' if ties else ''}{lower}"
     if ties:
         return f"If it is {finding.subject}, {lower}"
     probability = float(finding.values["probability"])

@@ -19,7 +19,7 @@ def verdict(kind: str, **params: dict[str, tuple[float, float]]) -> dict:
     effects = []
     for name, own in params.items():
         values, deviations = ({key: pair[k] for key, pair in own.items()} for k in (0, 1))
-        effects.append({"name": name, "params": values, "std": deviations})
+        effects.append({"name": name, "params": values, "std": deviations, "material": True})
     return {"verdict": kind, "effects": effects, "candidates": [], "not_testable": [], "before": CLEAN, "after": CLEAN}
 
 
@@ -48,6 +48,14 @@ def test_an_ambiguous_verdict_that_offers_the_hidden_effect_is_close() -> None:
     for candidates, expected in ((["weak_motor", "com_offset"], "near"), (["weak_motor", "motor_tilt"], "missed")):
         result = judge_verdict({**verdict("ambiguous"), "candidates": candidates}, {"com_offset": {}})
         assert result["judgement"] == expected
+
+
+@pytest.mark.parametrize(("hidden", "expected"), [("com_offset", "missed"), (None, "quiet")])
+def test_an_effect_that_test_flights_do_not_show_is_not_named(hidden: str | None, expected: str) -> None:
+    given = verdict("not shown", com_offset={})
+    given["effects"][0]["material"] = None
+    result = judge_verdict(given, {} if hidden is None else {hidden: {}})
+    assert (result["judgement"], result["material"], result["named"]) == (expected, [], ["com_offset"])
 
 
 def test_parameters_are_compared_in_standard_deviations() -> None:

@@ -8,7 +8,7 @@ from aerial_gym.sim2real.identify.selection.select import Rival
 from aerial_gym.sim2real.judge.ablation import Ablation, highest_reliable_frequency, reason_against_rival
 from aerial_gym.sim2real.judge.breakdown import FlightError, errors_by_flight
 from aerial_gym.sim2real.judge.evaluation import gap_closed
-from aerial_gym.sim2real.judge.outcome import Decision, decision_with_harm
+from aerial_gym.sim2real.judge.outcome import Decision, decision_on_materiality, decision_with_harm
 from aerial_gym.sim2real.judge.verdict import notes_on_materiality
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report.tables import flight_table
@@ -121,6 +121,17 @@ def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> Non
     assert note.values == {"channel": "specific_force.y", "rise": 0.09, "rise_low": -0.16, "rise_high": 0.37}
     (note,) = notes(worth((0.03, 0.02, 0.04), (0.0, 0.0, 0.0)))
     assert (note.code, note.subject, note.values["least"]) == ("effect_immaterial", "rotor_drag", 0.05)
+
+
+@pytest.mark.parametrize(("kind", "material", "expected"), [
+    ("explained", (True, None), "explained"),
+    ("explained", (None, False), "not shown"),
+    ("ambiguous", (None,), "ambiguous"),
+    ("none", (), "none"),
+])  # fmt: skip
+def test_effects_that_test_flights_do_not_show_explain_nothing(kind, material, expected) -> None:
+    made = Decision(kind=kind, candidates=("rotor_drag",), findings=())
+    assert decision_on_materiality(made, material).kind == expected
 
 
 @pytest.mark.parametrize(

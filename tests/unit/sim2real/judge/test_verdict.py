@@ -15,6 +15,7 @@ from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.judge import failure_verdict, verdict
+from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.analysis import (
     LoopResult,
     correct_robot,
@@ -32,6 +33,7 @@ from aerial_gym.sim2real.judge.verdict import Verdict, notes_on_laws
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.statistics import Rise
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
 from tests.unit.sim2real.judge.builders import (
     make_evaluation,
@@ -306,6 +308,18 @@ def statement_codes(parts: dict[str, tuple[Finding, ...]]) -> list[list[str]]:
 )  # fmt: skip
 def test_each_kind_of_verdict_has_its_statements(kind: str, more: dict[str, Any], expected: list[list[str]]) -> None:
     assert statement_codes(answer_parts(unit_verdict(kind, **more))) == expected
+
+
+def test_an_effect_that_test_flights_do_not_show_is_no_claim() -> None:
+    rise = Rise(value=0.1, low=-0.1, high=0.3)
+    worth = Ablation(residual={"specific_force.x": rise}, rollout={}, least=0.05, rivals=())
+    hidden = make_named_effect(ablation=worth)
+    told = unit_verdict("not shown", effects=(hidden,))
+    assert statement_codes(answer_parts(told)) == [["effect_found", "materiality_open"], [], [], ["test_like_train"]]
+    assert hidden.finding.values["material"] is None
+    assert "material" not in EFFECT.finding.values
+    assert [one.code for one in trust_findings(told)] == ["trust_as_trained"]
+    assert [effect["material"] for effect in told.as_mapping()["effects"]] == [None]
 
 
 def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
