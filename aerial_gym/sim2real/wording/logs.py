@@ -135,6 +135,9 @@ LOGS: dict[str, Template] = {
     "rotors_too_slow": _slow_rotors_sentence,
     "flight_state_unknown": "Arming and landing show no flight: the whole log counts as one.",
     "rotor_order_of_firmware": "Rotors are in the order of {firmware}; the robot file must list them in the same order.",
+    "rotor_unit_assumed": (
+        "Topic {topic} states no unit of its rotor speeds; they count as {unit}. If this is wrong, map its columns (--mapping)."
+    ),
     "commands_mixed": "Rotor commands are computed from torque and thrust commands by the mixer of an X frame.",
     "relative_commands_scaled": lambda f: (
         f"Commands are shares of the largest speed. A full command counts as {f.values['full']:.4g} {f.values['unit']}, by "

@@ -32,7 +32,12 @@ from aerial_gym.sim2real.logs.stream_delays import (
     stream_delays,
     with_motion_between_samples,
 )
-from aerial_gym.sim2real.logs.streams import Stream, undo_resets, usable_streams, without_incomplete_rotor_data
+from aerial_gym.sim2real.logs.streams import (
+    Stream,
+    undo_resets,
+    usable_streams,
+    without_incomplete_rotor_data,
+)
 
 
 def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict[str, Stream], list[Finding]]:
@@ -187,8 +192,11 @@ def _assemble_flight(
     if rows.size < 2:
         raise DataError(f"{path}: the flight has {rows.size} samples of its fastest sensor, needs 2")
     values: dict[str, Any] = dict(resample_streams(streams, rows))
+    has_place = "attitude" in values and not {"position", "lin_vel"}.isdisjoint(
+        values
+    )  # whose derivatives show the motion
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
-        if one not in values and other not in values and not (hover and one == "ang_vel"):
+        if one not in values and other not in values and not (one == "ang_vel" and (hover or has_place)):
             remedy = f"log one of them, or map its columns (--mapping).{_sentences_on_topics_left_out(notes)}"
             raise DataError(f"{path}: holds neither {one} nor {other}; {remedy}")
     integrated = "attitude" not in values

@@ -210,7 +210,11 @@ def _require_quantities(
             )
         raise DataError(message_on_missing_column(column, known, path))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
-        if one in values or other in values or (hover and one == "ang_vel"):
+        if (
+            one in values
+            or other in values
+            or (one == "ang_vel" and (hover or not {"position", "lin_vel"}.isdisjoint(values)))
+        ):
             continue
         options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
         wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"

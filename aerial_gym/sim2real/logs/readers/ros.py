@@ -39,6 +39,11 @@ SETPOINTS = re.compile(
 )  # Topics that measure nothing
 NOT_GIVEN = -1.0  # First covariance of an orientation, rate or acceleration that an IMU does not measure, by REP 145
 WORLD = ("attitude", "position", "lin_vel")  # Quantities with world axes
+BARE_ARRAY = re.compile(
+    r"std_msgs/msg/\w+MultiArray"
+)  # Messages of numbers alone; the name of the topic tells their meaning
+ROTOR_SPEEDS = re.compile(r"(motor|rotor|esc|prop).*(speed|rpm|omega|vel)|rpm", re.IGNORECASE)
+LARGEST_RAD_S = 6000.0  # No propeller of a drone turns faster; larger numbers are revolutions per minute
 LEAST_POSE_HZ = 10.0  # Lowest rate of an attitude that resolves the turns of a vehicle, below 5 Hz
 ON_GROUND, IN_AIR = 1.0, 2.0  # ``landed_state`` of mavros_msgs/ExtendedState
 
@@ -62,6 +67,10 @@ VECTORS = (
     ("lin_vel", "geometry_msgs/msg/Vector3Stamped", "vector", "xyz"),
     ("ang_vel", "sensor_msgs/msg/Imu", "angular_velocity", "xyz"),
     ("ang_vel", "nav_msgs/msg/Odometry", "twist.twist.angular", "xyz"),
+    ("attitude", "agiros_msgs/msg/QuadState", "pose.orientation", "xyzw"),
+    ("position", "agiros_msgs/msg/QuadState", "pose.position", "xyz"),
+    ("lin_vel", "agiros_msgs/msg/QuadState", "velocity.linear", "xyz"),
+    ("ang_vel", "agiros_msgs/msg/QuadState", "velocity.angular", "xyz"),
     ("specific_force", "sensor_msgs/msg/Imu", "linear_acceleration", "xyz"),
     ("battery", "sensor_msgs/msg/BatteryState", "", ("voltage",)),
     ("armed", "mavros_msgs/msg/State", "", ("armed",)),
@@ -238,16 +247,25 @@ def _mavros_channels(topic: Topic, kind: str) -> Iterator[LogChannel]:
         "mavros_msgs/msg/ESCTelemetry": ("rotor_speed", "esc_telemetry[{}].rpm", UNITS["rpm"], 0.0),
         "mav_msgs/msg/Actuators": ("rotor_speed", "angular_velocities[{}]", 1.0, 0.0),
         "actuator_msgs/msg/Actuators": ("rotor_speed", "velocity[{}]", 1.0, 0.0),
+        "agiros_msgs/msg/QuadState": ("rotor_speed", "motors[{}]", 1.0, 0.0),
         "mavros_msgs/msg/RCOut": ("rotor_command", "channels[{}]", 1e-3, -1.0),
     }
+    notes = note_on_rotor_order("the bag")
+    if BARE_ARRAY.fullmatch(kind) and ROTOR_SPEEDS.search(topic.name):
+        is_rpm = "rpm" in topic.name.lower() or any(
+            one.max(initial=0.0) > LARGEST_RAD_S for one in topic.columns.values()
+        )
+        rows[kind] = ("rotor_speed", "data[{}]", UNITS["rpm"] if is_rpm else 1.0, 0.0)
+        unit_note = Finding("rotor_unit_assumed", "", {"topic": topic.name, "unit": "rpm" if is_rpm else "rad/s"})
+        notes = notes if "rpm" in topic.name.lower() else (*notes, unit_note)
     if kind in rows:
         quantity, pattern, unit, offset = rows[kind]
         names = [pattern.format(i) for i in range(16) if pattern.format(i) in topic.columns]
         values = topic.numbers(*names, unit=unit) + offset
-        used = np.nanmax(values, axis=0, initial=0.0) - np.nanmin(values, axis=0, initial=np.inf) > 0.0
+        used = np.nanmax(values, axis=0, initial=-np.inf) > np.nanmin(values, axis=0, initial=np.inf)
         if used.any():
             values = np.abs(values[:, used]) if quantity == "rotor_speed" else np.clip(values[:, used], 0.0, 1.0)
-            yield topic.channel(quantity, values, note_on_rotor_order("the bag"))
+            yield topic.channel(quantity, values, notes)
     if kind == "mavros_msgs/msg/ExtendedState" and "landed_state" in topic.columns:
         state = topic.columns["landed_state"]
         known = np.isin(state, (ON_GROUND, IN_AIR))

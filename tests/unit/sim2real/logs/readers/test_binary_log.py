@@ -58,6 +58,17 @@ def two_flights(table: pd.DataFrame, path: Path) -> Path:
     return write_ulog(path, joined)
 
 
+def test_a_pose_and_rotor_speeds_are_a_flight() -> None:
+    """As a motion capture and a motor driver give them; a pose without place shows no motion beyond the turning."""
+    parts = topics(flight(5, seconds=8.0, rate=100.0))
+    pose = {name: parts[name] for name in ("vehicle_attitude", "vehicle_local_position", "esc_status")}
+    log = read_topics(pose)
+    assert log.ang_vel is log.specific_force is None
+    assert log.position is not None
+    with pytest.raises(DataError):
+        read_topics({name: pose[name] for name in ("vehicle_attitude", "esc_status")})
+
+
 def test_a_file_with_two_flights_gives_each_by_its_number(table: pd.DataFrame, tmp_path: Path) -> None:
     path = two_flights(table, tmp_path / "day.ulg")
     with pytest.raises(DataError, match=r"holds 2 flights; give one of them: .*day\.ulg#1 \(5\.\d to .*day\.ulg#2 "):

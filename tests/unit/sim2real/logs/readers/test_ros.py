@@ -140,6 +140,26 @@ def test_an_orientation_that_an_imu_does_not_give_is_none() -> None:
     assert [one.quantity for one in RosReader().channels(log)] == ["ang_vel"]
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "field", "raw", "expected", "assumed"),
+    [
+        ("/mavros/rc/out", "mavros_msgs/msg/RCOut", "channels", (1200, 1700, 0, 0), (0.2, 0.7), False),
+        ("/pilot/state", "agiros_msgs/msg/QuadState", "motors", (900, 950, 800, 850), (900, 950, 800, 850), False),
+        ("/motor_rpm", "std_msgs/msg/Float32MultiArray", "data", (3000, 6000), (314.16, 628.32), False),
+        ("/rotors/speed", "std_msgs/msg/Float64MultiArray", "data", (900, 950), (900, 950), True),
+        ("/esc/speeds", "std_msgs/msg/Int32MultiArray", "data", (30000, 6000), (3141.6, 628.32), True),
+    ],
+)
+def test_rotors_are_found_by_type_or_by_the_name_of_an_array(name, kind, field, raw, expected, assumed) -> None:
+    """Outputs that never change drive no rotor; an array without a unit in its name is named."""
+    steps = np.array((1.0, 1.001, 1.002))
+    columns = {f"{field}[{i}]": value * steps for i, value in enumerate(raw)}
+    topics = (Topic(name=name, time=np.arange(3.0), columns=columns),)
+    (one,) = RosReader().channels(RawLog(path="a", format="ros", topics=topics, metadata={f"{name}[0]": kind}))
+    np.testing.assert_allclose(one.values[0], expected, rtol=1e-4)
+    assert ("rotor_unit_assumed" in {note.code for note in one.notes}) == assumed
+
+
 @pytest.mark.parametrize(("rate", "used"), [(20.0, "/odom[0]"), (2.0, "/imu[0]")])
 def test_attitude_comes_from_the_topic_of_position_and_velocity_if_that_is_fast_enough(rate, used) -> None:
     """Heading of an IMU and axes of an odometry may differ."""
