@@ -128,6 +128,8 @@ def manoeuvre_flight(name: str, robot: RobotCfg, like: Flight, *, rate: float) -
         rotor_command=None if like.rotor_command is None else (speed + lag * change)[kept],
         battery=None if like.battery is None else voltage,
         other_position=None,
+        on_ground=None,
+        lost=None,
         notes=(),
     )
 

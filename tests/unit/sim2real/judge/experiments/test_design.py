@@ -72,9 +72,10 @@ def test_a_manoeuvre_beyond_the_rotors_is_left_out(catalogue: ManoeuvreCatalogue
     heavy = replace(ROBOT, rotor=replace(ROBOT.rotor, thrust_range=(1.3, 5.0)))
     jump = "jump up and down by a few centimetres, thrust up and down by a third"
     assert manoeuvre_flight(jump, heavy, like, rate=100.0) is None
-    without = replace(like, lin_vel=None, position=None, rotor_speed=None)
+    stood = np.ones(like.num_rows, dtype=bool)
+    without = replace(like, lin_vel=None, position=None, rotor_speed=None, on_ground=stood, lost=stood)
     blind = manoeuvre_flight("hover", ROBOT, without, rate=100.0)
-    assert blind.lin_vel is blind.position is blind.rotor_speed is None
+    assert blind.lin_vel is blind.position is blind.rotor_speed is blind.on_ground is blind.lost is None
 
 
 def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: ManoeuvreCatalogue) -> None:
