@@ -77,8 +77,7 @@ def evaluate_models(
     residuals = [np.concatenate(predictor.residuals(one)) for one in models]
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not reason_against_rollouts(flights):
-        turns = all(flight.torques and not flight.collective for flight in flights)
-        variants = {"free": False} if turns else {}
+        variants = {"free": False} if all(flight.torques for flight in flights) else {}
         more = {"links": [predictor.load_links(one) for one in models], "tolerances": predictor.tolerances}
         rollouts = rollout_errors_of_models(robot, flights, models, variants | {"given_attitude": True}, **more)
     results, floors = [], None if floor is None else tuple(floor.tolist())

@@ -54,6 +54,7 @@ class Flight(Recording):
     name: str  # Short name, unique among the flights of one run
     rate: float  # Rows per second [Hz]
     ang_vel: Array  # [rad/s], body, (T, 3)
+    torques: bool = True  # Whether the rotor data determine the torques
     gyro: bool  # Whether ``ang_vel`` was measured and rotor torques are known, as for angular acceleration
     accelerometer: bool  # Whether ``specific_force`` was measured; if not, it was derived from the velocity
     on_ground: Flags | None = None  # Rows on the ground, excluded from comparisons, (T,); None if there are none
@@ -278,7 +279,10 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         said.append(Finding("torques_not_logged"))
     if on_ground is not None:
         said.append(Finding("on_ground", "", {"share": float(on_ground.mean())}))
-    shared = {field.name: getattr(log, field.name) for field in fields(Recording)}
+    shared, torques = (
+        {field.name: getattr(log, field.name) for field in fields(Recording)},
+        log.torques and not log.collective,
+    )
     completed = {"time": log.time - log.time[0], "specific_force": specific_force, "notes": tuple(said)}
     completed["setpoints"] = {name: (time - log.time[0], one) for name, (time, one) in log.setpoints.items()}
     return Flight(
@@ -286,7 +290,8 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         name=log.name,
         rate=rate,
         ang_vel=ang_vel,
-        gyro=log.ang_vel is not None and log.torques and not log.collective,
+        torques=torques,
+        gyro=log.ang_vel is not None and torques,
         accelerometer=log.specific_force is not None,
         on_ground=on_ground,
     )

@@ -54,8 +54,6 @@ class Recording:
     ground_height: float = 0.0  # World z of the ground [m]
     ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
     wind: tuple[float, float, float] | None = None  # Known steady wind [m/s], world; None: still air is assumed
-    collective: bool = False  # Whether all rotors share one command, which determines no torque
-    torques: bool = True  # Whether the log resolves torques
     streams: Mapping[str, StreamTiming] = field(default_factory=dict)  # By field name; empty if all have the rows' rate
     setpoints: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     """Times on the clock of ``time`` [s] and values of each logged setpoint, a key of ``raw_log.SETPOINTS``."""
@@ -83,8 +81,10 @@ class FlightLog(Recording):
     """Measurements of one flight, row by row of its file; quaternions are not normalised."""
 
     ang_vel: Array | None = None  # [rad/s], body, (T, 3)
+    collective: bool = False  # Whether all rotors share one command, which determines no torque
     lift_off: float = 0.0  # Height tolerance for rows on the ground [m]; 0: heights are ignored
     hover_above: float | None = None  # World height [m] above which commands are scaled to the thrust; None: no scaling
+    torques: bool = True  # Whether the log resolves torques
     relative_commands: bool = False  # Whether commands are shares of the largest speed, 0 to 1, as firmwares log them
     sample_times: Mapping[str, Array] = field(default_factory=dict)  # Of streams slower than the rows, by field [s]
     lines: Indices | None = None  # Line of each row in its file, (T,); None for binary logs and resampled rows
