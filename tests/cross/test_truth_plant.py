@@ -39,6 +39,7 @@ OTHER_LAWS: dict[str, tuple[dict[str, float], dict[str, dict[str, float]]]] = {
     "quadratic_drag/plate": (
         {"dx": 0.1, "dy": 0.11, "dz": 0.12}, {"quadratic_drag_of_axes": {"dx": 0.1, "dy": 0.11, "dz": 0.12}}
     ),
+    "downwash/jet": ({"force": 1.2, "spread": 0.25}, {"downwash_jet": {"force": 1.2 * 1.5**2, "spread": 0.25}}),
 }  # fmt: skip
 """Laws of the plant that the package has too, with the numbers of both."""
 

@@ -44,6 +44,8 @@ def run_case(folder: Path, effects: dict[str, Any], seed: int, **flights: Any) -
 LAWS = {
     "quadratic_drag/plate": "quadratic_drag_of_axes",
     "rotor_drag/thrust": "rotor_drag_of_thrust",
+    "downwash/jet": "downwash_jet",
+    "downwash/top_hat": "downwash_core",
 }
 """Laws of the plant, and what the corrected robot file holds in their place."""
 

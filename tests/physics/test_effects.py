@@ -200,6 +200,22 @@ WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, Any], list[float]]] 
             ([1.0, -2.0, 0.0], 1.0), ([1.3, -2.0, 0.0], exp(-0.5)), ([1.0, -2.6, 0.0], exp(-2.0)), ([1.0, -2.0, 3.1], 0.0)
         )
     ),
+    *(  # A jet of 2 N at 1 m, a quarter of it and twice as wide at 2 m, not nearer than 0.3 m; a core with an edge of power 8
+        (
+            {f"downwash_{law}": {"force": 2.0, **numbers}},
+            {"position": place, "other_position": torch.tensor([[1.0, -2.0, 3.0]])},
+            [0.0, 0.0, -2.0 * share, 0.0, 0.0, 0.0],
+        )
+        for law, numbers, place, share in (
+            ("jet", {"spread": 0.2}, [1.0, -2.0, 2.0], 1.0),
+            ("jet", {"spread": 0.2}, [1.2, -2.0, 2.0], exp(-1.0)),
+            ("jet", {"spread": 0.2}, [1.0, -1.6, 1.0], 0.25 * exp(-1.0)),
+            ("jet", {"spread": 0.2}, [1.0, -2.0, 2.9], 0.3**-2),
+            ("jet", {"spread": 0.2}, [1.0, -2.0, 3.1], 0.0),
+            ("core", {"sigma": 0.3, "power": 8.0}, [1.15, -2.0, 0.0], exp(-0.5 * 0.5**8)),
+            ("core", {"sigma": 0.3, "power": 8.0}, [1.0, -2.6, 0.0], exp(-0.5 * 2.0**8)),
+        )
+    ),
     # Without another vehicle the wake stands over the origin
     ({"downwash": {"force": 2.0, "sigma": 0.3}}, {"position": [0, 0, 1e3]}, [0, 0, -2.0, 0, 0, 0]),
 ]  # fmt: skip

@@ -128,17 +128,77 @@ class Downwash(WrenchEffect):
     )
     excitation = "passes below another vehicle whose position is in the log"
     confused_with = ("gusts", "thrust_coefficient", "ground_effect")
+    law = "wake of constant width"
     rotors = ANY_ROTOR
     follows = ("position",)
     needs = ("position", "other_position")
 
+    def share(self, square: Tensor, below: Tensor, params: Tensor) -> Tensor:
+        """Return the force as a share of ``force``, (E,), at a squared horizontal distance and a distance below, (E,)."""
+        del below
+        return torch.exp(-0.5 * square / params[:, 1].square())
+
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6)."""
-        away = (condition.position - condition.other_position)[:, :2]
-        share = torch.exp(-0.5 * away.square().sum(-1) / params[:, 1].square())
-        below = condition.position[:, 2] < condition.other_position[:, 2]
-        force = -(params[:, 0] * torch.where(below, share, 0.0)).unsqueeze(-1) * condition.up
+        away = condition.other_position - condition.position
+        below = away[:, 2]
+        share = torch.where(below > 0.0, self.share(away[:, :2].square().sum(-1), below, params), 0.0)
+        force = -(params[:, 0] * share).unsqueeze(-1) * condition.up
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
+
+
+NEAREST = 0.3  # Least distance below the other vehicle in the formula of the jet [m]
+
+
+class DownwashJet(Downwash):
+    """Downwash as a turbulent jet, which widens and slows with the distance below the other vehicle.
+
+    ``F = -force (1 m / z)² exp(-(d / (spread z))²)`` for a distance z below and d beside it, as the dynamic pressure of a
+    round jet; z is at least 0.3 m.
+    Source: Jain, Fortmuller, Byun, Makiharju, Mueller (2019), Modeling of aerodynamic disturbances for proximity flight of
+    multirotors, ICUAS; decay and width of the jet: Pope (2000), Turbulent Flows, section 5.1.
+    """
+
+    name = "downwash_jet"
+    summary = "downward force in the wake of a vehicle above, which widens and slows below it"
+    parameters = (
+        Parameter("force", "N", 0.0, 100.0, 0.5, "1 m below the other vehicle"),
+        Parameter("spread", "-", 0.01, 2.0, 0.1, "horizontal width per distance below", neutral=0.2),
+    )
+    law_of, law, in_place = "downwash", "turbulent jet", True
+
+    def share(self, square: Tensor, below: Tensor, params: Tensor) -> Tensor:
+        """Return the share, (E,)."""
+        height = below.clamp(NEAREST, FARTHEST).square()
+        return torch.exp(-square / (params[:, 1].square() * height)) / height
+
+
+FARTHEST = 1e6  # Greatest distance below the other vehicle in the formula of the jet [m]: there is no wake
+
+
+class DownwashCore(Downwash):
+    """Downwash with a core of even speed and a steeper edge, as close below a rotor.
+
+    ``F = -force exp(-(d / sigma)^power / 2)``: 2 is the Gaussian of ``downwash``, and a large power a slipstream of radius
+    sigma.
+    Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2 (slipstream of momentum theory); the edge
+    derived: a power between this slipstream and a Gaussian.
+    """
+
+    name = "downwash_core"
+    summary = "downward force in the wake of a vehicle above, with an even core"
+    parameters = (*Downwash.parameters, Parameter("power", "-", 1.0, 40.0, 1.0, "of the edge", neutral=2.0))
+    contains = ("downwash",)
+    law_of, law, in_place = "downwash", "wake with an even core", True
+
+    def share(self, square: Tensor, below: Tensor, params: Tensor) -> Tensor:
+        """Return the share, (E,)."""
+        del below
+        distance = square / params[:, 1].square()
+        return torch.exp(-0.5 * (distance + SMALLEST) ** (0.5 * params[:, 2]))
+
+
+SMALLEST = 1e-12  # Added to a squared distance in widths, for a finite slope at the centre
 
 
 QUANTITY = 1  # Index that separates its draws from those of `gusts` in the same substep

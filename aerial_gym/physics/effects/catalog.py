@@ -49,6 +49,8 @@ for _name, _place in (
     ("ground_effect_curve", "rotor_flow:GroundEffectCurve"),
     ("ceiling_effect_curve", "rotor_flow:CeilingEffectCurve"),
     ("downwash", "air_motion:Downwash"),
+    ("downwash_jet", "air_motion:DownwashJet"),
+    ("downwash_core", "air_motion:DownwashCore"),
     ("buoyancy", "water:Buoyancy"),
     ("hull_drag", "water:HullDrag"),
     ("link_drag", "links:LinkDrag"),

@@ -345,11 +345,16 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
         )
         for surface in ("ground", "ceiling")
     },
-    "downwash": _value_template(
-        "The wake of the other vehicle pushes down with up to {force}",
-        {"force": (1.0, "N"), "sigma": (1.0, "m")},
-        sigma=" over a width of {sigma}",
-    ),
+    **{
+        f"downwash{law}": _value_template(
+            "The wake of the other vehicle pushes down with up to {force}" + at,
+            {"force": (1.0, "N"), "sigma": (1.0, "m"), "spread": (1.0, ""), "power": (1.0, "")},
+            sigma=" over a width of {sigma}",
+            spread=". Its width per distance is {spread}",
+            power=". Its edge has the power {power}",
+        )
+        for law, at in (("", ""), ("_jet", " at 1 m below it"), ("_core", ""))
+    },
     "imu_bias": _imu_bias_sentence,
     "imu_misalignment": _change_template(
         "The inertial sensors are mounted {}",

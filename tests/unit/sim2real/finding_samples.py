@@ -49,6 +49,8 @@ EFFECT_SAMPLES = [
     effect("ceiling_effect", k=(1.2, 0.0, 0.2)), effect("ceiling_effect_curve", g2=(0.08, 0.0, 0.01), g4=(-0.02, 0.0, 0.01)),
     effect("ground_effect_curve", g1=(0.1, 0.0, 0.02)), effect("downwash", force=(0.5, 0.0, 0.06), sigma=(0.3, 0.3, 0.02)),
     effect("downwash", sigma=(0.3, 0.3, 0.02)),
+    effect("downwash_jet", force=(0.5, 0.0, 0.06), spread=(0.25, 0.2, 0.02)),
+    effect("downwash_core", force=(0.5, 0.0, 0.06), sigma=(0.3, 0.3, 0.02), power=(8.0, 2.0, 2.0)),
     effect("imu_bias", ax=(0.12, 0.0, 0.01), ay=(0.0, 0.0, 0.01), gz=(-0.02, 0.0, 0.003)),
     effect("imu_bias", ax=(0.001, 0.0, 0.01)),
     effect("imu_misalignment", roll=(0.02, 0.0, 0.002), pitch=(-0.01, 0.0, 0.002), yaw=(0.0, 0.0, 0.002)),

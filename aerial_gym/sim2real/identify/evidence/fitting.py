@@ -329,7 +329,7 @@ class Fitter:
     ) -> list[EffectSetFit]:
         """Return the fits with another law in place of an effect: a special case, or a law that is no candidate by itself.
 
-        A law that the robot file declares is not replaced.
+        Such a law starts at the fitted parameters of the same names. A law that the robot file declares is not replaced.
         """
         results = []
         for old in fitted.effects:
@@ -337,10 +337,19 @@ class Fitter:
                 if name in names and name not in fitted.effects:
                     kept = {other: values for other, values in fitted.params.effects.items() if other != old}
                     start = ModelParams(effects=kept, learned=self.declared.learned)
-                    start = start.with_effect(name, self.neutral_of_effect(name))
+                    start = start.with_effect(name, self._start_of_law(name, old, fitted.params.effects[old]))
                     effects = [name if other == old else other for other in fitted.effects]
                     results.append(self.fit(effects, fitted.structures, start, rule=rule))
         return results
+
+    def _start_of_law(self, name: str, old: str, values: Array) -> Array:
+        """Return the start of a law in place of an old one with fitted ``values``; neutral if they are of other causes."""
+        start, own = self.neutral_of_effect(name).copy(), EFFECTS.get(name)
+        places = {parameter.name: k for k, parameter in enumerate(EFFECTS.get(old).parameters)}
+        for k, parameter in enumerate(own.parameters):
+            if own.cause == EFFECTS.get(old).cause and parameter.name in places:
+                start[k] = values[places[parameter.name]]
+        return start
 
 
 def laws_in_place(old: str) -> tuple[str, ...]:
