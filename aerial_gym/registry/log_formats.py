@@ -14,6 +14,7 @@ READERS: dict[str, tuple[str, tuple[bytes, ...]]] = {
     "dataflash": ("dataflash:DataflashReader", (b"\xa3\x95", b"FMT,")),
     "ros": ("ros:RosReader", (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP", b"rosbag2_bagfile_information")),
     "ulog": ("ulog:UlogReader", (b"ULog\x01",)),
+    "mavlink": ("mavlink:MavlinkReader", (b"\xfd", b"\xfe")),  # last, as its bytes are in other files too
 }
 """Module and class of each reader of this package, and bytes of which a file of its format begins with at least one.
 

@@ -191,6 +191,29 @@ def read_records(data: NDArray[np.uint8], places: Indices, record: np.dtype[Any]
     return rows.view(record)[:, 0]
 
 
+def whole_records_in_chain(places: Indices, ends: Indices, size: int) -> NDArray[np.bool_]:
+    """Return the records of a file that follow each other: one ends where another one, or nothing, begins.
+
+    ``places`` and ``ends``: bytes at which data that look like a record begin and would end, some within other records.
+    """
+    following = np.searchsorted(places, ends)
+    whole = (ends == size) | (np.append(places, -1)[following] == ends)
+    return _places_along_chain(np.where(whole, following, np.arange(1, places.size + 1))) & whole
+
+
+def _places_along_chain(steps: Indices) -> NDArray[np.bool_]:
+    """Return the places that are visited from place 0 on, where each states the next one."""
+    visited = np.zeros(steps.size, dtype=bool)
+    if np.array_equal(steps, np.arange(1, steps.size + 1)):
+        return ~visited
+    places, following, place = [], steps.tolist(), 0
+    while place < steps.size:
+        places.append(place)
+        place = following[place]
+    visited[places] = True
+    return visited
+
+
 def note_on_rotor_order(firmware: str) -> tuple[Finding, ...]:
     """Return the finding that rotors are in the order of a firmware."""
     return (Finding("rotor_order_of_firmware", "", {"firmware": firmware}),)

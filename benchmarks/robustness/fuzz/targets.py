@@ -27,7 +27,7 @@ from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR, find_mapping
 from aerial_gym.task import Task
 from benchmarks.robustness.fuzz.mutations import BINARY, PLAIN, TEXT, TREE, Mutation
 from tests.unit.sim2real import flat_flights, ulog_files
-from tests.unit.sim2real.logs.readers import blackbox_files, crazyflie_files, dataflash_files, ros_bags
+from tests.unit.sim2real.logs.readers import blackbox_files, crazyflie_files, dataflash_files, mavlink_files, ros_bags
 
 NUM_ENVS = 2
 BANDWIDTH = 10.0
@@ -101,6 +101,7 @@ def _log_targets(folder: Path) -> tuple[Target, ...]:
         "blackbox": (blackbox_files.flight(rows[:300]) + blackbox_files.flight(rows[300:]),),
         "dataflash": (dataflash_files.log()[0], dataflash_files.log(message=dataflash_files.line)[0]),
         "crazyflie": (crazyflie_files.card(count=1200)[0],),
+        "mavlink": (mavlink_files.log()[0], mavlink_files.log(version=1)[0]),
         "ulog": (ulog.read_bytes(),),
         "bag": tuple(path.read_bytes() for path in bags),
         "database": databases,

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.logs.raw_log import read_records
+from aerial_gym.sim2real.logs.raw_log import read_records, whole_records_in_chain
 
 HEAD = b"\xa3\x95"  # First bytes of each message, before its type
 FMT, FMT_LENGTH = 128, 89  # Type and length of the messages that define the others
@@ -118,26 +118,10 @@ def tables_of_binary_messages(data: NDArray[np.uint8], types: dict[int, MessageT
     places = places[lengths[data[places + 2]] > 0]
     numbers = data[places + 2]
     ends = places + lengths[numbers]
-    following = np.searchsorted(places, ends)
-    whole = (ends == data.size) | (np.append(places, -1)[following] == ends)
-    steps = np.where(whole, following, np.arange(1, places.size + 1))
-    kept = _places_along_chain(steps) & whole
+    kept = whole_records_in_chain(places, ends, data.size)
     pairs = [(types[number], places[kept & (numbers == number)] + 3) for number in np.unique(numbers[kept]).tolist()]
     tables = [MessageTable(type=one, rows=read_records(data, starts, one.record)) for one, starts in pairs]
     return tables, int((ends - places)[kept].sum())
-
-
-def _places_along_chain(steps: Indices) -> NDArray[np.bool_]:
-    """Return the places that are visited from place 0 on, where each states the next one."""
-    visited = np.zeros(steps.size, dtype=bool)
-    if np.array_equal(steps, np.arange(1, steps.size + 1)):
-        return ~visited
-    places, following, place = [], steps.tolist(), 0
-    while place < steps.size:
-        places.append(place)
-        place = following[place]
-    visited[places] = True
-    return visited
 
 
 def read_lines(text: str) -> tuple[dict[int, MessageType], list[MessageTable]]:

@@ -7,7 +7,7 @@ groups and variables*, ``ctrltarget``; ArduPilot, *Onboard Message Log Messages*
 its units and axes: the gyro follows ``gyroSp`` in 0.1 deg/s, FRD, and ``spfSp`` balances the weight at hover in cm/s².
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import pi
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ class SetpointSource(NamedTuple):
     axes: str = "ned"  # ``ned`` with body FRD, ``enu`` with body FLU, or ``angles``: roll, pitch, yaw of NED and FRD
 
 
-def _xyz(pattern: str, names: str = "012") -> tuple[str, ...]:
+def _xyz(pattern: str, names: Iterable[str] = "012") -> tuple[str, ...]:
     return tuple(pattern.format(name) for name in names)
 
 
@@ -55,6 +55,13 @@ SOURCES = {
         SetpointSource("position_setpoint", "", _xyz("ctrltarget.{}", "xyz"), axes="enu"),
         SetpointSource("velocity_setpoint", "", _xyz("ctrltarget.v{}", "xyz"), axes="enu"),
         SetpointSource("yaw_setpoint", "", ("ctrltarget.yaw",), DEGREE),
+    ),
+    "mavlink": (
+        SetpointSource("attitude_setpoint", "ATTITUDE_TARGET", _xyz("q[{}]", "0123")),
+        SetpointSource("rate_setpoint", "ATTITUDE_TARGET", _xyz("body_{}_rate", ("roll", "pitch", "yaw"))),
+        SetpointSource("thrust_setpoint", "ATTITUDE_TARGET", ("thrust",)),
+        SetpointSource("position_setpoint", "POSITION_TARGET_LOCAL_NED", ("x", "y", "z")),
+        SetpointSource("velocity_setpoint", "POSITION_TARGET_LOCAL_NED", ("vx", "vy", "vz")),
     ),
     "dataflash": (
         SetpointSource("attitude_setpoint", "ATT", ("DesRoll", "DesPitch", "DesYaw"), axes="angles"),
