@@ -83,10 +83,20 @@ class Rms(Estimate):
     label = "rms"
 
 
+@dataclass(frozen=True, kw_only=True)
 class Rise(Estimate):
-    """Relative rise of one root mean square over another, with its interval."""
+    """Relative rise of one root mean square over another, with its interval over flights."""
 
     label = "rises"
+
+    direction: int = 0  # 1 if at least two flights rise for certain and none falls; -1 for the opposite; else 0
+
+    def reaches(self, least: float) -> bool:
+        """Return whether the whole interval reaches ``least``, or the value does while the flights agree that it rises.
+
+        An effect that acts in some flights alone scatters between flights, although no flight contradicts it.
+        """
+        return self.low >= least or (self.direction > 0 and self.value >= least)
 
 
 def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
@@ -120,16 +130,31 @@ def rise_with_interval(values: Array, reference: Array, group: Indices, flight: 
     Source:
         Davison, Hinkley (1997), Bootstrap Methods and their Application, section 2.7 (nonparametric delta method).
     """
+    change, half = _log_ratio_with_half_width(values, reference, group, flight)
+    signs = []
+    for number in np.unique(flight):
+        own = flight == number
+        one, doubt = _log_ratio_with_half_width(values[own], reference[own], group[own], flight[own])
+        signs.append(np.sign(one) * (np.abs(one) > doubt))
+    up, down = (np.sum(np.array(signs) == sign, axis=0) for sign in (1.0, -1.0))
+    direction = ((up > 1) & (down == 0)).astype(int) - ((down > 1) & (up == 0))
+    with np.errstate(over="ignore"):
+        columns = (*(np.expm1(end) for end in (change, change - half, change + half)), direction)
+    return [
+        Rise(value=float(value), low=float(low), high=float(high), direction=int(way))
+        for value, low, high, way in zip(*columns, strict=True)
+    ]
+
+
+def _log_ratio_with_half_width(values: Array, reference: Array, group: Indices, flight: Indices) -> tuple[Array, Array]:
+    """Return ``log(rms(values) / rms(reference))`` of each column, (C,), and half its 95 % interval."""
     scores, totals = [], []
     for part in (values, reference):
         total = np.maximum(np.square(part).sum(axis=0), 1e-300)
         totals.append(total)
         scores.append(np.square(part) / total)
     change, score = 0.5 * np.log(totals[0] / totals[1]), 0.5 * (scores[0] - scores[1])
-    half = half_width_of_scatter(*_variance_of_sum(score, group), *_variance_of_sum(score, flight))
-    with np.errstate(over="ignore"):
-        value, low, high = (np.expm1(end) for end in (change, change - half, change + half))
-    return [Rise(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)]
+    return change, half_width_of_scatter(*_variance_of_sum(score, group), *_variance_of_sum(score, flight))
 
 
 def _variance_of_sum(score: Array, label: Indices) -> tuple[Array, int]:

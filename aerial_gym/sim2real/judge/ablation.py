@@ -70,10 +70,10 @@ class Ablation:
 
     @property
     def material(self) -> bool | None:
-        """Return True if an interval lies above the material rise, False if all lie below it; None if not shown."""
+        """Return True if an error rises by a material share for certain, False if none can; None if not shown."""
         rollouts = [rise for quantities in self.rollout.values() for rise in quantities.values()]
         rises = [*self.residual.values(), *rollouts]
-        if any(rise.low >= self.least for rise in rises):
+        if any(rise.reaches(self.least) for rise in rises):
             return True
         return None if any(rise.high >= self.least for rise in rises) else False
 

@@ -38,13 +38,14 @@ class Outcome:
     def state(self) -> str:
         """Return better, same, worse or not shown.
 
-        Same: the interval holds no material change; better or worse: it lies on one side of zero; else it is not shown.
+        Same: the interval holds no material change; better or worse: it lies on one side of zero, or the flights agree on
+        that side; else it is not shown.
         """
         if -self.least < self.rise.low and self.rise.high < self.least:
             return SAME
-        if self.rise.high < 0.0:
+        if self.rise.high < 0.0 or (self.rise.direction < 0 and self.rise.value < 0.0):
             return BETTER
-        return WORSE if self.rise.low > 0.0 else NOT_SHOWN
+        return WORSE if self.rise.reaches(0.0) else NOT_SHOWN
 
     @property
     def is_possibly_worse(self) -> bool:
@@ -53,8 +54,8 @@ class Outcome:
 
     @property
     def is_materially_worse(self) -> bool:
-        """Return whether the error rises by a material share over the whole interval."""
-        return self.state == WORSE and self.rise.low >= self.least
+        """Return whether the error rises by a material share for certain."""
+        return self.state == WORSE and self.rise.reaches(self.least)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""

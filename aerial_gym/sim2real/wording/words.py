@@ -89,9 +89,10 @@ def percent_text(share: float, digits: int = 2) -> str:
 
 
 def rise_interval_text(values: Values) -> str:
-    """Return the interval ``rise_low`` to ``rise_high`` in per cent."""
+    """Return the interval ``rise_low`` to ``rise_high`` in per cent, of new flights if the test flights agree despite it."""
     low, high = (f"{100.0 * float(values[end]):+.0f}" for end in ("rise_low", "rise_high"))
-    return f"{low} to {high} %".replace("inf", "∞")
+    new = " in new flights, although no test flight contradicts" if values.get("flights_agree") else ""
+    return f"{low} to {high} %{new}".replace("inf", "∞")
 
 
 def decimals_of_half_width(half_width: float | None) -> int | None:

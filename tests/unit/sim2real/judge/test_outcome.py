@@ -53,6 +53,23 @@ def test_an_interval_over_flights_holds_where_flights_differ() -> None:
     assert 0.90 * 400 <= inside <= 0.985 * 400
 
 
+@pytest.mark.parametrize(("ratios", "direction", "certain"), [
+    ((1.6, 1.0, 1.5), 1, True),  # it acts in two flights of three
+    ((1.6, 1.0, 1.0), 0, False),  # in one flight alone
+    ((1.6, 0.7, 1.5), 0, False),  # one flight contradicts
+    ((0.6, 1.0, 0.7), -1, False),
+])  # fmt: skip
+def test_flights_that_an_effect_leaves_alone_contradict_nothing(
+    ratios: tuple, direction: int, *, certain: bool
+) -> None:
+    """The interval over three flights holds 0, since they differ; two flights that agree are certain nevertheless."""
+    reference = np.random.default_rng(2).standard_normal((900, 1))
+    flight, group = np.repeat(np.arange(3), 300), np.repeat(np.arange(90), 10)
+    (rise,) = rise_with_interval(np.array(ratios)[flight][:, None] * reference, reference, group, flight)
+    assert rise.low < 0.0 < rise.high
+    assert (rise.direction, rise.reaches(0.05)) == (direction, certain)
+
+
 def test_one_block_has_no_interval() -> None:
     values = np.ones((5, 1))
     (rise,) = rise_with_interval(2.0 * values, values, np.zeros(5, dtype=int), np.zeros(5, dtype=int))
