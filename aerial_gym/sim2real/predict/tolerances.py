@@ -25,7 +25,9 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     "mass": ("",),
     "thrust": "rotors",
     "rotor_motion": "rotors",
-    **dict.fromkeys(("inertia", "com", "acc_bias", "gyro_bias", "answered_noise", "attitude"), "xyz"),
+    **dict.fromkeys(("inertia", "com", "acc_bias", "gyro_bias"), "xyz"),
+    "answered_noise": ("x", "y", "z", "late_x", "late_y", "late_z"),
+    "attitude": "xyz",
     "sensor_delay": ("rotors", "acc", "gyro", "attitude", "velocity"),
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
     **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest", "command_clock"), ("",)),
@@ -142,7 +144,7 @@ class SensorErrors:
     acc_scale: Tensor  # Relative, (3,)
     imu_place: Tensor  # Accelerometer position relative to the body origin [m], body, (3,)
     rotor_motion: Tensor  # Deviation of the motion in each rotor mode, in its standard deviations, (R,)
-    answered_noise: Tensor  # Deviation of noise correlated with torque, in its standard deviations, (3,)
+    answered_noise: Tensor  # Deviation of noise correlated with torque, then a quarter period late, in its std, (6,)
     attitude: Tensor  # Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)
     delays: Tensor  # Delays of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)
 

@@ -44,7 +44,7 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay, replay_memory
 from aerial_gym.sim2real.predict.rows.band_response import BandResponse, Columns, ImuReading, imu_readings_of_model
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.rows.spectra import torque_gain_uncertainty
+from aerial_gym.sim2real.predict.rows.spectra import delay_by_quarter_period, torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import (
     SensorErrors,
     Tolerances,
@@ -164,17 +164,21 @@ class FlightBatch:
         late = self._imu.delays_by_flight(asked.logged)
         felt = self._in_band.accelerations_in_band(model, condition.rotor_speed, acting, about=about, late=late)
         noise = asked.logged.answered_noise
-        seeming = noise * self._torque_noise_std() if noise.any() else None
+        seeming = (noise.view(2, 3) * self._torque_noise_std()).sum(1) if noise.any() else None
         return self._imu.read_channels(model, felt, asked.logged, seeming)
 
     def _torque_noise_std(self) -> Tensor:
-        """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 3)."""
+        """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 2, 3).
+
+        The first is in phase with the torque, the second a quarter period late.
+        """
         if self._in_step is None:
             columns = self._imu_prediction(self._make_query(self._params))["angular_acceleration"]
             turning, parts = np.stack(columns, axis=1), []
             for flight, span in zip(self.data.flights, self.data.kept_spans, strict=True):
                 share = torque_gain_uncertainty(flight, self._declared, turning[span], self.data.bandwidth)
-                parts.append(share * (turning[span] - turning[span].mean(axis=0)))
+                moved = turning[span] - turning[span].mean(axis=0)
+                parts.append(share * np.stack((moved, delay_by_quarter_period(moved)), axis=1))
             self._in_step = torch.from_numpy(np.concatenate(parts))
         return self._in_step
 

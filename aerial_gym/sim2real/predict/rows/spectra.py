@@ -2,8 +2,10 @@
 
 In hover, much of the torque is the autopilot's response to gyro noise, and a fit attributes this to inertia or rotor drag.
 With noise of RMS n, torque of RMS t and a response of RMS a, the torque seems larger by at most ``n a / t²``; the standard
-deviation within this bound is bound / sqrt(3). Noise and response are measured above the band; the response is that of
-commands through the rotor lag, or else of rotor speeds. Letters: T rows, L lines of a spectrum, K columns.
+deviation within this bound is bound / sqrt(3). The response is later than the noise by some phase, so the bound also holds
+for the torque a quarter period late, which would look like a delay or a drag of the rotation. Noise and response are
+measured above the band; the response is that of commands through the rotor lag, or else of rotor speeds. Letters: T rows,
+L lines of a spectrum, K columns.
 
 Source: Ljung (1999), System Identification: Theory for the User, section 13.4 (feedback in the direct method).
 """
@@ -65,8 +67,15 @@ def filter_by_gain(values: Array, frequency: Array, gain: Array, rate: float) ->
     return np.asarray(fft.irfft(spectrum * gains, n=len(mirrored), axis=0))[: len(values)]
 
 
+def delay_by_quarter_period(values: Array) -> Array:
+    """Return columns (T, K) of zero mean with each frequency a quarter period late (Hilbert transform)."""
+    return np.asarray(fft.irfft(-1j * np.asarray(fft.rfft(values, axis=0)), n=len(values), axis=0))
+
+
 def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, bandwidth: float) -> Array:
     """Return the standard deviation of the apparent relative increase of the torque about each axis, (3,); 0 if unseen.
+
+    It also holds for the apparent part a quarter period late.
 
     ``turning``: predicted angular acceleration in the band [rad/s²], body, (T, 3).
     """

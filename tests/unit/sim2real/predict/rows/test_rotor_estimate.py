@@ -1,6 +1,7 @@
 """Rotor speeds without the part of their noise that a fit would take for motion, and answers of an autopilot to noise."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import (
     estimate_as_measured,
     estimate_rotors,
 )
-from aerial_gym.sim2real.predict.rows.spectra import torque_gain_uncertainty
+from aerial_gym.sim2real.predict.rows.spectra import delay_by_quarter_period, torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import G, hover
@@ -202,12 +203,22 @@ def torque_std(flight: Flight) -> Array:
     )
 
 
-def seems_larger(flight: Flight) -> float:
-    """Return the relative excess of the measured yaw over the predicted one: their regression slope less 1."""
+def seems_larger(flight: Flight) -> tuple[float, float]:
+    """Return the relative excess of the measured yaw over the predicted one, in phase and a quarter period late.
+
+    It is the regression slope of their difference.
+    """
     predictor = make_predictor([flight])
     tables = predictor.predict(ModelParams()), predictor.measured
     expected, measured = (rows[0][:, YAW] - rows[0][:, YAW].mean() for rows in tables)
-    return float(measured @ expected / (expected @ expected)) - 1.0
+    late = delay_by_quarter_period(expected[:, None])[:, 0]
+    at_once, later = ((measured - expected) @ wave / (wave @ wave) for wave in (expected, late))
+    return float(at_once), float(later)
+
+
+def test_a_quarter_period_late_is_minus_the_cosine_of_a_sine() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi * 7.0, 200, endpoint=False)[:, None]
+    np.testing.assert_allclose(delay_by_quarter_period(np.sin(angle)), -np.cos(angle), atol=1e-12)
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -215,13 +226,14 @@ def test_what_a_hover_seems_to_turn_more_lies_below_the_bound(told: bool) -> Non
     """The bound is root 3 of a standard deviation; what is seen is a third of it at least, with the same sign each time."""
     for seed in range(3):
         flight = hold_heading(seed, told=told)
-        result, bound = seems_larger(flight), np.sqrt(3.0) * torque_std(flight)[2]
-        assert 0.15 < result < bound < 3.0 * result
+        bound = np.sqrt(3.0) * torque_std(flight)[2]
+        for result in seems_larger(flight):
+            assert 0.15 < result < bound < 3.0 * result
 
 
 def test_it_is_next_to_nothing_where_the_vehicle_turns() -> None:
     flight = hold_heading(asked=1.0)
-    assert abs(seems_larger(flight)) < 0.01
+    assert max(map(abs, seems_larger(flight))) < 0.01
     assert 0.0 < torque_std(flight)[2] < 0.01
 
 
@@ -238,9 +250,10 @@ def test_a_deviation_adds_a_share_of_the_torque() -> None:
     predictor, share = make_predictor([flight]), torque_std(flight)[2]
     names = Tolerances().names(4)
     base = predictor.predict(ModelParams())[0]
-    deviation = 1.5 * np.eye(len(names))[names.index("answered_noise_z")]
-    for effects in ({}, {"torque_ratio": np.array([1.5])}):
-        params = ModelParams(effects=effects)
+    moved = base[:, YAW] - base[:, YAW].mean()
+    added = {"answered_noise_z": moved, "answered_noise_late_z": delay_by_quarter_period(moved[:, None])[:, 0]}
+    for (name, wave), effects in product(added.items(), ({}, {"torque_ratio": np.array([1.5])})):
+        params, deviation = ModelParams(effects=effects), 1.5 * np.eye(len(names))[names.index(name)]
         changed = predictor.predict(replace(params, deviation=deviation))[0] - predictor.predict(params)[0]
-        np.testing.assert_allclose(changed[:, YAW], 1.5 * share * (base[:, YAW] - base[:, YAW].mean()), atol=1e-9)
+        np.testing.assert_allclose(changed[:, YAW], 1.5 * share * wave, atol=1e-9)
         np.testing.assert_array_equal(np.delete(changed, YAW, axis=1), 0.0)
