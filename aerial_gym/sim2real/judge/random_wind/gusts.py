@@ -209,14 +209,17 @@ def wind_series(
         for inverse, left, kept in zip(offsets, residuals, rows, strict=True)
     ]
     times = [time[kept] for time, kept in zip(predictor.times, rows, strict=True)]
-    parts = [force_features(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
     step = float(np.median(np.diff(times[0])))
+    parts = [force_features(flight, time - step) for flight, time in zip(predictor.flights, times, strict=True)]
     features = values_in_all_mappings(parts)
     return WindSeries(wind=wind, features=features, offsets=offsets, step=step, bandwidth=predictor.bandwidth)
 
 
 def force_features(flight: Flight, time: Array) -> dict[str, Array]:
-    """Return quantities that gusts do not depend on, but other causes of a force may, (T, P) by name."""
+    """Return quantities that later gusts do not depend on, but other causes of a force may, (T, P) by name.
+
+    Those of the same row do depend on them: in a hover all motion is the vehicle's response to the wind.
+    """
     rows = rows_at_times(flight, time)
     turn = Rotation.from_quat(flight.attitude[rows])
     yaw = np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T)
