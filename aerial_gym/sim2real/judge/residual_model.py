@@ -8,6 +8,7 @@ from aerial_gym.sim2real.identify.learned import ResidualFit, add_test_shares, l
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup
 from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.redeclare import deviations_beyond_tolerance
 
 
 def can_learn_residual(declared: LoopSetup) -> bool:
@@ -31,11 +32,13 @@ def fit_residual(
     """Return a residual learned on the training flights, with its share of the error of the test flights.
 
     Cross-validation over the training flights decides whether it is kept; the test flights only report. It must also hold
-    beside the best deviations ``within`` the tolerances, because tolerances need no network.
+    beside the best deviations ``within`` the tolerances, which need no network, unless flights contradict declared values.
     """
     left_out = leave_out_flights(declared.train, selection.weights, selection.criteria, selection.tolerated)
-    beyond = train_residual(declared.train, within, left_out, seed=seed)
-    if beyond.cfg is None:
-        return beyond
+    assert within.deviation is not None
+    if not deviations_beyond_tolerance(declared.tolerances, within.deviation, declared.robot):
+        beyond = train_residual(declared.train, within, left_out, seed=seed)
+        if beyond.cfg is None:
+            return beyond
     trained = train_residual(declared.train, model, left_out, seed=seed)
     return add_test_shares(trained, declared.test, (declared.params, model), floor)
