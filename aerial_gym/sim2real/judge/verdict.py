@@ -327,5 +327,5 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     values = [
         other for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced for other in tie.params
     ]
-    names = dict.fromkeys((*rivals, *values, *hidden))
+    names = dict.fromkeys((*rivals, *selection.rotor_ties.get(name, ()), *values, *hidden))
     return [other for other in names if cause_name(other) != cause_name(name)]

@@ -31,13 +31,18 @@ class Uncertainty:
     tolerance: Array  # Covariance from the uncertainty of the deviations within the tolerances, (P, P)
     num_blocks: int  # Number B of blocks
     num_flights: int  # Number F of flights
+    between_sets: Array | None = None  # Variance from unproven effects that may act beside these, (P,); None: none
 
     @property
     def half_width(self) -> Array:
-        """Return half the 95 % interval, (P,): scatter of blocks, or flights if larger, with its t quantile, and tolerances."""
+        """Return half the 95 % interval, (P,), from scatter with its t quantile, tolerances, and unproven effects.
+
+        Scatter is that of blocks, or of flights if larger.
+        """
         whole = None if self.flights is None else np.diag(self.flights)
         scatter = half_width_of_scatter(np.diag(self.blocks), self.num_blocks, whole, self.num_flights)
-        return np.hypot(scatter, NORMAL_95 * np.sqrt(np.diag(self.tolerance)))
+        unknown = np.diag(self.tolerance) + (0.0 if self.between_sets is None else self.between_sets)
+        return np.hypot(scatter, NORMAL_95 * np.sqrt(unknown))
 
     @property
     def std(self) -> Array:

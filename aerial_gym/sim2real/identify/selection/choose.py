@@ -4,7 +4,7 @@ Every named effect must be supported despite the scatter between flights, and mu
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -15,19 +15,14 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import (
-    is_of_one_rotor,
-    law_relatives,
-    neutral_params,
-    observable_candidates,
-)
+from aerial_gym.sim2real.identify.candidates.library import law_relatives, neutral_params, observable_candidates
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     OF_FLIGHTS,
     NuisanceColumns,
     gradient_functions,
     structure_functions,
 )
-from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, set_label
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.evidence.guard import linearise_about_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, parameter_row, parameter_scales
@@ -36,6 +31,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView, occam_window
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_NAMING_ODDS, Criteria
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
+from aerial_gym.sim2real.identify.selection.rotor_search import PossibleEffect, RotorSearch, effect_odds, is_proven
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import KINEMATIC
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -62,6 +58,8 @@ class MostProbableSet:
     weights: Weighting
     tolerated: Array  # Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)
     in_part: tuple[ParameterRival, ...] = ()  # Rival effects in place of single parameters of the named effects
+    rotor_ties: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Rivals on one rotor, by the named effect
+    possible: tuple[PossibleEffect, ...] = ()  # Effects beside the named ones that flights neither prove nor exclude
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -159,13 +157,15 @@ class _Chooser:
         fits = sorted(known, key=lambda one: -one.log_posterior)
         present = best_special_case(view.present, fits, occam_window(view.present))
         surrogates = self.surrogate_effects(present, view.fitter)
-        named, unsure = self.set_of_certain_effects(present, surrogates, fits, view.fitter)
-        if rotor_sets := sets_on_other_rotors(fits, present, unsure):
-            other, doubts = self.set_of_certain_effects(rotor_sets[0], surrogates, fits, view.fitter)
-            if other.log_posterior > named.log_posterior:
-                named, unsure = other, doubts
+        bare = self.best_set_without_structures(present, surrogates, fits, view.fitter)
+        named, unsure = self.drop_unproven(view.fitter.set_for_robot_file(bare), present, view.fitter)
+        search = RotorSearch(view, frozenset(present.effects).difference(surrogates))
+        named = search.best_set(named)
+        unsure = {name: odds for name, odds in unsure.items() if name not in named.effects}
         named, blind = self.drop_unidentified(named, view.fitter)
         named, immaterial, without = self.drop_immaterial(named, view.fitter)
+        possible = search.possible_additions(named) if named.effects else ()
+        unsure |= {one.name: one.log_odds for one in possible if one.log_odds > 0.0 and one.name not in unsure}
         supports = present.support if fits[0].is_supported else fits[0].support | present.support
         refused = {
             name: Finding("flights_disagree", name, {"log_odds": one.log_odds}) for name, one in supports.items()
@@ -192,14 +192,9 @@ class _Chooser:
             weights=view.fitter.weights,
             tolerated=self.tolerated,
             in_part=rivals_of_parameters(view.fitter, present, named.effects, self.names),
+            rotor_ties=search.ties(named),
+            possible=possible,
         )
-
-    def set_of_certain_effects(
-        self, present: EffectSetFit, gone: Collection[str], fits: Sequence[EffectSetFit], fitter: Fitter
-    ) -> tuple[EffectSetFit, dict[str, float]]:
-        """Return the set for a robot file without unproven effects and ``gone``, and the log odds of the unproven ones."""
-        bare = self.best_set_without_structures(present, gone, fits, fitter)
-        return self.drop_unproven(fitter.set_for_robot_file(bare), present, fitter)
 
     def best_set_without_structures(
         self, present: EffectSetFit, gone: Collection[str], fits: Sequence[EffectSetFit], fitter: Fitter
@@ -216,23 +211,9 @@ class _Chooser:
     def drop_unproven(
         self, fitted: EffectSetFit, present: EffectSetFit, fitter: Fitter
     ) -> tuple[EffectSetFit, dict[str, float]]:
-        """Return the set of effects whose log odds exceed ``LEAST_NAMING_ODDS``, and the log odds of the removed ones.
-
-        The larger of the odds in this and in the most probable
-        set counts: without structures, their part of the residual looks like scatter between flights.
-        """
-
-        def effect_odds(one: EffectSetFit) -> dict[str, float]:
-            results = {name: support.log_odds_with_overdispersion for name, support in one.support.items()}
-            for name in results.keys() & present.support.keys():
-                if set_label([(name, one.params.effects[name])], ())[0] in present.label:  # the same rotor
-                    results[name] = max(results[name], present.support[name].log_odds_with_overdispersion)
-            return results
-
-        left = fitter.drop_unsupported(
-            fitted, lambda one: one.is_supported and min(effect_odds(one).values(), default=np.inf) > LEAST_NAMING_ODDS
-        )
-        return left, {name: odds for name, odds in effect_odds(fitted).items() if name not in left.effects}
+        """Return the set of effects whose log odds exceed ``LEAST_NAMING_ODDS``, and the log odds of the removed ones."""
+        left = fitter.drop_unsupported(fitted, lambda one: is_proven(one, present))
+        return left, {name: odds for name, odds in effect_odds(fitted, present).items() if name not in left.effects}
 
     def drop_unidentified(self, fitted: EffectSetFit, fitter: Fitter) -> tuple[EffectSetFit, list[str]]:
         """Return a set without the effects of which flights determine no parameter, which would be neutral, and these."""
@@ -326,24 +307,6 @@ class _Chooser:
             if special.chdtrc(count, max(2.0 * gain, 0.0)) < Criteria().significance and share > STEADY:
                 results[name] = kind
         return results
-
-
-def sets_on_other_rotors(
-    fits: Iterable[EffectSetFit], present: EffectSetFit, unsure: Collection[str]
-) -> list[EffectSetFit]:
-    """Return the supported sets in which an ``unsure`` effect of one rotor acts on another one and is proven there.
-
-    Flights that disagree on one rotor may agree on another, whose set is less probable by noise alone.
-    """
-    names = [name for name in unsure if is_of_one_rotor(name)]
-
-    def is_proven_elsewhere(one: EffectSetFit, name: str) -> bool:
-        if name not in one.effects or name not in present.effects:
-            return False
-        moved = one.params.effects[name][0] != present.params.effects[name][0]
-        return moved and one.support[name].log_odds_with_overdispersion > LEAST_NAMING_ODDS
-
-    return [one for one in fits if one.is_supported and any(is_proven_elsewhere(one, name) for name in names)]
 
 
 def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float) -> EffectSetFit:

@@ -20,6 +20,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 from aerial_gym.sim2real.identify.selection.candidate_view import occam_window
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE, Criteria
+from aerial_gym.sim2real.identify.selection.rotor_search import variance_between_sets
 from aerial_gym.sim2real.identify.selection.value_ties import ValueTie, find_value_ties
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -174,7 +175,11 @@ class FinalFit:
         fit = linearise_at_params(self.predictor, effects, params, self.tolerance, offsets=self.offsets)
         fit = replace(fit, frozen=frozen)
         by_flight = replace(fit, moments=fit.moments.sum_by_label(fit.moments.flight))  # suffices from here on
-        return by_flight, uncertainty(fit, self.chosen.weights.weight)
+        spread = uncertainty(fit, self.chosen.weights.weight)
+        named, possible, scale = self.chosen.named, self.chosen.possible, parameter_scales(fit.effects)
+        owners = [fit.parameter_owners[k] for k in spread.columns.tolist()]
+        variances = [variance_between_sets(named, possible, *owner) for owner in owners]
+        return by_flight, replace(spread, between_sets=np.array(variances) / scale[spread.columns] ** 2)
 
     def fit_determined(self) -> tuple[MostProbableSet, ModelFit, Uncertainty]:
         """Return the choice with undetermined parameters at neutral, the fit of its effects, and the uncertainty."""

@@ -396,6 +396,14 @@ def test_a_payload_is_tied_with_a_slung_load_that_the_logs_cannot_show() -> None
     assert verdict.names_of_ties("com_offset", offset) == []
 
 
+def test_rotors_that_flights_do_not_distinguish_are_ties_of_the_named_one() -> None:
+    fitted = make_fit("weak_motor", params={"weak_motor": (1.0, 0.9)})
+    selection = make_selection(make_choice(fitted, rotor_ties={"weak_motor": ("weak_motor 3", "motor_tilt 2")}))
+    ties = {"weak_motor": verdict.names_of_ties("weak_motor", selection)}
+    assert ties == {"weak_motor": ["weak_motor 3", "motor_tilt 2"]}
+    assert verdict_decision(ties, (), floor_known=True).kind == "ambiguous"
+
+
 def test_without_torques_a_thrust_is_tied_with_that_of_one_rotor() -> None:
     """Forces show the sum of the thrusts alone."""
     reasons = {name: Finding("torques_not_compared", name) for name in ("weak_motor", "arm_length", "com_offset")}
