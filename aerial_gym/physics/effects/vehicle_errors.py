@@ -208,6 +208,15 @@ class InertiaError(VehicleEffect):
         return replace(vehicle, inertia=stretch.unsqueeze(-1) * vehicle.inertia * stretch.unsqueeze(-2))
 
 
+def add_products(inertia: Tensor, products: Tensor) -> Tensor:
+    """Return an inertia (E, 3, 3) with products xy, xz, yz (E, 3) added, per root of the product of the two moments."""
+    size = inertia.diagonal(dim1=-2, dim2=-1).sqrt()
+    xy, xz, yz = products.unbind(-1)
+    zero = torch.zeros_like(xy)
+    share = torch.stack((zero, xy, xz, xy, zero, yz, xz, yz, zero), dim=-1).unflatten(-1, (3, 3))
+    return inertia + size.unsqueeze(-1) * share * size.unsqueeze(-2)
+
+
 class ProductsOfInertia(VehicleEffect):
     """Products of inertia: principal axes that are turned from the declared ones.
 
@@ -228,8 +237,4 @@ class ProductsOfInertia(VehicleEffect):
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the products added."""
-        size = vehicle.inertia.diagonal(dim1=-2, dim2=-1).sqrt()
-        xy, xz, yz = params.unbind(-1)
-        zero = torch.zeros_like(xy)
-        share = torch.stack((zero, xy, xz, xy, zero, yz, xz, yz, zero), dim=-1).unflatten(-1, (3, 3))
-        return replace(vehicle, inertia=vehicle.inertia + size.unsqueeze(-1) * share * size.unsqueeze(-2))
+        return replace(vehicle, inertia=add_products(vehicle.inertia, params))

@@ -11,10 +11,11 @@ from scipy.stats import chi2
 
 from aerial_gym.config.robot import RobotCfg, Vec3
 from aerial_gym.config.rotor import RotorCfg
+from aerial_gym.physics.effects.vehicle_errors import add_products
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.tolerances import STRAINED, Tolerances, split_deviations
 
-OF_VEHICLE = ("mass", "thrust", "inertia", "com", "imu_place", "time_constant", "nominal_voltage")
+OF_VEHICLE = ("mass", "thrust", "inertia", "products", "com", "imu_place", "time_constant", "nominal_voltage")
 """Tolerances of values in a robot file; all others are of the log or its other sensor errors."""
 
 PLACES = ("com", "imu_place")  # Vectors whose direction is arbitrary
@@ -48,7 +49,9 @@ def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source:
     off = {name: part.numpy() for name, part in split_deviations(torch.from_numpy(deviation)).items()}
     body, slower = robot.body, 1.0 + tolerances.time_constant * float(off["time_constant"][0])
     stretch = np.sqrt(np.maximum(1.0 + tolerances.inertia * off["inertia"], 0.01))
-    inertia = _limit_principal_moments(stretch[:, None] * np.array(body.inertia, dtype=np.float64) * stretch)
+    moments = torch.from_numpy(stretch[:, None] * np.array(body.inertia, dtype=np.float64) * stretch)[None]
+    products = torch.from_numpy(tolerances.products * off["products"])[None]
+    inertia = _limit_principal_moments(add_products(moments, products)[0].numpy())
     body = replace(
         body, mass=_round_value(body.mass * (1.0 + tolerances.mass * float(off["mass"][0]))),
         inertia=tuple(tuple(_round_value(value) for value in row) for row in inertia.tolist()),

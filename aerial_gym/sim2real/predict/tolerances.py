@@ -17,6 +17,7 @@ from torch import Tensor
 from aerial_gym.config.checks import require_not_negative, require_positive
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
+from aerial_gym.physics.effects.vehicle_errors import add_products
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import LATE_S
@@ -31,6 +32,7 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     "sensor_delay": ("rotors", "acc", "gyro", "attitude", "velocity"),
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
     **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest", "command_clock"), ("",)),
+    "products": ("xy", "xz", "yz"),
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
@@ -45,6 +47,7 @@ class Tolerances:
     mass: float = 0.003  # Relative; by a kitchen scale, with battery
     thrust: float = 0.004  # Relative, independent per rotor; thrust and drag torque of propellers of one type
     inertia: float = 0.02  # Relative, independent per axis; by a swing test or computed from parts
+    products: float = 0.005  # Products of inertia per root of their two moments; principal axes within half a degree
     time_constant: float = 0.03  # Relative, common to all rotors; by a step on a test stand
     com: float = 0.0003  # Per axis [m]; by balancing
     acc_bias: float = 0.02  # Accelerometer bias per axis [m/s²]
@@ -95,17 +98,18 @@ def tolerances_after_move(tolerances: Tolerances, notes: Iterable[Finding]) -> T
 
 
 def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
-    """Return the vehicle with a deviation (N,) in standard deviations; the inertia ``S J S`` with ``S = sqrt(1 + d)``."""
+    """Return the vehicle with a deviation (N,) in standard deviations: inertia ``S J S``, S = sqrt(1 + d), plus products."""
     off = split_deviations(deviation)
     factor = (1.0 + tolerances.thrust * off["thrust"]).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * off["inertia"]).clamp_min(0.01).sqrt()
+    products = (tolerances.products * off["products"]).expand(len(vehicle.mass), 3)
     slower = 1.0 + tolerances.time_constant * off["time_constant"]
     battery = vehicle.battery.clone()
     battery[:, 0] *= 1.0 + tolerances.nominal_voltage * off["nominal_voltage"]
     return replace(
         vehicle.with_scaled_maps(thrust=factor, torque=factor),
         mass=vehicle.mass * (1.0 + tolerances.mass * off["mass"]),
-        inertia=vehicle.inertia * stretch.unsqueeze(-1) * stretch,
+        inertia=add_products(vehicle.inertia * stretch.unsqueeze(-1) * stretch, products),
         com=vehicle.com + tolerances.com * off["com"],
         time_constant_up=vehicle.time_constant_up * slower,
         time_constant_down=vehicle.time_constant_down * slower,
