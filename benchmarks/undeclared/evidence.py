@@ -101,9 +101,12 @@ class FlightStates:
         force = ((slope[:, VEL] + np.array([0.0, 0.0, GRAVITY]))[:, None] @ rotation_matrices(state))[:, 0]
         force = force - cross_matrix(slope[:, RATE]) @ vehicle.com - (turn @ turn) @ vehicle.com
         imu, bias = Rotation.from_euler("xyz", extra.imu_turn).as_matrix(), np.asarray(extra.imu_bias)
-        gyro = state[:, RATE] @ imu + bias[3:] - state[:, RATE]
+        tracked = Rotation.from_euler("xyz", extra.tracked_turn).as_matrix()
+        gyro = state[:, RATE] @ imu + bias[3:] - state[:, RATE] @ tracked
         speeds = extra.rotor_reading * own.reshape(-1, 4)
-        return np.hstack((force @ imu + bias[:3], force, slope[:, RATE] @ imu, gyro, speeds)).reshape(*shape, 16)
+        return np.hstack((force @ imu + bias[:3], force @ tracked, slope[:, RATE] @ imu, gyro, speeds)).reshape(
+            *shape, 16
+        )
 
 
 def evidence_over_rivals(

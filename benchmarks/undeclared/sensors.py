@@ -143,6 +143,8 @@ class PlantSensors:
     ) -> None:
         self._bias = replace(bias, acc=bias.acc + extra.imu_bias[:3], gyro=bias.gyro + extra.imu_bias[3:])
         self._aligned = Rotation.from_rotvec(bias.attitude).as_matrix()
+        if any(extra.tracked_turn):
+            self._aligned = self._aligned @ Rotation.from_euler("xyz", extra.tracked_turn).as_matrix()
         self._turn = Rotation.from_euler("xyz", extra.imu_turn).as_matrix() if any(extra.imu_turn) else None
         self._rotor_reading = extra.rotor_reading
         scale = (noise.position, noise.velocity, noise.attitude, noise.gyro, noise.acc)

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from aerial_gym.physics.effects.catalog import EFFECTS
     from aerial_gym.physics.effects.condition import Condition
     from aerial_gym.physics.effects.kinds import (
+        AttitudeSensorEffect,
         CommandEffect,
         DelayEffect,
         FluidEffect,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EFFECTS",
+    "AttitudeSensorEffect",
     "CommandEffect",
     "Condition",
     "DelayEffect",

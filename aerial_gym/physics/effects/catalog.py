@@ -62,6 +62,7 @@ for _name, _place in (
     ("imu_misalignment", "sensor_errors:ImuMisalignment"),
     ("rotor_speed_scale", "sensor_errors:RotorSpeedScale"),
     ("blade_element", "blade_element:BladeElement"),
+    ("attitude_bias", "sensor_errors:AttitudeBias"),
     ("vortex_ring", "rotor_flow:VortexRing"),
 ):
     _home = ImportPath(f"aerial_gym.physics.effects.{_place}")

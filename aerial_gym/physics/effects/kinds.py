@@ -136,6 +136,17 @@ class RotorSensorEffect(Effect):
         """Return the true rotor speeds [rad/s], (E, R), for the measured ones: the inverse of ``measure``."""
 
 
+class AttitudeSensorEffect(Effect):
+    """An error of the logged attitude; it does not change the motion, and the simulator's attitude has none."""
+
+    acts_on = "sensor"
+    rotors = ANY_ROTOR
+
+    @abstractmethod
+    def turn(self, params: Tensor) -> Tensor:
+        """Return roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (E, 3)."""
+
+
 class FluidEffect(Effect):
     """Fluid that moves with the body (added mass).
 

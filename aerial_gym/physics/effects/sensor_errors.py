@@ -1,4 +1,4 @@
-"""Errors of the inertial sensors and of the rotor speed sensors.
+"""Errors of the inertial sensors, of the logged attitude and of the rotor speed sensors.
 
 Frames: body is x forward, y left, z up. Letters: E environments, P parameters of an effect.
 """
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
 from aerial_gym.physics.effects.base import Parameter
-from aerial_gym.physics.effects.kinds import ImuEffect, RotorSensorEffect
+from aerial_gym.physics.effects.kinds import AttitudeSensorEffect, ImuEffect, RotorSensorEffect
 
 
 class ImuBias(ImuEffect):
@@ -56,6 +56,31 @@ class ImuMisalignment(ImuEffect):
         """Return both in the axes of the sensors."""
         turn = quat_from_euler(params).expand(*specific_force.shape[:-1], 4)
         return quat_rotate_inverse(turn, specific_force), quat_rotate_inverse(turn, ang_vel)
+
+
+class AttitudeBias(AttitudeSensorEffect):
+    """Attitude bias: a logged attitude of axes that are turned against the body, as of a tracked body defined by eye.
+
+    ``q_logged = q turn``, with the turn as of ``imu_misalignment``: R turns the logged axes into body axes. The inertial
+    sensors keep the axes of the rotors, so that only comparisons with attitude and velocity change.
+    Source: Derived: two frames on a rigid body differ by a constant rotation.
+    """
+
+    name = "attitude_bias"
+    summary = "a logged attitude whose axes are turned against the body"
+    parameters = tuple(
+        Parameter(name, "rad", -0.8, 0.8, 0.02, f"turn about {axis}")
+        for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
+    )
+    excitation = (
+        "inertial sensors beside attitude and velocity; thrust for roll and pitch, sideways force or turns for yaw"
+    )
+    confused_with = ("imu_misalignment", "imu_bias", "constant_wind")
+    steady = True
+
+    def turn(self, params: Tensor) -> Tensor:
+        """Return the parameters."""
+        return params
 
 
 WIDTH = 24  # Numbers per environment: offset and matrix columns, 4 x 3, of specific force, then of angular velocity

@@ -25,7 +25,7 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
+from aerial_gym.physics.effects import AttitudeSensorEffect, CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
 from aerial_gym.physics.memory import Memory, make_memory, replace_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.rotor_lag import LinearRotorSpeeds
@@ -281,6 +281,9 @@ class WindowBatch:
         """Return the measured state ``step`` steps after each start."""
         rows = self._row + step * self._stride
         state = {name: self._rows_of_quantity(name, rows) for name in ("position", "attitude", "lin_vel", "ang_vel")}
+        for effect, params in self._model.effects[AttitudeSensorEffect]:
+            back = quat_conjugate(quat_from_euler(effect.turn(params)))
+            state["attitude"] = quat_multiply(state["attitude"], back)
         return BodyState(**state, rotor_speed=self._rotor_speed_rows(rows))
 
     def _rotor_speed_rows(self, rows: Indices) -> Tensor:

@@ -371,6 +371,13 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "rotor_speed_scale": _ratio_template(
         "The logged rotor speeds read", "too high", "too low", "against the true ones"
     ),
+    "attitude_bias": _change_template(
+        "The axes of the logged attitude are {}",
+        "The axes of the logged attitude are turned against the body, but about no axis for certain",
+        MOUNT_WORDS,
+        "°",
+        degrees(1.0),
+    ),
     "blade_element": _coefficient_template("Blade-element theory acts with a share of", {"share": "of 1"}, ""),
     "vortex_ring": _coefficient_template("Thrust is lost in fast descent, by a coefficient of", {"k": ""}, ""),
 }

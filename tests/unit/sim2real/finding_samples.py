@@ -56,6 +56,7 @@ EFFECT_SAMPLES = [
     effect("imu_misalignment", roll=(0.02, 0.0, 0.002), pitch=(-0.01, 0.0, 0.002), yaw=(0.0, 0.0, 0.002)),
     effect("command_curve", offset=(0.24, 0.0, 0.01), gain=(0.79, 1.0, 0.01), power=(0.71, 1.0, 0.02)),
     effect("rotor_drag", dx=(0.12, 0.0, 0.02), dy=(0.1, 0.0, 0.02), dz=(0.05, 0.0, 0.02)),
+    effect("attitude_bias", roll=(0.02, 0.0, 0.002), pitch=(-0.01, 0.0, 0.002), yaw=(0.0, 0.0, 0.002)),
     effect("rotor_drag", dx=(0.12, 0.1, 0.02), dy=(0.1, 0.1, 0.02)),
     effect("quadratic_drag", dx=(0.012, 0.0, 0.002), dy=(0.01, 0.0, 0.002)),
     effect("quadratic_drag_of_axes", dx=(0.012, 0.0, 0.002)),

@@ -7,7 +7,7 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import Effect, ImuEffect, VehicleEffect, WindEffect
+from aerial_gym.physics.effects import AttitudeSensorEffect, Effect, ImuEffect, VehicleEffect, WindEffect
 from aerial_gym.physics.effects.rotor_failures import nominal_lag
 from aerial_gym.physics.model import check_effect_on_joints, check_effect_on_rotors
 from aerial_gym.sim2real.arrays import Array
@@ -24,7 +24,9 @@ def finding_on_untestable_effect(
 ) -> Finding | None:
     """Return a finding on the reason why robot file or logs cannot show an effect; None if they can."""
     effect, flights = EFFECTS.get(name), [*train, *test]
-    if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
+    if isinstance(effect, ImuEffect | AttitudeSensorEffect) and not any(
+        flight.accelerometer or flight.gyro for flight in train
+    ):
         return Finding("no_inertial_sensor", name)
     by_torques = effect.told_by_torques or any(parameter.kind == "rotor" for parameter in effect.parameters)
     if by_torques and not all(flight.gyro for flight in flights):

@@ -15,6 +15,7 @@ from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_multiply, 
 from aerial_gym.physics import BodyState, Vehicle, accelerations, build_model, condition_in
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import (
+    AttitudeSensorEffect,
     Condition,
     ImuEffect,
     LoadEffect,
@@ -140,7 +141,9 @@ class FlightBatch:
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
             speeds = self._replay.speeds(model, off.command_shift, sensors)
         logged = sensor_errors(self.tolerances, deviation)
-        logged = replace(logged, imu_place=logged.imu_place + self._accelerometer)
+        turns = [effect.turn(params)[0] for effect, params in model.effects[AttitudeSensorEffect]]
+        turn = sum(turns, logged.attitude)
+        logged = replace(logged, imu_place=logged.imu_place + self._accelerometer, attitude=turn)
         return _ModelQuery(model=model, deviation=deviation, joint_start=off.joint_start, logged=logged, speeds=speeds)
 
     def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:

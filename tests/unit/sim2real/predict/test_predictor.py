@@ -473,6 +473,22 @@ def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: P
     np.testing.assert_allclose(rotate_ring[:, places], as_seen, atol=2e-3)
 
 
+def test_an_attitude_bias_is_turned_back_in_rows_and_rollouts(tmp_path: Path) -> None:
+    """A log whose attitude is turned by 0.05 and -0.03 rad leaves what the aligned one does in every channel and rollout."""
+    turn = Rotation.from_euler("xyz", [0.0, 0.05, -0.03])  # log to body axes
+    aligned, off = turn_attitude(flight(3, drag=0.2), turn, tmp_path)
+    drag = {"rotor_drag": np.full(3, 0.2)}
+    right, wrong = (
+        ModelParams(effects=drag),
+        ModelParams(effects={**drag, "attitude_bias": np.array([0.0, 0.05, -0.03])}),
+    )
+    assert np.abs(residual(off, right) - residual(aligned, right)).max() > 0.3
+    np.testing.assert_allclose(residual(off, wrong), residual(aligned, right), atol=1e-3)
+    as_was, turned = (roll_out(ROBOT, [one], of, horizons=(0.5,)) for one, of in ((aligned, right), (off, wrong)))
+    np.testing.assert_allclose(turned.attitude, as_was.attitude, atol=1e-6)
+    np.testing.assert_allclose(turned.velocity, as_was.velocity, atol=1e-6)
+
+
 @pytest.mark.parametrize("params", [
     {"rotor_drag": np.array([0.5, 0.0, 0.0])},
     {"constant_wind": np.array([3.0, -2.0, 1.0]), "quadratic_drag": np.array([0.3, 0.0, 0.1])},
