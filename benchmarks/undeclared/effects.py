@@ -265,6 +265,12 @@ EFFECTS: dict[str, PlantEffect] = {
         ((0.05, 0.08), (0.15, 0.25), (0.4, 0.5)),
         lambda rng, size, _: {"k": rng.choice((-1.0, 1.0)) * size},
     ),
+    "attitude_bias": field_effect(  # rad
+        "tracked_turn", ANGLES, ((0.025, 0.035), (0.05, 0.07), (0.10, 0.14)), _draw_misalignment
+    ),
+    "thrust_voltage": field_effect(  # 0 is neutral
+        "thrust_voltage", {"k": None}, ((0.15, 0.25), (0.4, 0.6), (0.9, 1.1))
+    ),
 }
 
 UNKNOWN: dict[str, PlantEffect] = {

@@ -41,7 +41,7 @@ class FullPlant(Plant):
         self._near = bool(extra.ground or extra.ceiling or extra.ground_law or extra.ceiling_law)
         self._aero = any(
             (extra.h_force, extra.flapping, extra.axial_inflow, extra.translational_lift, extra.thrust_curve)
-        )
+        ) or bool(extra.thrust_voltage)
         self._slung, self._elastic = extra.slung[0] > 0.0, bool(extra.cable)
         joints = [joint for joint in (extra.joint_spring, extra.joint_creep) if joint[0] > 0.0]
         first = CABLE_RATE.stop if self._slung or self._elastic else ROTOR.stop
@@ -59,6 +59,7 @@ class FullPlant(Plant):
         self._index, self._time = index, index / self._surroundings.rate
         self._step_start = self._time
         self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
+        self._thrust_share = ((voltage / NOMINAL_VOLTAGE) ** self._extra.thrust_voltage)[:, None]
 
     def states_at_rest(self, state: Array) -> Array:
         """Return states at rest with the load straight below, and soft arms as the thrust bends them in the long run."""

@@ -24,6 +24,7 @@ class Extra:
     h_force: float = 0.0  # In-plane force per rotor speed and airspeed in the disc [N s²/(m rad)]
     flapping: float = 0.0  # Hub moment per rotor speed and airspeed in the disc [N s²/rad]
     axial_inflow: float = 0.0  # Loss of thrust per rotor speed and airspeed along the axis [N s²/(m rad)]
+    thrust_voltage: float = 0.0  # Exponent of the battery voltage in the thrust at a speed
     thrust_curve: float = 0.0  # Added to the exponent 2 of the rotor speed, about the speed of hover
     translational_lift: float = 0.0  # Thrust of one rotor per squared airspeed in the disc [N s²/m²]
     delay: float = 0.0  # Of the command on its way to the rotors [s]; a multiple of the plant's step

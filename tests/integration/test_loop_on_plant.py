@@ -20,6 +20,7 @@ MORE_EFFECTS = (
     "motor_tilt",
     "rotor_drag", "actuation_delay", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
     "h_force_flapping", "imu_misalignment", "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
+    "attitude_bias", "thrust_voltage",
 )  # fmt: skip
 BRIEF: dict[str, Any] = {"num_train": 3, "num_test": 1, "duration_s": 6.0}  # What runs always: half of the rows
 

@@ -238,6 +238,24 @@ def test_a_thrust_curve_turns_about_hover() -> None:
 
 
 @pytest.mark.parametrize(
+def test_thrust_follows_the_voltage_by_a_power() -> None:
+    """At 81 % of the nominal voltage a power of 1/2 leaves 90 % of the thrust; in a flight the voltage is the logged one."""
+    effect = EFFECTS.get("thrust_voltage")
+    vehicle = replace(
+        vehicle_from_config(asymmetric_robot(), num_envs=2, dtype=F64), battery=torch.full((2, 6), 16.0, dtype=F64)
+    )
+    condition = condition_in(build_model(vehicle, []), random_state(2), torch.zeros(2, 4, dtype=F64))
+    voltage = torch.tensor([16.0, 12.96], dtype=F64)
+    track = RotorSpeedsOfFlight(
+        vehicle=vehicle, rotor_speed=torch.zeros(2, 4), step=0.01, voltage=voltage, begins_on_ground=False
+    )
+    params = torch.cat((torch.full((2, 1), 0.5, dtype=F64), effect.replay(track, torch.tensor([[0.5]]))), dim=-1)
+    lost = torch.tensor([[0.0], [-0.1]], dtype=F64) * condition.rotor_thrust
+    torch.testing.assert_close(effect.thrust(condition, params), lost, rtol=1e-12, atol=1e-12)
+    with pytest.raises(DataError):
+        effect.replay(replace(track, voltage=None), torch.tensor([[0.5]]))
+
+
     ("values", "changes", "expected"), WRENCHES, ids=lambda v: "+".join(v) if isinstance(v, dict) else ""
 )
 def test_wrenches_are_those_by_hand(

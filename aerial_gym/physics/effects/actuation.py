@@ -59,7 +59,38 @@ def voltage_under_load(open_voltage: Tensor, resistance: Tensor, power: Tensor) 
     return 0.5 * (open_voltage + root)
 
 
-class BatterySag(CommandEffect):
+class BatteryEffect(Effect):
+    """An effect of the battery voltage: logged in a flight, by charge and load in the simulator (``BatterySag``)."""
+
+    memory = (0.0, 0.0)  # Charge drawn [A s] and voltage [V]; the latter is written before it is first read
+    drifting = (0,)
+    logged = ("battery",)
+
+    follows = ("voltage",)
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` unless the battery is known."""
+        if robot.battery is None:
+            raise ConfigError(
+                f"effect {self.name}: the robot file must give battery: {{nominal_voltage, full_voltage, empty_voltage, "
+                "internal_resistance, capacity, source}"
+            )
+
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
+        """Return charge at the end and voltage at the start of the substep, (E, 2)."""
+        vehicle, charge, speed = moment.vehicle, values[:, 1], moment.rotor_speed
+        _, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
+        power = (rotor_torque(vehicle, speed) * speed).sum(-1) / efficiency
+        open_voltage = full - (full - empty) * (charge / capacity).clamp_max(1.0)
+        voltage = voltage_under_load(open_voltage, resistance, power)
+        return torch.stack((charge + moment.dt * power / voltage, voltage), dim=-1)
+
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
+        """Return no charge and the voltage, (T, 2)."""
+        return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
+
+
+class BatterySag(BatteryEffect, CommandEffect):
     """Battery sag: voltage falls under load, and with it the rotor speed per command.
 
     A command gives the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that compensates the
@@ -78,35 +109,40 @@ class BatterySag(CommandEffect):
     excitation = "a long flight, or hard and gentle thrust, with the voltage and commands in the log"
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
     rotors = ("reversible", "slew", "dead_band")
-    follows = ("voltage",)
-    memory = (0.0, 0.0)  # Charge drawn [A s] and voltage [V]; the latter is written before it is first read
-    drifting = (0,)
-    logged = ("battery",)
 
-    def check(self, robot: RobotCfg) -> None:
-        """Raise ``ConfigError`` unless the battery is known."""
-        if robot.battery is None:
-            raise ConfigError(
-                "effect battery_sag: the robot file must give battery: {nominal_voltage, full_voltage, empty_voltage, "
-                "internal_resistance, capacity, source}"
-            )
-
-    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
-        """Return charge at the end and voltage at the start of the substep, (E, 2)."""
-        vehicle, charge, speed = moment.vehicle, values[:, 1], moment.rotor_speed
-        _, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
-        power = (rotor_torque(vehicle, speed) * speed).sum(-1) / efficiency
-        open_voltage = full - (full - empty) * (charge / capacity).clamp_max(1.0)
-        voltage = voltage_under_load(open_voltage, resistance, power)
-        return torch.stack((charge + moment.dt * power / voltage, voltage), dim=-1)
-
-    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commanded speeds times the factor."""
         return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
 
-    def memory_from_voltage(self, voltage: Tensor) -> Tensor:
-        """Return no charge and the voltage, (T, 2)."""
-        return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
+
+class ThrustVoltage(BatteryEffect, RotorEffect):
+    """Thrust at a rotor speed that follows the battery voltage, as speeds that are logged or controlled wrongly do.
+
+    ``T' = T (V / V_nominal)^k`` with the voltage V of ``battery_sag``. A sag of the speed is in measured rotor speeds
+    already; this law is for what they leave.
+    Source: Derived: a power law through the thrust at nominal voltage.
+    """
+
+    name = "thrust_voltage"
+    summary = "thrust at a rotor speed that follows the battery voltage"
+    parameters = (Parameter("k", "-", -3.0, 3.0, 0.2, "exponent of the voltage"),)
+    excitation = "a long flight, or hard and gentle thrust, with the voltage and measured rotor speeds in the log"
+    confused_with = ("thrust_coefficient", "battery_sag", "thrust_curve", "payload_mass")
+    told_by_rotor_speeds = True
+    rotors = ANY_ROTOR
+
+    def replay(self, track: RotorSpeedsOfFlight, params: Tensor) -> Tensor:
+        """Return no charge and the logged voltage in every row, (T, 2)."""
+        if track.voltage is None:
+            raise DataError(f"effect {self.name}: a flight without battery voltage; log it in volts (column vbat)")
+        return self.memory_from_voltage(track.voltage)
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``T ((V / V_nominal)^k - 1)``."""
+        share = (params[:, 2:3] / condition.vehicle.battery[:, :1]).clamp_min(LEAST_VOLTAGE)
+        return condition.rotor_thrust * (share ** params[:, :1] - 1.0)
+
+
+LEAST_VOLTAGE = 0.01  # Least voltage per nominal voltage in the power law
 
 
 class CommandCurveEffect(CommandEffect):

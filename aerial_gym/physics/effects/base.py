@@ -30,6 +30,7 @@ class RotorSpeedsOfFlight:
     vehicle: Vehicle  # With the effects on its parameters applied, one environment
     rotor_speed: Tensor  # True rotor speeds [rad/s], (T, R)
     step: float  # Time between two rows [s]
+    voltage: Tensor | None = None  # Logged battery voltage [V], (T,)
     begins_on_ground: bool  # Whether the vehicle is on the ground in the first row
     settled: float = 1.0  # Initial memory of a flight that begins in the air, per steady value in hover
 

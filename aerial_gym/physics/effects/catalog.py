@@ -30,6 +30,7 @@ for _name, _place in (
     ("brown_out", "rotor_failures:BrownOut"),
     ("actuation_delay", "actuation:ActuationDelay"),
     ("battery_sag", "actuation:BatterySag"),
+    ("thrust_voltage", "actuation:ThrustVoltage"),
     ("command_curve", "actuation:CommandCurveEffect"),
     ("rotor_inertia", "rotor_flow:RotorInertia"),
     ("motor_tilt", "rotor_failures:MotorTilt"),

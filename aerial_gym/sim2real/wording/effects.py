@@ -290,6 +290,9 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "brown_out": _failure_template("follow", "of their commands"),
     "actuation_delay": _value_template("Commands act with a dead time of {delay}{declared}", {"delay": (1e3, "ms")}),
     "battery_sag": _value_template("Rotor speed falls by {gain} for 10 % less battery voltage", {"gain": (10.0, "%")}),
+    "thrust_voltage": _value_template(
+        "At a rotor speed, thrust grows with the battery voltage to the power of {k}", {"k": (1.0, "")}
+    ),
     "rotor_inertia": _value_template(
         "Each rotor has an inertia of {jr} about its axis{declared}", {"jr": (1e6, "mg m²")}
     ),

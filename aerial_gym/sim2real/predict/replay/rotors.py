@@ -168,9 +168,9 @@ def make_flight_track(
 ) -> RotorSpeedsOfFlight:
     """Return the track that drives memory along a flight; arguments as the fields of ``Track``."""
     stands = flight.on_ground is not None and bool(flight.on_ground[0])
-    return RotorSpeedsOfFlight(
-        vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled
-    )
+    voltage = None if flight.battery is None else torch.from_numpy(flight.battery)
+    given = {"vehicle": vehicle, "rotor_speed": rotor_speed, "step": step, "voltage": voltage}
+    return RotorSpeedsOfFlight(**given, begins_on_ground=stands, settled=settled)
 
 
 def replay_memory(
