@@ -48,6 +48,7 @@ class FullPlant(Plant):
         self._joints = [(*joint, slice(first + 4 * k, first + 4 * k + 4)) for k, joint in enumerate(joints)]
         self._prepare_arms()
         self._index, self._time, self._step_start, self._supply = 0, 0.0, 0.0, 1.0
+        self._thrust_share: Array | float = 1.0
         self._command: Array | None = None
         if (extra.ceiling or extra.ceiling_law) and self._surroundings.ceiling is None:
             raise ValueError("ceiling_effect: needs a ceiling in the surroundings")
@@ -58,8 +59,8 @@ class FullPlant(Plant):
         """Start sample ``index`` at a battery voltage [V], (F,)."""
         self._index, self._time = index, index / self._surroundings.rate
         self._step_start = self._time
-        self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
         self._thrust_share = ((voltage / NOMINAL_VOLTAGE) ** self._extra.thrust_voltage)[:, None]
+        self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
 
     def states_at_rest(self, state: Array) -> Array:
         """Return states at rest with the load straight below, and soft arms as the thrust bends them in the long run."""
@@ -227,7 +228,10 @@ class FullPlant(Plant):
             flow = np.hstack((self._speed_through_air(state), state[:, RATE])) @ self._inflow
             along, across = flow[:, :count], flow[:, count:].reshape(-1, count, 3)
             hover = self.vehicle.mass * GRAVITY / count
-            thrust = plain * (plain / hover) ** (0.5 * extra.thrust_curve) - extra.axial_inflow * rotor * along
+            thrust = (
+                self._thrust_share * plain * (plain / hover) ** (0.5 * extra.thrust_curve)
+                - extra.axial_inflow * rotor * along
+            )
             thrust = thrust + extra.translational_lift * (across * across).sum(axis=2)
             wrench = (rotor[:, :, None] * across).reshape(len(state), -1) @ self._side_map
         if self._near:

@@ -53,10 +53,10 @@ class Extra:
     cable: tuple = ()  # Mass [kg], length [m], stiffness [N/m], damping [N s/m], depth of the hook below the centre of mass [m]
     imu_bias: tuple[float, ...] = (0.0,) * 6  # Accelerometer [m/s²] (3), gyro [rad/s] (3), IMU axes
     imu_turn: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Roll, pitch and yaw of the IMU axes in the body [rad]
-    rotor_reading: float = 1.0  # Logged per true rotor speed [-]
     tracked_turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the axes of the logged attitude in the body [rad]."""
 
+    rotor_reading: float = 1.0  # Logged per true rotor speed [-]
     periodic: tuple[float, float] = (0.0, 1.0)  # Amplitude of a force along body x [N], frequency [Hz]
 
     attraction: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0)

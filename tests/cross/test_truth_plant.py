@@ -39,6 +39,10 @@ OTHER_LAWS: dict[str, tuple[dict[str, float], dict[str, dict[str, float]]]] = {
     "quadratic_drag/plate": (
         {"dx": 0.1, "dy": 0.11, "dz": 0.12}, {"quadratic_drag_of_axes": {"dx": 0.1, "dy": 0.11, "dz": 0.12}}
     ),
+    "slung_payload/rod": (
+        {"mass": 0.12, "length": 0.8, "damping": 0.03},
+        {"slung_payload_rod": {"mass": 0.12, "length": 0.8, "damping": 0.03}},
+    ),
     "downwash/jet": ({"force": 1.2, "spread": 0.25}, {"downwash_jet": {"force": 1.2 * 1.5**2, "spread": 0.25}}),
 }  # fmt: skip
 """Laws of the plant that the package has too, with the numbers of both."""
@@ -78,7 +82,7 @@ def test_accelerations_agree(names: tuple[str, ...]) -> None:
     if names == ("joint_spring",):
         state[:, ARMS] += rng.uniform(-0.2, 0.2, (COUNT, 4))
         given["remembered"] = {"joint_spring": tensor(state[:, ARMS])}
-    if names == ("slung_payload",):
+    if names in (("slung_payload",), ("slung_payload/rod",)):
         given["load"] = tensor(np.hstack((state[:, CABLE], state[:, CABLE_RATE])))
     slope = plant.derivative(state, state[:, ROTOR] + rng.uniform(-50.0, 50.0, (COUNT, 4)))
     robot = build(RobotCfg, robot_document(DECLARED, radius=True), where="plant")

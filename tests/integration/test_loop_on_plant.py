@@ -47,6 +47,7 @@ LAWS = {
     "rotor_drag/thrust": "rotor_drag_of_thrust",
     "downwash/jet": "downwash_jet",
     "downwash/top_hat": "downwash_core",
+    "slung_payload/rod": "slung_payload_rod",
 }
 """Laws of the plant, and what the corrected robot file holds in their place."""
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
+from aerial_gym.errors import ConfigError, DataError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics import (
     EFFECTS,
@@ -22,6 +22,7 @@ from aerial_gym.physics import (
     condition_in,
     vehicle_from_config,
 )
+from aerial_gym.physics.effects.base import RotorSpeedsOfFlight
 from aerial_gym.physics.model import Model, check_effects
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import (
@@ -237,7 +238,6 @@ def test_a_thrust_curve_turns_about_hover() -> None:
     torch.testing.assert_close(result, expected, rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize(
 def test_thrust_follows_the_voltage_by_a_power() -> None:
     """At 81 % of the nominal voltage a power of 1/2 leaves 90 % of the thrust; in a flight the voltage is the logged one."""
     effect = EFFECTS.get("thrust_voltage")
@@ -256,6 +256,7 @@ def test_thrust_follows_the_voltage_by_a_power() -> None:
         effect.replay(replace(track, voltage=None), torch.tensor([[0.5]]))
 
 
+@pytest.mark.parametrize(
     ("values", "changes", "expected"), WRENCHES, ids=lambda v: "+".join(v) if isinstance(v, dict) else ""
 )
 def test_wrenches_are_those_by_hand(

@@ -23,6 +23,7 @@ from tests.physics.vehicles import (
     BATTERY,
     CEILING,
     F64,
+    ON_RIGID,
     SpeedControl,
     asymmetric_robot,
     make_effects,
@@ -35,7 +36,7 @@ from tests.physics.vehicles import (
 TAU_UP, TAU_DOWN = 0.03, 0.05
 """Of ``asymmetric_robot`` [s]."""
 
-REMEMBERING = [name for name in EFFECTS.names() if EFFECTS.get(name).remembers]
+REMEMBERING = [name for name in ON_RIGID if EFFECTS.get(name).remembers]
 
 
 def make_model(values: dict[str, dict[str, float]], num_envs: int = 1, robot: RobotCfg | None = None, **scene) -> Model:

@@ -20,10 +20,10 @@ from tests.physics.vehicles import F64, asymmetric_robot, random_state
 G = 9.81
 
 
-def make_model(robot, num_envs: int, params: list[float], *, gravity: float = G) -> Model:
+def make_model(robot, num_envs: int, params: list[float], *, gravity: float = G, name: str = "slung_payload") -> Model:
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     rows = torch.tensor(params, dtype=F64).expand(num_envs, -1)
-    return build_model(vehicle, [(EFFECTS.get("slung_payload"), rows)], gravity=gravity)
+    return build_model(vehicle, [(EFFECTS.get(name), rows)], gravity=gravity)
 
 
 def rest_load(angle: float) -> Tensor:
@@ -58,6 +58,18 @@ def test_small_swings_have_the_frequency_of_both_masses(mass: float, length: flo
         span = share * 2.0 * pi / frequency
         _, end = fly_load(model, hover_state(model), rest_load(1e-4), span, 100)
         assert abs(end[0, 0].item() / 1e-4 - cos(2.0 * pi * share)) < 1e-6
+
+
+def test_a_rod_swings_like_a_physical_pendulum() -> None:
+    """A uniform rod has the inertia m l² / 3 about its joint: w² = 3 g / 2 l (M + m) / (M + m / 4) below a free vehicle."""
+    mass, length = 0.4, 1.2
+    model = make_model(ROBOTS.get("tinyprop"), 1, [mass, length, 0.0], name="slung_payload_rod")
+    frequency = sqrt(1.5 * G / length * (0.373 + mass) / (0.373 + 0.25 * mass))
+    for share in (0.25, 0.4, 1.0):
+        span = share * 2.0 * pi / frequency
+        end, load = fly_load(model, hover_state(model), rest_load(1e-4), span, 100)
+        assert abs(load[0, 0].item() / 1e-4 - cos(2.0 * pi * share)) < 1e-6
+        assert abs(end.position[0, 2].item()) < 1e-6  # the rotors carry the weight of both
 
 
 def test_a_still_payload_weighs_on_the_vehicle_like_its_mass() -> None:
@@ -131,9 +143,12 @@ def test_a_single_state_does_not_tell_the_force() -> None:
 LOAD, LENGTH = 0.05, 0.5
 
 
-def make(backend: str, *, num_envs: int = 3, differentiable: bool = False, **drawn: RandomizeCfg) -> EnvManager:
+def make(
+    backend: str, *, num_envs: int = 3, differentiable: bool = False, law: str = "slung_payload", **drawn: RandomizeCfg
+) -> EnvManager:
+    robot, sim = ROBOTS.get("base_quadrotor_with_payload"), SIMS.get("base_sim_2ms")
     env = simulation(
-        "base_quadrotor_with_payload", sim=replace(SIMS.get("base_sim_2ms"), backend=backend, integrator="rk4"),
+        replace(robot, effects={law: robot.effects["slung_payload"]}), sim=replace(sim, backend=backend, integrator="rk4"),
         env="empty_env_2ms", num_envs=num_envs, seed=2,
         randomize={f"effects.slung_payload.{name}": each for name, each in drawn.items()},
         differentiable=differentiable,
@@ -198,10 +213,11 @@ def test_a_reset_hangs_new_loads_in_the_rows_of_the_mask_alone(backend: str) -> 
     torch.testing.assert_close(away[mask], torch.stack((0.0 * new, 0.0 * new, -new), dim=-1)[mask])
 
 
-def test_both_backends_and_one_with_gradients_show_the_same_load() -> None:
+@pytest.mark.parametrize("law", ["slung_payload", "slung_payload_rod"])
+def test_both_backends_and_one_with_gradients_show_the_same_load(law: str) -> None:
     ends = []
     for backend, differentiable in (("torch", False), ("warp", False), ("torch", True)):
-        env = make(backend, differentiable=differentiable)
+        env = make(backend, differentiable=differentiable, law=law)
         for _ in range(40):
             env.step(torch.tensor([[0.7, 0.7, 0.8, 0.8]]).expand(3, -1))
         ends.append(torch.cat((env.gtd["load_position"], env.gtd["load_linvel"]), dim=-1))

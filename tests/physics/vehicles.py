@@ -21,8 +21,9 @@ BATTERY = BatteryCfg(
     efficiency=0.6, source="test",
 )  # fmt: skip
 
-ON_RIGID = tuple(name for name in EFFECTS.names() if EFFECTS.get(name).on_rigid)
-"""Every effect but those on links, which only a vehicle with joints has."""
+SECOND_LOADS = {name for name in EFFECTS.names() if EFFECTS.get(name).in_place and EFFECTS.get(name).single}
+ON_RIGID = tuple(name for name in EFFECTS.names() if EFFECTS.get(name).on_rigid and name not in SECOND_LOADS)
+"""Every effect but those on links, which only a vehicle with joints has, and other laws of a load, of which it has one."""
 
 CEILING = 9.0
 """Height for effects near a ceiling [m]; above random states lifted by 4 m."""

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
-from aerial_gym.physics.effects.kinds import CommandEffect, DelayEffect
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics.effects.base import ANY_ROTOR, Effect, Parameter, RotorSpeedsOfFlight, SubstepStart
+from aerial_gym.physics.effects.condition import Condition
+from aerial_gym.physics.effects.kinds import CommandEffect, DelayEffect, RotorEffect
 from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, rotor_state_for_thrust
 
@@ -65,8 +66,8 @@ class BatteryEffect(Effect):
     memory = (0.0, 0.0)  # Charge drawn [A s] and voltage [V]; the latter is written before it is first read
     drifting = (0,)
     logged = ("battery",)
-
     follows = ("voltage",)
+
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the battery is known."""
         if robot.battery is None:
@@ -84,7 +85,6 @@ class BatteryEffect(Effect):
         voltage = voltage_under_load(open_voltage, resistance, power)
         return torch.stack((charge + moment.dt * power / voltage, voltage), dim=-1)
 
-    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
     def memory_from_voltage(self, voltage: Tensor) -> Tensor:
         """Return no charge and the voltage, (T, 2)."""
         return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
@@ -110,6 +110,7 @@ class BatterySag(BatteryEffect, CommandEffect):
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
     rotors = ("reversible", "slew", "dead_band")
 
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commanded speeds times the factor."""
         return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
 

@@ -39,6 +39,7 @@ for _name, _place in (
     ("com_offset", "vehicle_errors:ComOffset"),
     ("payload_mass", "vehicle_errors:PayloadMass"),
     ("slung_payload", "slung_payload:SlungPayload"),
+    ("slung_payload_rod", "slung_payload:RodPayload"),
     ("inertia_error", "vehicle_errors:InertiaError"),
     ("products_of_inertia", "vehicle_errors:ProductsOfInertia"),
     ("constant_wind", "air_motion:ConstantWind"),
@@ -61,9 +62,9 @@ for _name, _place in (
     ("added_inertia", "water:AddedInertia"),
     ("imu_bias", "sensor_errors:ImuBias"),
     ("imu_misalignment", "sensor_errors:ImuMisalignment"),
+    ("attitude_bias", "sensor_errors:AttitudeBias"),
     ("rotor_speed_scale", "sensor_errors:RotorSpeedScale"),
     ("blade_element", "blade_element:BladeElement"),
-    ("attitude_bias", "sensor_errors:AttitudeBias"),
     ("vortex_ring", "rotor_flow:VortexRing"),
 ):
     _home = ImportPath(f"aerial_gym.physics.effects.{_place}")

@@ -1,10 +1,12 @@
 """A payload that swings below the vehicle. Letters: E environments."""
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.rows import dot
+from aerial_gym.math.rows import dot, inverse_3x3
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.kinds import LoadEffect, SuspensionMotion
 
@@ -44,6 +46,7 @@ class SlungPayload(LoadEffect):
     )
     excitation = "sideways accelerations, and flights of several swings"
     confused_with = ("payload_mass", "gusts", "com_offset", "thrust_coefficient")
+    law = "point mass on a rigid link"
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
         """Return starts with 5 % of the vehicle's mass on links of several lengths, with strong damping.
@@ -75,3 +78,38 @@ class SlungPayload(LoadEffect):
         across = push - dot(push, direction).unsqueeze(-1) * direction
         swing = across / length - damping / mass.clamp_min(LEAST_MASS) * rate - square * direction
         return tension * direction + reaction, swing
+
+
+class RodPayload(SlungPayload):
+    """Slung payload as a uniform rod that hangs on the body origin, such as a probe or a chain that stays straight.
+
+    A rod of mass m and length l has the mass, moment and inertia about the joint of a mass ``m / 4`` at the joint and ``3 m
+    / 4`` on a link of ``2 l / 3``. The first one gives ``F_0 = (m / 4) (g - a)``, so that the origin without load moves with
+    ``a_0' = B (a_0 + (m / 4) A g)`` and has the mobility ``A' = B A``, ``B = (1 + (m / 4) A)^-1``.
+    Source: Derived: static moments ``m``, ``m l / 2`` and ``m l² / 3`` of the rod (equimomental system).
+    """
+
+    name = "slung_payload_rod"
+    summary = "uniform rod that swings below the body origin"
+    law_of, law, in_place = "slung_payload", "uniform rod", True
+
+    def start_in_place(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the rod that swings like a point mass: its length is 3/2 of the link's, its mass 4/3."""
+        return {**values, "mass": values["mass"] * (4.0 / 3.0), "length": 1.5 * values["length"]}
+
+    def pull(self, suspension: SuspensionMotion, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        """Return F and n''."""
+        mass, length, damping = (params[:, k : k + 1] for k in range(3))
+        still, mobility = 0.25 * mass, suspension.mobility
+        fall = torch.zeros_like(suspension.acceleration)
+        fall = torch.stack((fall[:, 0], fall[:, 1], fall[:, 2] - suspension.gravity), dim=-1)
+        one = torch.diag_embed(torch.ones_like(fall))
+        inverse = inverse_3x3(one + still.unsqueeze(-1) * mobility)
+        loaded = suspension.acceleration + still * dot(mobility, fall.unsqueeze(-2))
+        heavier = SuspensionMotion(
+            acceleration=dot(inverse, loaded.unsqueeze(-2)), mobility=inverse @ mobility, gravity=suspension.gravity
+        )
+        swinging = torch.cat((3.0 * still, length * (2.0 / 3.0), damping), dim=-1)
+        force, swing = super().pull(heavier, load, swinging)
+        moved = heavier.acceleration + dot(heavier.mobility, force.unsqueeze(-2))
+        return force + still * (fall - moved), swing

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
-from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
+from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_log, quat_multiply
 from aerial_gym.physics import (
     EFFECTS,
     INTEGRATORS,

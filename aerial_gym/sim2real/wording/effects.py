@@ -184,7 +184,7 @@ def _value_template(start: str, units: Mapping[str, tuple[float, str]], **clause
                 texts[name] = _value_with_half_width(one, unit)
                 declared += f"; {number_text(one.declared)} {unit} is declared" if one.declared else ""
         ends = [clause for name, clause in clauses.items() if name in texts]
-        return f"{''.join([start, *ends]).format(**texts, declared=declared)}."
+        return f"{''.join([start, *ends]).format(**texts, declared=declared).strip()}."
 
     return sentence
 
@@ -316,6 +316,11 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     ),
     "payload_mass": _payload_mass_sentence,
     "slung_payload": _slung_payload_sentence,
+    "slung_payload_rod": _value_template(
+        "A rod of {mass} swings below the body origin",
+        {"mass": (1e3, "g"), "length": (1.0, "m"), "damping": (1.0, "N s/m")},
+        length=". Its length is {length}",
+    ),
     "inertia_error": _inertia_error_sentence,
     "products_of_inertia": _change_template(
         "Per moment of inertia, products of inertia are {} than declared",
@@ -366,6 +371,13 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
         "°",
         degrees(1.0),
     ),
+    "attitude_bias": _change_template(
+        "The axes of the logged attitude are {}",
+        "The axes of the logged attitude are turned against the body, but about no axis for certain",
+        MOUNT_WORDS,
+        "°",
+        degrees(1.0),
+    ),
     "command_curve": _coefficient_template(
         "The command curve per hover speed has",
         {"offset": "as offset", "gain": "as gain", "power": "as exponent"},
@@ -373,13 +385,6 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     ),
     "rotor_speed_scale": _ratio_template(
         "The logged rotor speeds read", "too high", "too low", "against the true ones"
-    ),
-    "attitude_bias": _change_template(
-        "The axes of the logged attitude are {}",
-        "The axes of the logged attitude are turned against the body, but about no axis for certain",
-        MOUNT_WORDS,
-        "°",
-        degrees(1.0),
     ),
     "blade_element": _coefficient_template("Blade-element theory acts with a share of", {"share": "of 1"}, ""),
     "vortex_ring": _coefficient_template("Thrust is lost in fast descent, by a coefficient of", {"k": ""}, ""),

@@ -191,9 +191,14 @@ def build_library(
 def linearisation_points(
     declared: ModelParams, present: ModelParams, accepted: Sequence[str], skipped: Collection[str], robot: RobotCfg
 ) -> list[tuple[str, ModelParams]]:
-    """Return each candidate with the model of its linearisation, the present one for accepted effects."""
-    candidates = []
-    for name in (name for name in EFFECTS if EFFECTS.get(name).is_candidate_of_selection):
+    """Return each candidate with the model of its linearisation, the present one for accepted effects.
+
+    Laws that are fitted only in place of others are none, and no others of the cause beside an accepted one of them.
+    """
+    candidates, effects = [], {name: EFFECTS.get(name) for name in EFFECTS}
+    in_place = {name for name, effect in effects.items() if effect.in_place}
+    skipped = {*skipped, *in_place, *(law for name in in_place.intersection(accepted) for law in law_relatives(name))}
+    for name in (name for name, effect in effects.items() if effect.is_candidate_of_selection):
         if name in accepted:
             candidates.append((name, present))
         if name in skipped and name not in accepted:

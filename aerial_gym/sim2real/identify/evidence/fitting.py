@@ -344,11 +344,11 @@ class Fitter:
 
     def _start_of_law(self, name: str, old: str, values: Array) -> Array:
         """Return the start of a law in place of an old one with fitted ``values``; neutral if they are of other causes."""
-        start, own = self.neutral_of_effect(name).copy(), EFFECTS.get(name)
-        places = {parameter.name: k for k, parameter in enumerate(EFFECTS.get(old).parameters)}
-        for k, parameter in enumerate(own.parameters):
-            if own.cause == EFFECTS.get(old).cause and parameter.name in places:
-                start[k] = values[places[parameter.name]]
+        start, own, former = self.neutral_of_effect(name).copy(), EFFECTS.get(name), EFFECTS.get(old)
+        if own.cause == former.cause:
+            by_name = {parameter.name: float(value) for parameter, value in zip(former.parameters, values, strict=True)}
+            known = own.start_in_place(by_name)
+            start = np.array([known.get(p.name, value) for p, value in zip(own.parameters, start, strict=True)])
         return start
 
 

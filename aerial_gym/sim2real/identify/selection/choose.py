@@ -179,6 +179,7 @@ class _Chooser:
         refused |= {name: Finding("parameters_unknown", name) for name in blind}
         away = (*named.effects, *surrogates, *immaterial)
         shown = {candidate.name for candidate in observable_candidates(view.library)}
+        shown.update(law for name in present.effects for law in law_relatives(name))
         return MostProbableSet(
             named=named,
             best=present,
