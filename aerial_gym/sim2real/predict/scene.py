@@ -1,6 +1,7 @@
 """The surroundings of a flight: ground, ceiling and another vehicle.
 
-An effect that needs one of them is testable only if every flight has it. Letters: E rows.
+An effect that needs a quantity is testable only if every flight has it. A log without another vehicle states that there is
+none, so one flight with it suffices. Letters: E rows.
 """
 
 from collections.abc import Sequence
@@ -40,7 +41,7 @@ def finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Fl
     """Return a finding on the first quantity that an effect needs and flights lack; None if all are there."""
     for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
-        if without:
+        if without and (need != "other_position" or len(without) == len(flights)):
             return Finding("logs_lack", name, {"flights": flight_names(without, flights), "need": need})
     return None
 

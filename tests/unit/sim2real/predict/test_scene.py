@@ -98,6 +98,8 @@ def test_what_the_logs_do_not_tell_is_said() -> None:
     ceiling, other = (finding_on_absent_data(*need, flights) for need in needs.items())
     assert ceiling == Finding("logs_lack", "ceiling_effect", {"flights": "b", "need": "ceiling_height"})
     assert other == Finding("logs_lack", "downwash", {"flights": "all logs", "need": "other_position"})
+    pair = [*flights, hover("c", 1.0, other_position=np.zeros((400, 3)))]
+    assert finding_on_absent_data("downwash", needs["downwash"], pair) is None  # the others fly alone
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})
     message = "declares ceiling_effect, which these flights cannot show: b: without the height"
     with pytest.raises(DataError, match=message):
