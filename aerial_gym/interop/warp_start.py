@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import cache
 
 import warp as wp
 
@@ -81,6 +82,7 @@ def _message_of_unwritable_cache(folder: str | None, reason: str) -> str:
     return f"{folder}: Warp cannot keep compiled kernels there ({reason.lower()}). {CHOOSE_CACHE}"
 
 
+@cache  # a missing library is searched for in every folder again
 def _has_gpu_driver() -> bool:
     try:
         ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")

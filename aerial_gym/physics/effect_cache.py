@@ -16,7 +16,6 @@ from aerial_gym.physics.effects import Condition
 from aerial_gym.physics.effects.base import RotorSpeedsOfFlight
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-KEPT = 2  # Cached results of each function, the most used first: that of the model around which others vary
 Source = TypeVar("Source", Condition, RotorSpeedsOfFlight)
 
 
@@ -44,7 +43,8 @@ class EffectCache(Generic[Source]):
     """Cached results of effects for rows with constant states."""
 
     def __init__(self) -> None:
-        self._answers: dict[Hashable, list[_CacheEntry]] = {}
+        self._answers: dict[Hashable, _CacheEntry] = {}  # the last result of each function; more take memory
+        self._asked = set[Hashable]()
 
     def ask(
         self, law: Callable[..., Tensor], source: Source, params: Tensor | None = None, *, place: int = 0
@@ -55,16 +55,19 @@ class EffectCache(Generic[Source]):
             params: Parameters followed by memory, (E, P). None evaluates ``law(source)``.
             place: Separates the caches of different sources.
         """
-        kept = self._answers.setdefault((law, place), [])
-        for number, answer in enumerate(kept):
-            if _same(params, answer.params) and _reads_same(answer.read, source):
-                kept.insert(0, kept.pop(number))
-                return answer.value
+        self._asked.add((law, place))
+        kept = self._answers.get((law, place))
+        if kept is not None and _same(params, kept.params) and _reads_same(kept.read, source):
+            return kept.value
         reader = _Reader(source)
         value = law(cast("Source", reader), *(() if params is None else (params,)))
-        kept.insert(1, _CacheEntry(params=params, read=reader.read, value=value))
-        del kept[KEPT:]
+        self._answers[law, place] = _CacheEntry(params=params, read=reader.read, value=value)
         return value
+
+    def drop_unused(self) -> None:
+        """Free the results of functions that were not asked for since the last call."""
+        self._answers = {key: kept for key, kept in self._answers.items() if key in self._asked}
+        self._asked.clear()
 
 
 def _reads_same(read: dict[str, Any], source: object) -> bool:

@@ -22,7 +22,7 @@ from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, resu
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import Flight, FlightInputs, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.memory import give_back_memory
+from aerial_gym.sim2real.memory import give_back_memory, keep_large_arrays_apart
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import uncertainty_ranges
@@ -154,6 +154,7 @@ def judge_flights(
     Raises:
         DataError: If failures leave no training or no test flight.
     """
+    keep_large_arrays_apart()
     if learn_residual:
         check_effect_on_rotors(LearnedResidual, robot.rotor_traits)
     flights, off = [*train, *test], tolerances or Tolerances()

@@ -173,6 +173,7 @@ class Fitter:
         ``frozen`` parameters are fixed. Without a ``rule`` the fit converges.
         """
         beside, effects = self.nuisance_sums(structures), tuple(effects)
+        give_back_memory()
         rule = replace(rule, worth=lambda fit: self._fit_with_evidence(fit, effects, structures).most)
         results, last, more = fit_effects(
             self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, rule=rule

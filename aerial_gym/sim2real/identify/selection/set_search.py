@@ -137,7 +137,7 @@ class SetSearch:
         channels = len(self.predictor.channels)
         new = [one for one in several if one.name not in params.effects]
         linear = [tolerance, *(one.dense_derivatives(channels) for one in new)]
-        empty = [np.empty((*residual.shape, 0)) for residual in self.missed]
+        empty = [np.empty((*residual.shape, 0), dtype=np.float32) for residual in self.missed]
         whole = [one.dense_derivatives(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
         del whole
@@ -172,6 +172,7 @@ class SetSearch:
             here = parameter_row(params, effects)
             params = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * step)
             before, predicted = predicted, predictor.predict(params)
+            predictor.clear_caches()  # of a model with all effects
             correct_derivatives(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
         return weights
 
@@ -323,6 +324,7 @@ class SetSearch:
             make_candidates(library), make_normal_equations(library), starts=[candidates_of_fit(library, present)]
         )
         fits[present.label] = present
+        give_back_memory()
         return CandidateView(
             present=present,
             fits=fits,

@@ -33,7 +33,7 @@ of steps keeps predictions smooth in the parameters."""
 FORCE_STD = 0.1  # Standard deviation of the specific force residual [m/s²] in the initial fit
 START_STD = (0.3, 0.3, 1.0, 1.0)  # Prior of the initial angles [rad] and rates [rad/s] of a moderate swing
 NUDGE = 1e-6  # Finite-difference step of the initial state [rad], [rad/s]
-REMEMBERED = 8  # Number of stored results
+REMEMBERED = 4  # Number of stored results
 
 
 @dataclass(frozen=True, kw_only=True)

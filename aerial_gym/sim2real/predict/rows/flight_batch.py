@@ -109,6 +109,8 @@ class FlightBatch:
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
             rows["rotor_speed"] = self._rotor_speeds_in_band(asked.speeds, float(asked.logged.delays[0]))
+        self._forces.drop_unused()
+        self._memories.drop_unused()
         columns = [column for kind in kinds for column in rows[kind]]
         return [[column[span] for column in columns] for span in self.data.kept_spans]
 
