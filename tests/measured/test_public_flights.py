@@ -96,6 +96,23 @@ def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: P
     assert high[1] == pytest.approx(high[0], rel=0.02)
 
 
+@pytest.mark.slow
+def test_a_wake_is_named_beside_vehicles_that_fly_alone(tmp_path: Path) -> None:
+    """One Crazyflie passes below another (Neural-Swarm). Trained on the first passes and on two flights near the ground, of
+    which neither has another vehicle; measured -38 % of the force along z in the later passes, held to 80 % of that."""
+    for vehicle in ("cf50", "cf51"):
+        log = pd.read_csv(DATA / "neural_swarm" / f"swap_ss_00_{vehicle}.csv")
+        for name, rows in (("first", log["t"] < 14.0), ("later", log["t"] >= 14.0)):
+            log[rows].to_csv(tmp_path / f"{name}_{vehicle}.csv", index=False)
+    train = (tmp_path / "first_cf50.csv", "groundflight_cf50_a", "takeoff_cf52")
+    verdict = verdict_of_loop(
+        "crazyflie_21", "neural_swarm", train, (tmp_path / "later_cf50.csv",), tmp_path / "out", bandwidth=8.0
+    )
+    assert {"downwash", "ground_effect"} <= {effect["name"] for effect in verdict["effects"]}
+    before, after = (verdict[when]["specific_force"]["z"]["rms"] for when in ("before", "after"))
+    assert after < (1.0 - 0.8 * 0.38) * before
+
+
 def without_rotor_speeds(folder: Path, *names: str) -> dict:
     """Return the verdict on a Crazyflie of which duty cycles, accelerometer and gyro are logged (Eschmann et al.,
     sysid.tools): the first halves of the logs train, the second halves test, as means of four rows, 126 Hz."""

@@ -351,6 +351,17 @@ def test_a_command_curve_has_an_idle_speed_and_an_exponent() -> None:
     torch.testing.assert_close(speed, torch.tensor([expected, [0.0, 0.0, 0.0, 2000.0]], dtype=F64))
 
 
+def test_a_start_of_fits_is_near_any_wake() -> None:
+    """On a pass over the middle, one of the starts correlates by 0.91 or more with every width from 3 cm to 1 m."""
+    wake, square = EFFECTS.get("downwash"), torch.linspace(-8.0, 8.0, 4001, dtype=torch.float64).square()
+    widths = torch.tensor(
+        [width for _, width in wake.starts(ROBOTS.get("tinyprop"))] + [0.03 * 1.1**k for k in range(37)]
+    )
+    forces = torch.stack([wake.share(square, square, torch.tensor([[1.0, float(width)]])) for width in widths])
+    forces = forces / forces.norm(dim=1, keepdim=True)
+    assert float((forces[4:] @ forces[:4].T).max(dim=1).values.min()) > 0.91
+
+
 def test_ground_effect_asks_for_the_radius() -> None:
     robot = replace(ROBOTS.get("tinyprop"), effects={"ground_effect": {"k": 1.0}})
     robot = replace(robot, rotor=replace(robot.rotor, radius=None))

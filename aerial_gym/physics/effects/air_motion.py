@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.random import normal_draws, uniform_draws
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
@@ -109,6 +110,11 @@ class Gusts(WindEffect):
         return params[:, 4:]
 
 
+FITTED_WIDTHS = (0.03, 0.1, 0.3, 1.0)
+"""Widths of a wake [m] from which fits start. One of them correlates with any width between by 0.91 or more on a pass over
+the middle: Gauss curves whose widths have the ratio r correlate by ``sqrt(2 r / (1 + r²))``."""
+
+
 class Downwash(WrenchEffect):
     """Downwash: the wake of a vehicle above pushes this one down.
 
@@ -132,6 +138,11 @@ class Downwash(WrenchEffect):
     rotors = ANY_ROTOR
     follows = ("position",)
     needs = ("position", "other_position")
+    shown_by = ("force",)  # Without it the width means nothing
+
+    def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
+        """Return starts without force at several widths: a fit from a wide wake misses a narrow one."""
+        return super().starts(robot) if self.in_place else [(0.0, width) for width in FITTED_WIDTHS]
 
     def share(self, square: Tensor, below: Tensor, params: Tensor) -> Tensor:
         """Return the force as a share of ``force``, (E,), at a squared horizontal distance and a distance below, (E,)."""
