@@ -204,9 +204,10 @@ class ImuReading:
         or None.
         """
         felt, force, torque = self.data.felt_force_kept, accelerations.specific_force, accelerations.ang_acc
+        lever = None
         if logged.imu_place.any():
-            late = self.delays_by_flight(logged)
-            force = force + felt * self._in_band.lever_arm_acceleration(logged.imu_place, late).T
+            lever = felt * self._in_band.lever_arm_acceleration(logged.imu_place, self.delays_by_flight(logged)).T
+            force = force + lever
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_readings_of_model(model)
             force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)
@@ -219,7 +220,7 @@ class ImuReading:
         if velocity != attitude:  # a derived force has the velocity's delay in those axes
             _, jerk, _ = self.data.kinematic_readings()
             force = torch.where(felt, force, force - (velocity - attitude) * jerk)
-        implied = self._read_kinematic_channels(model, logged, turn)
+        implied = self._read_kinematic_channels(model, logged, turn, lever)
         if logged.acc_scale.any():
             # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
@@ -232,10 +233,16 @@ class ImuReading:
             **implied,
         }
 
-    def _read_kinematic_channels(self, model: Model, logged: SensorErrors, turn: Tensor | None) -> dict[str, Columns]:
-        """Return the kinematic channels with sensor errors, cached for all models with equal errors."""
+    def _read_kinematic_channels(
+        self, model: Model, logged: SensorErrors, turn: Tensor | None, lever: Tensor | None
+    ) -> dict[str, Columns]:
+        """Return the kinematic channels with sensor errors, cached for all models with equal errors.
+
+        ``turn``: rotation of the logged attitude, (3, 3); ``lever``: acceleration of the accelerometer's place against the body
+        origin [m/s²], (T, 3). None: without.
+        """
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
-        own = (logged.acc_bias, logged.gyro_bias, logged.delays)
+        own = (logged.acc_bias, logged.gyro_bias, logged.imu_place, logged.delays)
         numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:
@@ -245,6 +252,7 @@ class ImuReading:
                 force = force + (velocity - attitude) * jerk
             if turn is not None:
                 force, rate = times(force, turn.T), times(rate, turn.T)
+            force = force if lever is None else force + lever
             if errs:
                 of_force, of_rate = imu_readings_of_model(model)
                 force, rate = of_force.apply(force), of_rate.apply(rate)
