@@ -1,7 +1,8 @@
 """Delays of the streams behind the inertial sensors, without a model of the vehicle.
 
 The gyro gives the clock of a flight. Attitude and rotors are compared with it, velocity with the accelerometer, position with
-velocity. A late attitude turns gravity late, and so looks like an early horizontal velocity.
+velocity. A late attitude turns gravity late, and so looks like an early horizontal velocity. A late accelerometer reads thrust
+late, and so looks like an early vertical velocity; its lag behind the attitude is fitted beside the delay of the velocity.
 """
 
 from collections.abc import Iterator, Mapping
@@ -122,8 +123,8 @@ def stream_delays(log: FlightLog) -> dict[str, StreamDelay]:
     if attitude is not None:
         results["attitude"] = attitude
         even = replace(even, attitude=_attitude_later(even, attitude.delay if attitude.is_material else 0.0))
-    for name, sensor, measured, motion in _velocity_pairs(even, vertical=attitude is None):
-        if (one := _fit_delay(name, sensor, measured, motion, sample_rate(even))) is not None:
+    for name, sensor, measured, motion, change in _velocity_pairs(even, vertical=attitude is None):
+        if (one := _fit_delay(name, sensor, measured, motion, sample_rate(even), change)) is not None:
             results[name] = one
     if attitude is not None and (velocity := results.get("lin_vel")) is not None:
         half_width = float(np.hypot(velocity.half_width, attitude.half_width))
@@ -174,29 +175,37 @@ def _rotation_pair(log: FlightLog) -> tuple[Array, Array] | None:
     return log.ang_vel, rate_by_differences(Rotation.from_quat(log.attitude), sample_rate(log))
 
 
-def _velocity_pairs(log: FlightLog, *, vertical: bool) -> Iterator[tuple[str, str, Array, Array]]:
+def _velocity_pairs(log: FlightLog, *, vertical: bool) -> Iterator[tuple[str, str, Array, Array, Array | None]]:
     """Yield stream, sensor of its comparison, the sensor's values and the stream's motion, in world axes, (T, 3) each.
 
+    Last is the derivative of the accelerometer's reading in body axes, turned to world axes; None if it shows no other delay.
     ``vertical``: whether only vertical accelerations count, for an attitude of unknown delay.
     """
     axes = (0.0, 0.0, 1.0) if vertical else (1.0, 1.0, 1.0)
     rate, attitude = sample_rate(log), Rotation.from_quat(log.attitude)
     band = min(2.0 * CHECK_BANDWIDTH_HZ, 0.2 * rate)
     if log.lin_vel is not None and log.specific_force is not None:
-        change = lowpass(log.lin_vel, rate, band, derivative=True)
-        yield "lin_vel", "accelerometer", attitude.apply(log.specific_force) * axes, (change + AT_REST) * axes
+        motion = (lowpass(log.lin_vel, rate, band, derivative=True) + AT_REST) * axes
+        change = attitude.apply(lowpass(log.specific_force, rate, band, derivative=True))
+        measured = attitude.apply(log.specific_force) * axes
+        yield "lin_vel", "accelerometer", measured, motion, None if vertical else change
     if log.position is not None and log.lin_vel is not None:
-        yield "position", "velocity", log.lin_vel, lowpass(log.position, rate, band, derivative=True)
+        yield "position", "velocity", log.lin_vel, lowpass(log.position, rate, band, derivative=True), None
 
 
-def _fit_delay(name: str, sensor: str, measured: Array, motion: Array, rate: float) -> StreamDelay | None:
-    """Return the delay of ``motion`` behind ``measured``, (T, 3) each; None if the motion does not show it."""
+def _fit_delay(
+    name: str, sensor: str, measured: Array, motion: Array, rate: float, change: Array | None = None
+) -> StreamDelay | None:
+    """Return the delay of ``motion`` behind ``measured``, (T, 3) each; None if the motion does not show it.
+
+    ``change``: derivative of ``measured`` in axes whose clock it may lag, (T, 3).
+    """
     level = AT_REST if sensor == "accelerometer" else np.zeros(3)
     delay = _best_trial(measured - level, motion - level, rate)
     time = np.arange(len(motion)) / rate
     for _ in range(REFINEMENTS):
         moved = interpolate_columns(time + delay, time, motion)
-        errors = fit_sensor_errors(sensor, measured, moved, level, rate)
+        errors = fit_sensor_errors(sensor, measured, moved, level, rate, own_change=change)
         if errors is None or not np.isfinite(errors.half_width[6]):
             return None
         delay -= errors.delay

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate, take_rows
+from aerial_gym.sim2real.logs.recording import AT_REST, LATE_S, FlightLog, sample_rate, take_rows
 from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
 
@@ -153,8 +153,19 @@ def _readings_and_motions_by_other_sensors(log: FlightLog) -> Iterator[tuple[str
         yield "accelerometer", "velocity", log.specific_force, motion, AT_REST
 
 
-def fit_sensor_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
-    """Return the fitted errors of a sensor; None if the log is too short. ``level``: the motion at hover."""
+def fit_sensor_errors(
+    sensor: str, measured: Array, motion: Array, level: Array, rate: float, *, own_change: Array | None = None
+) -> ImuErrors | None:
+    """Return the fitted errors of a sensor; None if the log is too short.
+
+    Args:
+        sensor: gyro, accelerometer or velocity.
+        measured: Readings, (T, 3).
+        motion: The same quantity by another sensor, (T, 3).
+        level: The motion at hover, (3,).
+        rate: Rows per second [Hz].
+        own_change: Derivative of the readings in axes whose clock they may lag by some ``LATE_S``, (T, 3); None: no lag.
+    """
     band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
     edge = num_edge_rows(rate, band)
@@ -176,7 +187,12 @@ def fit_sensor_errors(sensor: str, measured: Array, motion: Array, level: Array,
     moving = float(np.sqrt(np.mean(np.sum((slow - level) ** 2, axis=1)))) > QUIET[sensor]
     shown = np.flatnonzero(np.concatenate((np.ones(3), (across > QUIET[sensor]) & moving, [moving])))
     causes = causes[:, :, shown]
+    if own_change is not None:
+        causes = np.concatenate((causes, -lowpass(own_change, rate, band)[inner, :, None]), axis=2)
     product = np.einsum("tik,til->kl", causes, causes)
+    if own_change is not None:  # prior of the lag, against noise with ``rate / 2 band`` rows per independent sample
+        noise = np.mean((left - causes @ (np.linalg.pinv(product) @ np.einsum("tik,ti->k", causes, left))) ** 2)
+        product[-1, -1] += noise * rate / (2.0 * band) / (2.0 * LATE_S**2)
     bread = np.linalg.pinv(product)
     gains = bread @ np.einsum("tik,ti->k", causes, left)
     scores = np.einsum("tik,ti->tk", causes, left - causes @ gains)
@@ -185,6 +201,6 @@ def fit_sensor_errors(sensor: str, measured: Array, motion: Array, level: Array,
     variance = np.diag(bread @ (sums.T @ sums) @ bread) * count / max(count - gains.size, 1)
     spread = np.sqrt(np.maximum(variance, 0.0))
     values, half_width = np.zeros(7), np.full(7, np.inf)
-    values[shown] = gains
-    half_width[shown] = student_quantile(0.975, max(count - gains.size, 1)) * spread
+    values[shown] = gains[: shown.size]
+    half_width[shown] = (student_quantile(0.975, max(count - gains.size, 1)) * spread)[: shown.size]
     return ImuErrors(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), half_width=half_width)

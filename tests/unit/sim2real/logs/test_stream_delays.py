@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.signals import log_at_equal_steps
+from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps
 from aerial_gym.sim2real.logs.stream_delays import stream_delays
 from tests.unit.sim2real.flat_flights import flight
 from tests.unit.sim2real.ulog_files import read_topics, topics
@@ -74,6 +74,14 @@ def test_a_velocity_needs_an_attitude_of_known_delay_or_vertical_motion(table: p
     assert vertical.delay == pytest.approx(0.0, abs=max(vertical.half_width, 1e-3))
     level = replace(still, lin_vel=still.lin_vel * (1.0, 1.0, 0.0))
     assert "lin_vel" not in stream_delays(level)
+
+
+def test_a_late_accelerometer_is_no_early_velocity(table: pd.DataFrame) -> None:
+    """Thrust that is read late moves the vertical delay alone; the horizontal one is that of the attitude, and of the gyro."""
+    even = log_at_equal_steps(read_topics(topics(table)))
+    late = interpolate_columns(even.time - 0.01, even.time, even.specific_force)
+    delay = stream_delays(replace(even, specific_force=late))["lin_vel"]
+    assert delay.delay == pytest.approx(0.0, abs=min(delay.half_width, 1e-3))
 
 
 def test_a_larger_delay_leaves_a_stream_out_or_refuses_the_log(table: pd.DataFrame) -> None:
