@@ -154,7 +154,8 @@ def selection_without_effects(
     final = FinalFit(predictor, declared, left)
     chosen, fit, spread = final.fit_determined()
     assert isinstance(chosen, SelectionResult)
-    ties = final.find_ties(fit, [name for name in selection.looked_for if name not in selection.not_testable])
+    able = [name for name in selection.looked_for if EFFECTS.get(name).is_candidate_of_selection]
+    ties = final.find_ties(fit, [name for name in able if name not in selection.not_testable])
     return replace(chosen, fit=fit, spread=spread, value_ties=ties)
 
 

@@ -2,8 +2,9 @@
 
 Flights show masses, inertias and thrusts as ratios only, so the likelihood has null directions: the values move, the
 predictions stay. Ratios are straight lines in the logarithms of the values. In these, the log likelihood is quadratic about the
-named effects, and each combination of effects at their declared values costs a loss. Small losses are confirmed by the full
-model. Letters: K parameters of effects.
+named effects, and each combination of effects at their declared values costs a loss. The loss is relative to the named effects
+beside those in their place, so that what the latter explain further makes no tie. Small losses are confirmed by the full model.
+Letters: K parameters of effects.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-MOST_NEW = 3  # Largest number of effects in place of the named ones: a mass is a thrust with an inertia and a drag
+SMALL = 3  # Number of effects in place of the named ones up to which all ties are listed; beyond it, the simplest ones
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ class ValueTie:
 
     replaced: tuple[str, ...]  # Named effects whose values would be as declared
     params: dict[str, dict[str, float]]  # Parameters of the effects in their place
-    loss: float  # Log likelihood that the flights lose by it, over the overdispersion
+    loss: float  # Log likelihood that the flights lose without the replaced effects, over the overdispersion
 
     @property
     def is_as_simple(self) -> bool:
@@ -82,22 +83,37 @@ def find_value_ties(
     if not own or not new:
         return ()
     surface = _LikelihoodSurface(predictor, declared, fit, beside, (*fit.effects, *new))
-    results = list[ValueTie]()
-    for replaced, more in _combinations(own, new):
+    results, refused = list[ValueTie](), list[tuple[tuple[str, ...], tuple[str, ...]]]()
+    for replaced, more in _combinations(own, new, surface, window):
+        sizes = [len(one.params) for one in results if one.replaced == replaced]
+        if len(more) > max(SMALL, min(sizes, default=len(new))):
+            continue
+        if len(more) > SMALL and any(one == replaced and set(other) <= set(more) for one, other in refused):
+            continue
         if any(set(replaced) <= set(one.replaced) and set(one.params) <= set(more) for one in results):
             continue
-        if surface.loss(replaced, more)[0] < window and (tied := surface.confirm(replaced, more, window)):
+        if surface.loss(replaced, more) >= window:
+            continue
+        if (tied := surface.confirm(replaced, more, window)) is None:
+            refused.append((replaced, more))
+        else:
             params, loss = tied
             values = {name: dict(zip(_names(name), params.effects[name].tolist(), strict=True)) for name in more}
             results.append(ValueTie(replaced=replaced, params=values, loss=loss / overdispersion))
     return tuple(results)
 
 
-def _combinations(own: Sequence[str], new: Sequence[str]) -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Yield the named effects to replace, most first, with the effects in their place, fewest first."""
+def _combinations(
+    own: Sequence[str], new: Sequence[str], surface: "_LikelihoodSurface", window: float
+) -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Yield the named effects to replace, most first, with the effects in their place, fewest first.
+
+    More than ``SMALL`` of them are tried only if all together make the loss small.
+    """
     subsets = [list(combinations(own, size)) for size in range(len(own), 0, -1)]
     for replaced in chain(*subsets):
-        for size in range(1, min(MOST_NEW, len(new)) + 1):
+        most = len(new) if surface.loss(replaced, new) < window else min(SMALL, len(new))
+        for size in range(1, most + 1):
             yield from ((replaced, more) for more in combinations(new, size))
 
 
@@ -127,6 +143,7 @@ class _LikelihoodSurface:
         self, predictor: Predictor, declared: ModelParams, fit: ModelFit, beside: NuisanceSums, effects: tuple[str, ...]
     ) -> None:
         self.predictor, self.effects, self.fit, self.beside = predictor, effects, fit, beside
+        self.levels = dict[tuple[str, ...], float]()
         robot = predictor.robot
         self.neutral = {name: neutral_params(name, declared, robot) for name in effects}
         self.params = fit.params
@@ -141,8 +158,6 @@ class _LikelihoodSurface:
         product, gradient = self._equations()
         slope = np.where(self.logarithmic, self.here / self.scale, 1.0)
         self.product, self.gradient = slope * product * slope[:, None], slope * gradient
-        self.own = self._columns(fit.effects)
-        self.level = self._cost(np.zeros(self.here.size), self.own)[0]
 
     def _equations(self) -> tuple[Array, Array]:
         """Return the normal equations per scale (K, K) and (K,), with the tolerances integrated out."""
@@ -181,19 +196,28 @@ class _LikelihoodSurface:
             step[free] = np.linalg.lstsq(inner, (self.gradient - self.product @ step)[free], rcond=None)[0]
         return 0.5 * float(step @ self.product @ step) - float(self.gradient @ step), step
 
-    def loss(self, replaced: Sequence[str], more: Sequence[str]) -> tuple[float, Array]:
-        """Return the loss of log likelihood with effects replaced by others, and the step of all coordinates (K,)."""
+    def loss(self, replaced: Sequence[str], more: Sequence[str]) -> float:
+        """Return the loss of log likelihood without some effects, beside ``more`` ones."""
+        return self._cost_of_replacement(replaced, more)[0] - self._level(tuple(more))
+
+    def _level(self, more: tuple[str, ...]) -> float:
+        """Return the least negative log likelihood of the named effects beside ``more`` ones."""
+        if more not in self.levels:
+            self.levels[more] = self._cost(np.zeros(self.here.size), self._columns([*self.fit.effects, *more]))[0]
+        return self.levels[more]
+
+    def _cost_of_replacement(self, replaced: Sequence[str], more: Sequence[str]) -> tuple[float, Array]:
+        """Return the least negative log likelihood with effects replaced by others, and the step of all coordinates (K,)."""
         back, step = self._columns(replaced), np.zeros(self.here.size)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(self.logarithmic, np.log(self.there / self.here), (self.there - self.here) / self.scale)
         step[back] = ratio[back]
         kept = [name for name in self.fit.effects if name not in replaced]
-        cost, step = self._cost(step, self._columns([*kept, *more]))
-        return cost - self.level, step
+        return self._cost(step, self._columns([*kept, *more]))
 
     def confirm(self, replaced: Sequence[str], more: Sequence[str], window: float) -> tuple[ModelParams, float] | None:
         """Return the model of a tie and its loss by the full model; None if that is not below ``window``."""
-        step = self.loss(replaced, more)[1]
+        step, gain = self._cost_of_replacement(replaced, more)[1], self._level(()) - self._level(tuple(more))
         ahead = np.where(self.logarithmic, self.here * np.exp(step * self.logarithmic), self.here + self.scale * step)
         values, params = ahead - self.base, self.params
         if not self._are_possible(values):
@@ -202,9 +226,9 @@ class _LikelihoodSurface:
             own: Flags = np.array([owner == name for owner, _ in self.owners])
             params = params.with_effect(name, self.neutral[name] if name in replaced else values[own])
         effects = (*(name for name in self.fit.effects if name not in replaced), *more)
-        if (loss := self._full_loss(params)) >= window:
+        if (loss := self._full_loss(params) + gain) >= window:
             params = fit_effects(self.predictor, effects, params, self.beside, frozen=self.fit.frozen)[0].params
-            loss = self._full_loss(params)
+            loss = self._full_loss(params) + gain
         return (params, loss) if loss < window else None
 
     def _are_possible(self, values: Array) -> bool:

@@ -1,5 +1,6 @@
 """Declared values that flights show as ratios only: which are named, and which combinations of others are stated as ties."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,11 +8,18 @@ import numpy as np
 import pytest
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.identify.candidates.nuisance import prior_of_flight_offsets
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
+from aerial_gym.sim2real.identify.selection.select import FinalFit, SelectionResult
+from aerial_gym.sim2real.identify.selection.value_ties import ValueTie
 from aerial_gym.sim2real.judge.verdict import names_of_ties
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from tests.repetitions import rare_values
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
 from tests.unit.sim2real.identify.selection.test_select import select_hidden
+from tests.unit.sim2real.set_fits import make_choice, make_fit
 
 VALUES = ("payload_mass", "thrust_coefficient", "torque_ratio", "arm_length", "inertia_error", "rotor_drag")
 DRAG = {"dx": 0.3, "dy": 0.3, "dz": 0.3}
@@ -37,6 +45,67 @@ def declare_wrongly(
 
 def effects_of_ties(result: SelectionResult) -> set[tuple[frozenset[str], frozenset[str]]]:
     return {(frozenset(tie.replaced), frozenset(tie.params)) for tie in result.value_ties}
+
+
+class RatioFit(FinalFit):
+    """Fit of named effects to flights that the model itself flew with them, with white noise."""
+
+    def __init__(self, folder: Path, named: Mapping[str, Sequence[float]], missing: Sequence[str]) -> None:
+        robot = replace(ROBOT, effects={"rotor_drag": DRAG, "rotor_inertia": {"jr": 6e-6}}, effects_source="declared")
+        tables = [flight(seed, rate=100.0, noise=1.0, seconds=6.0, drag=0.3) for seed in range(3)]
+        self.predictor = make_predictor(
+            load_tables(folder, [t.drop(columns=list(missing)) for t in tables], robot), robot
+        )
+        self.declared = self.params = params_from_robot(robot)
+        for name, values in named.items():
+            self.params = self.params.with_effect(name, np.array(values))
+        rng = np.random.default_rng(0)
+        noise = [0.05 if channel.kind == "specific_force" else 0.2 for channel in self.predictor.channels]
+        predicted = self.predictor.predict(self.params)
+        self.predictor.measured = [part + noise * rng.standard_normal(part.shape) for part in predicted]
+        weights = inverse_variance_weights(self.predictor.residuals(self.params))
+        self.chosen = replace(make_choice(make_fit(*named)), weights=weights)
+        tolerance = tolerance_jacobian(self.predictor, self.params, np.float32)
+        self.tolerance, self.offsets = tolerance, prior_of_flight_offsets((), self.predictor.channels, weights.weight)
+        self.beside = NuisanceSums(self.predictor.times, [[part] for part in tolerance], weights.weight)
+
+    def ties(self, named: Iterable[str]) -> tuple[ValueTie, ...]:
+        return self.find_ties(self.fit(tuple(named), self.params)[0], (*VALUES, "rotor_inertia", "com_offset"))
+
+
+GYRO, FORCES = ("omega_x", "omega_y", "omega_z"), ("acc_x", "acc_y", "acc_z", "v_x", "v_y", "v_z", "p_x", "p_y", "p_z")
+LEVERS = {"torque_ratio": 1.0, "arm_length": 1.0}
+SCALES = {
+    "payload_mass": ((), [{"thrust_coefficient": -1.0, "rotor_drag": -1.0, **dict.fromkeys(LEVERS, 1.0)},
+                          {"thrust_coefficient": -1.0, "rotor_drag": -1.0, "inertia_error": -1.0, "rotor_inertia": -1.0}]),
+    "thrust_coefficient": (GYRO, [{"payload_mass": -1.0, "rotor_drag": -1.0}]),
+    "rotor_drag": (GYRO, [{"payload_mass": -1.0, "thrust_coefficient": -1.0}]),
+    "inertia_error": (FORCES, [{"rotor_inertia": -1.0, "thrust_coefficient": -1.0},
+                               {"rotor_inertia": -1.0, "torque_ratio": -1.0, "arm_length": -1.0}]),
+    "arm_length": (FORCES, [{"thrust_coefficient": 1.0, "torque_ratio": -1.0}]),
+    "com_offset": ((), []),
+}  # fmt: skip
+"""Powers of the factor of a named value with which others take its place, by the ratios in Newton's and Euler's equations:
+``thrust : mass : drag`` and ``thrust x arm : thrust x torque ratio : inertia : rotor inertia``."""
+
+
+@pytest.mark.parametrize("name", SCALES)
+def test_ties_are_the_scalings_of_the_equations_of_motion(name: str, tmp_path: Path) -> None:
+    """The named value is 1.2 times the declared one; tiny rotor inertias are no matter."""
+    missing, expected = SCALES[name]
+    neutral = {"payload_mass": [0.2 * ROBOT.body.mass], "rotor_drag": [0.36] * 3, "com_offset": [0.005, 0.0, 0.0]}
+    named = {name: neutral.get(name, [1.2] * (3 if name == "inertia_error" else 1))}
+    fit = RatioFit(tmp_path, named, missing)
+    ties = {frozenset(tie.params): tie for tie in fit.ties(named)}
+    for powers in expected:
+        tie = ties[frozenset(powers)]
+        assert abs(tie.loss) < 1.0
+        for other, power in powers.items():
+            values = np.array(list(tie.params[other].values()))
+            factor = {"payload_mass": 1.0 + values / ROBOT.body.mass, "rotor_drag": values / 0.3}.get(other, values)
+            if other != "rotor_inertia":
+                assert factor == pytest.approx(1.2**power, rel=0.03), other
+    assert expected or not ties
 
 
 CASES = [
