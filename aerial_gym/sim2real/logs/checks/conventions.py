@@ -19,6 +19,7 @@ from aerial_gym.sim2real.logs.checks.kinematics import (
     WORST_AGREEMENT,
     gains_of_moving_sensors,
     imu_errors_from_kinematics,
+    permutation_of_horizontal_axes,
 )
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_columns
 from aerial_gym.sim2real.logs.checks.units import (
@@ -32,6 +33,7 @@ from aerial_gym.sim2real.logs.signals import lowpass
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
 
+MIRRORS = {"roll": (1, 1, -1), "pitch": (1, -1, 1), "yaw": (-1, 1, 1)}  # Signs of yaw, pitch and roll
 LEAST_GAIN = 0.5  # Share of the attitude's turning that a working gyro shows at least
 SURE_GAIN = 0.999  # One-sided confidence that the share is less
 QUIET_SPEED = 0.3  # Below this RMS velocity [m/s] the comparison with the position is skipped
@@ -140,6 +142,7 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
 
     miss, rate = difference_and_rate(log.attitude)
     if miss < WORST_AGREEMENT:
+        _check_gyro_axes(log)
         return
     alternatives = {text: difference_and_rate(read(log.attitude))[0] for text, read in READINGS.items()}
     slope = float((rate * measured).sum() / (measured * measured).sum())
@@ -166,6 +169,16 @@ def _check_resting_gyro(log: FlightLog, size: float) -> None:
             raise DataError(
                 f"{log.path}: omega is at rest ({size:.2g} rad/s RMS) while the attitude turns ({one.motion:.2g} rad/s RMS); "
                 "leave the inertial sensors out, or give a log in which they flew along"
+            )
+
+
+def _check_gyro_axes(log: FlightLog) -> None:
+    """Refuse a gyro with an axis that certainly shows less than half of the attitude's turning about it."""
+    for one in gains_of_moving_sensors(log, by_axis=True):
+        if one.sensor == "gyro" and one.gain + one.half_width(SURE_GAIN) < LEAST_GAIN:
+            raise DataError(
+                f"{log.path}: omega_{one.axis} shows {one.gain:.2f} ± {one.half_width(0.975):.2f} of the attitude's turning "
+                f"({one.motion:.2g} rad/s RMS), must be 1; correct the column, or leave the gyro out"
             )
 
 
@@ -270,6 +283,11 @@ def _acceleration_from_motion(log: FlightLog, velocity: Array | None = None) -> 
 def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None:
     """Compare the accelerometer in world axes without gravity, (T, 3), with the derivative of velocity or position, (T, 3)."""
     motion = _acceleration_from_motion(log)
+    if order := permutation_of_horizontal_axes(log):
+        raise DataError(
+            f"{log.path}: acc contradicts velocity and attitude; it looks as if x and y of the body are {order}; reorder the "
+            "columns or declare it in a mapping file"
+        )
     size = max(_rms_of_vectors(motion), _rms_of_vectors(felt))
     miss = _rms_of_vectors(motion - felt) / max(size, QUIET_FORCE)
     if miss < WORST_AGREEMENT:
@@ -285,6 +303,12 @@ def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None
     way = f"x and y there must be turned by {np.degrees(angle):.0f} deg about z to be those of the attitude"
     alternatives[way] = Rotation.from_euler("z", angle).apply(motion)
     misses = {text: _rms_of_vectors(other - felt) / size for text, other in alternatives.items()}
+    assert log.specific_force is not None
+    angles = attitude.as_euler("ZYX")
+    for name, signs in MIRRORS.items():
+        turned = Rotation.from_euler("ZYX", angles * signs).apply(log.specific_force)
+        other = _lowpass_compared_rows(turned, log) - AT_REST
+        misses[f"the {name} of the attitude has the wrong sign"] = _rms_of_vectors(motion - other) / size
     best = min(misses, key=lambda text: misses[text])
     if misses[best] < 0.5 * miss:
         name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"

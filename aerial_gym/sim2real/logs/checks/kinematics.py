@@ -6,6 +6,7 @@ Letters: T rows, B blocks.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,6 +23,7 @@ WORST_AGREEMENT = 0.7  # Largest relative difference between two measurements of
 BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
 FEWEST_BLOCKS = 8
+BETTER = 0.4  # Other axes are probable if their residual (rms) is less than this share of that of the logged ones
 
 QUIET = {"gyro": 0.1, "accelerometer": 0.3, "velocity": 0.3}
 """Least RMS motion [rad/s], [m/s²], [m/s] that shows a gain, angles and a delay; a bias needs none."""
@@ -76,9 +78,10 @@ def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorGain:
-    """Share of the motion of another sensor that a sensor shows: 1 for a sound one, 0 at rest."""
+    """Share of the motion of another sensor that a sensor shows: 1 for a sound one, 0 at rest, -1 with the wrong sign."""
 
     sensor: str  # gyro or accelerometer
+    axis: str  # x, y or z of the body; empty for all axes together
     other: str  # attitude or velocity
     gain: float
     std: float  # Standard deviation of the gain
@@ -90,8 +93,8 @@ class SensorGain:
         return float(student_quantile(probability, self.freedom)) * self.std
 
 
-def gains_of_moving_sensors(log: FlightLog) -> list[SensorGain]:
-    """Return the gains ``<m a> / <a a'>`` of sensors that a flight moves enough, for readings m.
+def gains_of_moving_sensors(log: FlightLog, *, by_axis: bool = False) -> list[SensorGain]:
+    """Return the gains ``<m a> / <a a'>`` of sensors, or of their axes, that a flight moves enough, for readings m.
 
     The motions a and a' are of even and odd rows, whose noise is independent (instrumental variables: Carroll et al. 2006,
     Measurement Error in Nonlinear Models, chapter 6).
@@ -111,12 +114,13 @@ def gains_of_moving_sensors(log: FlightLog) -> list[SensorGain]:
         if starts.size <= FEWEST_BLOCKS:
             continue
         products = (0.5 * shown * (even + odd), even * odd)
-        along, square = (np.add.reduceat(product.sum(axis=1), starts) for product in products)
-        moved = float(np.sqrt(max(square.sum(), 0.0) / len(shown)))
-        if moved >= QUIET[sensor]:
-            gain, std = gain_of_blocks(along, square)
-            size_and_scatter = {"gain": gain, "std": std, "freedom": starts.size - 1, "motion": moved}
-            results.append(SensorGain(sensor=sensor, other=other, **size_and_scatter))
+        along, square = (np.add.reduceat(one, starts) for one in products)
+        for axis, own in {"x": [0], "y": [1], "z": [2]}.items() if by_axis else [("", [0, 1, 2])]:
+            moved = float(np.sqrt(max(square[:, own].sum(), 0.0) / len(shown)))
+            if moved >= QUIET[sensor]:
+                gain, std = gain_of_blocks(along[:, own].sum(axis=1), square[:, own].sum(axis=1))
+                size_and_scatter = {"gain": gain, "std": std, "freedom": starts.size - 1, "motion": moved}
+                results.append(SensorGain(sensor=sensor, axis=axis, other=other, **size_and_scatter))
     return results
 
 
@@ -124,6 +128,26 @@ def gain_of_blocks(along: Array, square: Array) -> tuple[float, float]:
     """Return a gain and its standard deviation from the sums over independent blocks of products and of squares, (B,)."""
     gain = float(along.sum() / square.sum())
     return gain, float(np.sqrt(np.var(along - gain * square, ddof=1) * along.size) / abs(square.sum()))
+
+
+def permutation_of_horizontal_axes(log: FlightLog) -> str:
+    """Return signs and order of the accelerometer's x and y that fit the motion far better than those logged, or nothing."""
+    for sensor, _, measured, motion, _ in _readings_and_motions_by_other_sensors(log):
+        if sensor != "accelerometer":
+            continue
+        rate = sample_rate(log)
+        inner = slice(num_edge_rows(rate, CHECK_BANDWIDTH_HZ), -num_edge_rows(rate, CHECK_BANDWIDTH_HZ))
+        shown, moved = (lowpass(one[:, :2], rate, CHECK_BANDWIDTH_HZ)[inner] for one in (measured, motion))
+        shown, moved = (one - one.mean(axis=0) for one in (shown, moved))
+        left = {
+            f"({'-' * (a < 0)}acc_{'xy'[i]}, {'-' * (b < 0)}acc_{'xy'[1 - i]})": float(
+                np.sum((moved - shown[:, [i, 1 - i]] * (a, b)) ** 2)
+            )
+            for i, a, b in product((0, 1), (1, -1), (1, -1))
+        }
+        best, as_logged = min(left, key=left.__getitem__), left["(acc_x, acc_y)"]
+        return best if left[best] < BETTER**2 * as_logged else ""
+    return ""
 
 
 def findings_on_sensors_at_rest(log: FlightLog) -> list[Finding]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_duration_and_rate, check_log
@@ -92,6 +92,15 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
     return result
 
 
+def mirror_angle(table: pd.DataFrame, place: int) -> pd.DataFrame:
+    """Return the log with the sign of yaw, pitch or roll reversed in attitude and angular velocity."""
+    angles = body_to_world(table).as_euler("ZYX")
+    angles[:, place] *= -1.0
+    turned = Rotation.from_euler("ZYX", angles)
+    rate = RotationSpline(table["t"].to_numpy(), turned)(table["t"].to_numpy(), 1)
+    return replace_columns(replace_columns(table, Q, turned.as_quat()), OMEGA, rate)
+
+
 @pytest.mark.parametrize(("change", "message"), [
     (
         lambda t: replace_columns(t, Q, t[["q_w", "q_x", "q_y", "q_z"]]),
@@ -124,6 +133,9 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
     (lambda t: scale(t, ROTORS, 60 / (2 * np.pi)), r"it looks like rpm: convert to rad/s"),
     (lambda t: scale(t, ROTORS, 1 / 3000), r"it looks like a fraction of full throttle"),
     (lambda t: scale(t, Q, 1.2), r"line 2 \(t = 0 s\): the attitude quaternion .* has norm 1\.2, must be 1"),
+    *((lambda t, k=k: mirror_angle(t, k), rf"the {name} of the attitude has the wrong sign")
+      for k, name in enumerate(("yaw", "pitch", "roll"))),
+    (lambda t: scale(t, OMEGA, (1e-3, 1, 1)), r"omega_x shows 0\.00 ± .* of the attitude's turning"),
     (lambda t: scale(t, OMEGA, 1e-4), r"omega is at rest .* while the attitude turns"),
     (lambda t: t.assign(omega_y=0.01), r"ang_vel 2 is 0\.01 in every row; leave a sensor that did not work empty"),
     (lambda t: t.assign(rotor_3=0.0), r"rotor_speed 3 is 0 in every row"),
@@ -134,6 +146,20 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
 def test_a_log_that_is_not_what_it_claims(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
         check(change(table), tmp_path)
+
+
+@pytest.mark.parametrize(("change", "axes"), [
+    (lambda t: t, ""),
+    (lambda t: scale(t, ACC, (-1, 1, 1)), r"\(-acc_x, acc_y\)"),
+    (lambda t: t.rename(columns={"acc_x": "acc_y", "acc_y": "acc_x"}), r"\(acc_y, acc_x\)"),
+])  # fmt: skip
+def test_drag_shows_signs_and_order_of_the_horizontal_axes(change, axes: str, tmp_path: Path) -> None:
+    dragged = change(flight(1, seconds=8.0, rate=100.0, noise=1.0, drag=0.3))
+    if not axes:
+        assert check(dragged, tmp_path) == []
+        return
+    with pytest.raises(DataError, match=f"x and y of the body are {axes}"):
+        check(dragged, tmp_path)
 
 
 def test_the_order_of_the_quaternion_shows_in_a_quiet_hover_too(tmp_path: Path) -> None:
