@@ -18,6 +18,12 @@ from aerial_gym.sim2real.logs.signals import interpolate_columns, quaternion_sig
 SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
 """Sensors whose values always vary in flight; rotor speeds and voltages have coarse steps and may not."""
 
+COLUMNS = ("ang_vel", "specific_force", "rotor_speed")  # Sensors of which a single column can freeze
+COLUMN_FROZEN_S = (
+    1.0  # Least time of one value of a frozen column in motion; estimators and coarse steps repeat shorter
+)
+CHANCE = 1e-9  # Largest probability by chance of the longest run of one value in a frozen column
+
 LONGEST_FROZEN_S = 0.25  # Longest time of one value in motion; beyond it the sensor is frozen
 LEAST_WAY = 0.05  # Least motion [m], [rad] during one value of a frozen pose, which may have coarse steps
 LEAST_MOTION = 0.1  # Least speed [m/s] or angular velocity [rad/s] of a moving vehicle
@@ -88,8 +94,30 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
         if repeats.share_of_repeats > 0.5:
             timings[name] = StreamTiming(source=name, rate=sample_rate(log) * (1.0 - repeats.share_of_repeats))
             sampled[name] = log.time[repeats.fresh]
+    for name in COLUMNS:
+        if (values := getattr(log, name)) is not None:
+            _refuse_frozen_column(log, name, values, moving)
     mended = replace(log, **changes, streams=timings, sample_times=sampled, notes=(*log.notes, *notes))
     return mended if {"rotor_speed", "rotor_command"} & log.streams.keys() else _without_held_rotor_data(mended)
+
+
+def _refuse_frozen_column(log: FlightLog, name: str, values: Array, moving: Flags) -> None:
+    """Raise ``DataError`` for a column that repeats one value in motion for longer than its other repeats make probable.
+
+    With the share p of rows that change outside the longest run of n rows, such a run has the probability ``T (1 - p)^n``.
+    """
+    for column in range(values.shape[1]):
+        fresh = find_repeated_samples(values[:, column : column + 1], moving & (values[:, column] != 0.0)).fresh
+        runs = np.diff(fresh, append=len(values))
+        longest = int(np.argmax(runs))
+        row, rows = int(fresh[longest]), int(runs[longest])
+        share = (fresh.size - 1) / max(len(values) - rows, 1)
+        seconds = float(log.time[row + rows - 1] - log.time[row])
+        if seconds > COLUMN_FROZEN_S and len(values) * (1.0 - min(share, 1.0)) ** rows < CHANCE:
+            raise DataError(
+                f"{log.row_name(row + 1)}: {name} {column + 1} repeats one value for {seconds:.3g} s while the vehicle moves; "
+                "it was frozen, cut the log there, or leave that sensor out"
+            )
 
 
 def _without_held_rotor_data(log: FlightLog) -> FlightLog:

@@ -173,6 +173,19 @@ def test_one_frozen_sensor_is_refused_where_it_froze(table: pd.DataFrame, tmp_pa
     mend(freeze(table, GYRO, np.arange(400, 440)), tmp_path)
 
 
+@pytest.mark.parametrize(("column", "message"), [("omega_y", "ang_vel 2"), ("rotor_3", "rotor_speed 3")])
+def test_one_frozen_column_is_refused(column: str, message: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    """1.2 s of one value, where every other row has its own; in coarse steps a value may last as long."""
+    with pytest.raises(
+        DataError, match=rf"line 402 .*: {message} repeats one value for 1\.\d+ s while the vehicle moves"
+    ):
+        mend(freeze(table, [column], np.arange(400, 640)), tmp_path)
+    mend(freeze(table, [column], np.arange(400, 580)), tmp_path)
+    coarse = table.copy()
+    coarse[column] = np.round(coarse[column] / np.ptp(coarse[column])) + 2.0
+    mend(coarse, tmp_path)
+
+
 def test_an_attitude_in_coarse_steps_is_not_frozen(table: pd.DataFrame, tmp_path: Path) -> None:
     """0.3 s at 0.12 rad/s are 0.036 rad: less than a step of a packed quaternion may be; at 0.3 rad/s they are not."""
     slow = freeze(table, ATTITUDE, np.arange(400, 460))
