@@ -96,7 +96,7 @@ def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
 
 
 MOST_ROTORS = 6  # More rotors have too many orders to try
-BETTER = 0.4  # Another order is accepted if its residual is less than this share of the declared order's
+BETTER = 0.4  # Another order is accepted if its residual about the worst axis is less than this share of the declared order's
 MORE_PROBABLE = 1e4  # Least likelihood ratio of another order of the rotors that refuses the declared one
 
 
@@ -136,13 +136,14 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg, on_ground: Flags | None =
         flip, best = (int(k) for k in np.unravel_index(int(np.argmax(log_likelihood)), log_likelihood.shape))
         declared = float(np.sqrt(left[0, 0].mean()))
         gained = log_likelihood[flip, best] - log_likelihood[0, 0]
-        is_better = np.sqrt(left[flip, best].mean()) < BETTER * declared
-        if best and declared > WORST_AGREEMENT and is_better and gained > np.log(MORE_PROBABLE):
+        worst = int(np.argmax(left[0, 0]))  # Axis about which the declared order is worst
+        was, became = np.sqrt((left[0, 0, worst], left[flip, best, worst]))
+        if best and was > WORST_AGREEMENT and became < BETTER * was and gained > np.log(MORE_PROBABLE):
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
                 f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
                 f"error of {declared:.0%}; the probable order is {columns}{', with all spins reversed' * flip}: reorder the "
-                "columns or the robot's mounts"
+                f"columns or the robot's mounts{', or correct the sign of one axis of attitude and gyro' * flip}"
             )
         gain, half_width = _gain_of_reaction(turning - levers[0], reactions[0], max(1, round(BLOCK_S * rate / stride)))
         if gain + half_width < 0.0 and not notes:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
@@ -73,6 +74,20 @@ def test_the_order_is_told_beside_wrong_moments_of_inertia(table: pd.DataFrame, 
     mixed = table.assign(**{ROTORS[k]: table[ROTORS[rotor]] for k, rotor in enumerate(order)})
     with pytest.raises(DataError, match="in the declared order predict"):
         load_flight(write(mixed, tmp_path / "a.csv"), robot, **settings)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_an_axis_with_the_wrong_sign_is_told_by_what_rotors_turn(
+    axis: str, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """Without velocity nothing else shows it if attitude and gyro have the same error."""
+    place, columns = "zyx".index(axis), ["q_x", "q_y", "q_z", "q_w"]
+    angles = Rotation.from_quat(table[columns].to_numpy(copy=True)).as_euler("ZYX")
+    angles[:, place] *= -1.0
+    mirrored = table.drop(columns=["v_x", "v_y", "v_z", "p_x", "p_y", "p_z"])
+    mirrored[columns], mirrored[f"omega_{axis}"] = Rotation.from_euler("ZYX", angles).as_quat(), -table[f"omega_{axis}"]
+    with pytest.raises(DataError, match="with all spins reversed.* or correct the sign of one axis"):
+        load_log(mirrored, tmp_path)
 
 
 def test_spins_that_are_all_reversed_are_told(table: pd.DataFrame, tmp_path: Path) -> None:
