@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan
 from aerial_gym.sim2real.logs.recording import FlightLog
@@ -70,13 +70,19 @@ def _resample(stream: Stream, rows: Array) -> Array:
     time, values = time[part], values[part]
     if stream.quantity == "attitude":
         inside = np.clip(rows, time[0], time[-1])
-        return Slerp(time, Rotation.from_quat(values))(inside).as_quat()
+        after = np.clip(np.searchsorted(time, inside, side="right"), 1, time.size - 1)
+        used = np.unique(np.concatenate((after - 1, after)))
+        return Slerp(time[used], Rotation.from_quat(values[used]))(inside).as_quat()
     if stream.quantity == "rotor_command" and stream.rate >= SLOWEST_COMMANDS_HZ:
         return _mean_of_held_values(rows, time, values, step)
+    first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
+    has_several = last - first >= 2
     interpolate = interpolate_by_spline if stream.quantity in IN_BAND else interpolate_columns
-    between = interpolate(rows, time, values)
-    means = [_average_over_rows(rows, time, *columns, step) for columns in zip(values.T, between.T, strict=True)]
-    return np.stack(means, axis=1)
+    between = np.empty((rows.size, values.shape[1])) if has_several.all() else interpolate(rows, time, values)
+    if has_several.any():
+        means = _average_over_rows(rows, time, values, step, first, last)
+        between[has_several] = means[has_several]
+    return between
 
 
 def _mean_of_held_values(rows: Array, time: Array, values: Array, step: float) -> Array:
@@ -90,14 +96,13 @@ def _mean_of_held_values(rows: Array, time: Array, values: Array, step: float) -
     return np.where(lengths[:, None] > 0.0, means, values[:1])
 
 
-def _average_over_rows(rows: Array, time: Array, values: Array, between: Array, step: float) -> Array:
-    """Return values (T,) averaged over a row's step [s] that holds several samples, else those ``between`` samples."""
-    first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
-    total = np.concatenate(([0.0], np.cumsum(values)))
+def _average_over_rows(rows: Array, time: Array, values: Array, step: float, first: Indices, last: Indices) -> Array:
+    """Return the means of values (T, K) over each row's step [s], in which samples ``first`` to before ``last`` lie."""
+    total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
     centre = np.concatenate(([0.0], np.cumsum(time - time[0])))
     count = np.maximum(last - first, 1)
-    mean = (total[last] - total[first]) / count
+    mean = (total[last] - total[first]) / count[:, None]
     # The mean belongs to the mean time of its samples; the local slope moves it to the row.
     shift = rows - time[0] - (centre[last] - centre[first]) / count
-    slope = (np.interp(rows + 0.5 * step, time, values) - np.interp(rows - 0.5 * step, time, values)) / step
-    return np.where(last - first >= 2, mean + shift * slope, between)
+    ends = (interpolate_columns(rows + side * 0.5 * step, time, values) for side in (1.0, -1.0))
+    return mean + shift[:, None] * np.subtract(*ends) / step
