@@ -18,19 +18,30 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 from scipy.optimize import lsq_linear
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Flags, true_spans
 from aerial_gym.sim2real.teststand.statistics import hac_covariance
 
 BLOCK_S = 0.04  # Length of the blocks whose mean momentum is compared [s]
 SMOOTHING_HZ = 40.0  # Band of the accelerations from which the position of the IMU is found
 SLOWEST_WHEEL = 0.08  # Wheel speeds below this share of the largest one are not measured well
 EDGE_S = 0.03  # Samples at both ends of a free flight that are left out [s]
-HEAVIEST = 3.0  # Largest typical reading that the spin does not explain [m/s²]: throws show below 0.4, a held body 9.8
+HEAVIEST = (
+    3.0  # Largest typical reading that the spin does not explain [m/s²]: between 1 by drag at 5 m/s and 9.8 if held
+)
+GYRO_RANGES_DEG_S = (
+    2000.0,
+    4000.0,
+)  # Of the gyros on flight controllers. Source: data sheets of MPU-6000, BMI270, ICM-45686
+NEAR_END = 0.015  # Largest distance from the end of the range, relative to it, by which calibration moves it
+FEWEST_SURPLUS = 6  # Least surplus of equations over unknowns, of whose scatter the intervals are made
+TILTS = 8  # Corrections of the wheel's axis, whose first estimate knows no drag; each leaves the square of its tilt
+CONCENTRATIONS = 10  # Steps of the trimmed fit; it settles in some five
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # Order of the elements of an inertia matrix
 
 
@@ -43,6 +54,12 @@ class FreeFlight:
     ang_vel: Array  # [rad/s], (T, 3)
     specific_force: Array  # [m/s²], (T, 3)
     wheel_speed: Array  # [rad/s], along the wheel's axis, (T,)
+    saturated: Flags | None = None  # Samples at and near the end of the gyro's range, (T,); None: none
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First and last sample of each part without saturation."""
+        return [(0, self.time.size)] if self.saturated is None else true_spans(~self.saturated)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,10 +106,10 @@ def lowpass_filter(values: Array, rate: float) -> Array:
 
 
 def find_free_flight(flight: FreeFlight) -> FreeFlight:
-    """Return the samples between release and the end of the record at which the wheel turns and nobody holds the body.
+    """Return the samples of free flight.
 
-    The longest span that ends with the last turn of the wheel counts, in which the accelerometer reads the motion of one point
-    of a body in free flight. Its start follows from the residual of that reading: hands push, air hardly does.
+    It is the longest span in which the wheel has begun to turn and the accelerometer reads the motion of one point of a body in
+    free flight: hands and the ground push, air hardly does. Where the gyro saturates, nothing tells this.
     """
     speed = np.abs(flight.wheel_speed)
     rate = sample_rate_of_times(flight.time)
@@ -104,26 +121,51 @@ def find_free_flight(flight: FreeFlight) -> FreeFlight:
         )
     force, matrices = lowpass_filter(flight.specific_force, rate), acceleration_matrices(flight.time, flight.ang_vel)
     core = slice(turning[0], turning[-1])
-    position = np.linalg.lstsq(matrices[core].reshape(-1, 3), force[core].reshape(-1), rcond=None)[0]
-    residual = np.linalg.norm(force - matrices @ position, axis=1)
-    if (typical := float(np.median(residual[core]))) > HEAVIEST:
+    saturated = np.asarray(binary_dilation(is_gyro_saturated(flight.ang_vel), np.ones(edge + 1)), dtype=np.bool_)
+    known = np.flatnonzero(~saturated[core]) + turning[0]
+    if known.size < edge:
+        raise DataError(f"{flight.name}: the gyro reaches the end of its range all the time; throw with less spin")
+    residual = np.linalg.norm(force - matrices @ _position_of_most_rows(matrices[known], force[known]), axis=1)
+    if (typical := float(np.median(residual[known]))) > HEAVIEST:
         raise DataError(
             f"{flight.name}: is no throw: while the wheel turns, the accelerometer reads {typical:.1f} m/s² that the spin does "
             "not explain, and 0 in free flight; let the wheel spin up in the air, with nothing but the wheel turning"
         )
-    free = residual < 5.0 * np.median(residual[core]) + 0.3
-    held_before = np.flatnonzero(~free[: turning[0]])
-    held_after = np.flatnonzero(~free[turning[-1] :])
-    first = (held_before[-1] + 1 if held_before.size else 0) + edge
-    last = (turning[-1] + held_after[0] if held_after.size else speed.size) - edge
-    first = max(first, int(np.flatnonzero(speed > SLOWEST_WHEEL * speed.max())[0]) + edge)
-    rows = slice(first, last)
-    if (last - first) / rate < 5.0 * BLOCK_S:
+    free = (residual < 5.0 * np.median(residual[known]) + 0.3) | saturated
+    free &= np.arange(speed.size) >= np.argmax(speed > SLOWEST_WHEEL * speed.max())
+    first, last = max(true_spans(free), key=lambda span: span[1] - span[0], default=(0, 0))
+    rows = slice(first + edge, max(last - edge, first + edge))
+    if (seconds := np.sum(~saturated[rows]) / rate) < 5.0 * BLOCK_S:
         raise DataError(
-            f"{flight.name}: only {max(last - first, 0) / rate:.2f} s of free flight; throw higher, 0.3 s are enough"
+            f"{flight.name}: only {seconds:.2f} s of free flight in which the gyro does not saturate; throw higher, 0.3 s are "
+            "enough, and with less spin if the gyro reaches its end"
         )
-    samples = {name: values[rows] for name, values in vars(flight).items() if name != "name"}
-    return FreeFlight(name=flight.name, **samples)
+    names = ("time", "ang_vel", "specific_force", "wheel_speed")
+    samples = {name: getattr(flight, name)[rows] for name in names}
+    return FreeFlight(name=flight.name, **samples, saturated=saturated[rows] if saturated[rows].any() else None)
+
+
+def _position_of_most_rows(matrices: Array, force: Array) -> Array:
+    """Return the position [m], (3,), that explains the best half of the readings, as hands may hold the body in others.
+
+    Least trimmed squares by concentration. Source: Rousseeuw, Van Driessen (2006), Computing LTS regression for large data
+    sets.
+    """
+    kept = np.ones(len(force), dtype=bool)
+    for _ in range(CONCENTRATIONS):
+        position = np.linalg.lstsq(matrices[kept].reshape(-1, 3), force[kept].reshape(-1), rcond=None)[0]
+        residual = np.linalg.norm(force - matrices @ position, axis=1)
+        kept = residual <= np.median(residual)
+    return position
+
+
+def is_gyro_saturated(ang_vel: Array) -> Flags:
+    """Return the rows in which a rate is at the end of a gyro's range, (T,): within ``NEAR_END`` of it, and none beyond."""
+    ends = np.radians(GYRO_RANGES_DEG_S)
+    largest = np.abs(ang_vel).max(axis=0)
+    end = ends[np.argmin(np.abs(np.log(np.maximum(largest, 1e-9)[:, None] / ends)), axis=1)]
+    at_end = np.abs(largest / end - 1.0) < NEAR_END
+    return np.any(at_end & (np.abs(ang_vel) > (1.0 - NEAR_END) * end), axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,8 +178,19 @@ class MomentumChanges:
 
 
 def momentum_changes(flight: FreeFlight) -> MomentumChanges:
-    """Return the terms of the momentum of one flight, as changes between blocks."""
-    time, rates, speed = flight.time, flight.ang_vel, flight.wheel_speed
+    """Return the terms of the momentum of one flight, as changes between blocks of its parts without saturation."""
+    rate = sample_rate_of_times(flight.time)
+    acceleration = np.gradient(lowpass_filter(flight.wheel_speed, rate), flight.time)
+    long = [slice(*span) for span in flight.spans if span[1] - span[0] >= 2 * max(round(BLOCK_S * rate), 1)]
+    parts = [
+        _changes_of_part(*(one[rows] for one in (flight.time, flight.ang_vel, flight.wheel_speed, acceleration)))
+        for rows in long
+    ]
+    names = ("body", "wheel", "lateness")
+    return MomentumChanges(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _changes_of_part(time: Array, rates: Array, speed: Array, acceleration: Array) -> MomentumChanges:
     rate, steps = sample_rate_of_times(time), np.diff(time)
     turns = Rotation.from_rotvec(0.5 * (rates[1:] + rates[:-1]) * steps[:, None]).as_matrix()
     axes = np.array([*accumulate(turns, np.matmul, initial=np.eye(3))])
@@ -147,7 +200,6 @@ def momentum_changes(flight: FreeFlight) -> MomentumChanges:
         elements[:, j, column] += rates[:, i] if i != j else 0.0
     drag = axes * (np.linalg.norm(rates, axis=1)[:, None] * rates)[:, None, :]
     lost = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(0.5 * (drag[1:] + drag[:-1]) * steps[:, None, None], axis=0)))
-    acceleration = np.gradient(lowpass_filter(speed, rate), time)
     size = max(round(BLOCK_S * rate), 1)
     count = time.size // size
     terms = (
@@ -170,14 +222,22 @@ def fit_momentum(bodies: Sequence[Sequence[FreeFlight]]) -> tuple[WheelFit, list
         np.concatenate([getattr(change, name).reshape(-1, 3) for _, change in changes])
         for name in ("wheel", "lateness")
     )
-    axis = _wheel_axis(columns, wheel)
-    across = np.linalg.svd(axis[None])[2][1:]
-    matrix = np.concatenate((columns, wheel @ across.T, late @ axis[:, None]), axis=1)
-    target, unbounded = -wheel @ axis, np.full(3, -np.inf)
+    if len(columns) < columns.shape[1] + 3 + FEWEST_SURPLUS:
+        names = ", ".join(flight.name for flights in bodies for flight in flights)
+        raise DataError(
+            f"{names}: {len(columns) // 3} changes of momentum for {columns.shape[1] + 3} unknowns, and "
+            f"{(columns.shape[1] + 3 + FEWEST_SURPLUS) // 3} are needed; throw higher or more often, with a gyro below its end"
+        )
+    axis, unbounded = _wheel_axis(columns, wheel), np.full(3, -np.inf)
     low = np.concatenate((*len(bodies) * (np.append(np.repeat(unbounded, 2), np.zeros(3)),), unbounded))
-    scale = np.sqrt((matrix * matrix).mean(axis=0))
-    fit = lsq_linear(matrix / scale, target, (low, np.inf))
-    params, residual = fit.x / scale, target - matrix @ (fit.x / scale)
+    for _ in range(TILTS):
+        across = np.linalg.svd(axis[None])[2][1:]
+        matrix, target = np.concatenate((columns, wheel @ across.T, late @ axis[:, None]), axis=1), -wheel @ axis
+        scale = np.sqrt((matrix * matrix).mean(axis=0))
+        fit = lsq_linear(matrix / scale, target, (low, np.inf))
+        params, residual = fit.x / scale, target - matrix @ (fit.x / scale)
+        tilted = axis + params[-3:-1] @ across
+        axis = tilted / np.linalg.norm(tilted)  # the wheel's inertia of 1 belongs to a unit axis
     free = fit.active_mask == 0
     covariance = np.zeros((scale.size, scale.size))
     covariance[np.ix_(free, free)] = hac_covariance(np.asarray(matrix[:, free], dtype=np.float64), residual)
@@ -187,8 +247,7 @@ def fit_momentum(bodies: Sequence[Sequence[FreeFlight]]) -> tuple[WheelFit, list
         share = float(np.sqrt(np.mean(residual[rows] ** 2) / np.mean(target[rows] ** 2)))
         more = {"imu_position": fit_imu_position(flights), "residual": share}
         fits.append(MomentumFit(inertia=matrix_of_elements(params[part]), covariance=covariance[part, part], **more))
-    axis = axis + params[-3:-1] @ across
-    return WheelFit(axis=axis / np.linalg.norm(axis), lateness=float(params[-1])), fits
+    return WheelFit(axis=axis, lateness=float(params[-1])), fits
 
 
 def _wheel_axis(columns: Array, wheel: Array) -> Array:
@@ -214,8 +273,9 @@ def fit_imu_position(flights: Sequence[FreeFlight]) -> Array:
     matrices, forces = [], []
     for flight in flights:
         rate = sample_rate_of_times(flight.time)
-        matrices.append(acceleration_matrices(flight.time, flight.ang_vel).reshape(-1, 3))
-        forces.append(lowpass_filter(flight.specific_force, rate).reshape(-1))
+        known = slice(None) if flight.saturated is None else ~flight.saturated
+        matrices.append(acceleration_matrices(flight.time, flight.ang_vel)[known].reshape(-1, 3))
+        forces.append(lowpass_filter(flight.specific_force, rate)[known].reshape(-1))
     return np.linalg.lstsq(np.concatenate(matrices), np.concatenate(forces), rcond=None)[0]
 
 
