@@ -85,8 +85,8 @@ def without_incomplete_rotor_data(streams: dict[str, Stream], notes: list[Findin
     few, many = (choose(rotors, key=lambda one: one.values.shape[1], default=None) for choose in (min, max))
     if few is None or many is None or few.values.shape[1] == many.values.shape[1]:
         return streams
-    counts = f"{few.values.shape[1]} rotors, {many.channel.source} has {many.values.shape[1]}"
-    error = f"topic {few.channel.source} has data of {counts}"
+    counts = f"{few.values.shape[1]} rotors, but {many.quantity} of {many.values.shape[1]}"
+    error = f"topic {few.channel.source} has {few.quantity} of {counts}"
     notes.append(Finding("topic_left_out", "", {"topic": few.channel.source, "error": error}))
     return {name: stream for name, stream in streams.items() if stream is not few}
 

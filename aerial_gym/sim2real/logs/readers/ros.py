@@ -8,6 +8,7 @@ Source: ROS REP 103 and 145; message definitions of ``common_interfaces`` and ``
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog, Topic, faster_first, note_on_rotor_order
+from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first, note_on_rotor_order
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.readers.ros_files import (
     DATABASE,
     MCAP,
+    LayoutError,
+    MessageLayout,
     MessageSource,
     decode_messages,
     json_columns,
@@ -34,6 +37,14 @@ from aerial_gym.sim2real.logs.readers.ulog import UlogReader
 METADATA = "metadata.yaml"  # File of a ROS 2 bag that stands for its folder
 LONGEST_DEFINITION = 50_000  # Characters of a message definition; the longest of PX4 have 20,000
 LARGEST_MESSAGE = 65_536  # Mean size [B] from which a topic, such as images, is listed without its content
+STATUS_TEXT, MOST_TEXTS = "mavros_msgs/msg/StatusText", 5000
+TEXTS = {
+    STATUS_TEXT: ("severity", "text", (4, 5, 7)),  # Least numbers of warning, info and debug; smaller ones are errors
+    "rosgraph_msgs/msg/Log": ("level", "msg", (2, 4, 8)),  # Least numbers of info, warning and error
+    "rcl_interfaces/msg/Log": ("level", "msg", (20, 30, 40)),
+}
+"""Fields of level and text of messages for people, and limits between levels."""
+
 SETPOINTS = re.compile(
     "setpoint|target|desired|reference|command|cmd|goal|_ref$", re.IGNORECASE
 )  # Topics that measure nothing
@@ -97,11 +108,13 @@ class RosReader(LogReader):
         except ImportError:
             raise MissingDependencyError("reading bags of ROS needs rosbags: pip install 'aerial-gym[logs]'") from None
         standard = get_typestore(Stores.LATEST).fielddefs
-        topics, notes, types = list[Topic](), list[Finding](), dict[str, str]()
+        topics, notes, types, messages = list[Topic](), list[Finding](), dict[str, str](), list[LogMessage]()
         for source in read_message_sources(path.parent if path.name == METADATA and path.is_file() else path):
             columns: dict[str, Array] = {}
             if sum(map(len, source.messages)) < LARGEST_MESSAGE * len(source.messages):
-                columns, error = _decode_source(source, {**standard, **_types_in_message_definition(source)})
+                fields = {**standard, **_types_in_message_definition(source)}
+                columns, error = _decode_source(source, fields)
+                messages += _log_messages(source, fields)
                 if error:
                     notes.append(Finding("topic_left_out", "", {"topic": source.topic, "error": error}))
             instance = sum(topic.name == source.topic for topic in topics)
@@ -113,7 +126,14 @@ class RosReader(LogReader):
         for name, root in _topics_of_other_vehicles(topics, types).items():
             error = f"topic {name} is of another vehicle or sensor than those below {root}"
             notes.append(Finding("topic_left_out", "", {"topic": name, "error": error}))
-        return RawLog(path=str(path), format=self.name, topics=tuple(topics), metadata=types, notes=tuple(notes))
+        return RawLog(
+            path=str(path),
+            format=self.name,
+            topics=tuple(topics),
+            metadata=types,
+            messages=tuple(messages),
+            notes=tuple(notes),
+        )
 
     def channels(self, log: RawLog) -> Sequence[LogChannel]:
         """Return the quantities of the vehicle; of several sources a much faster one comes first."""
@@ -179,6 +199,18 @@ def _decode_source(source: MessageSource, fields: Any) -> tuple[dict[str, Array]
         return {}, f"{name} has the type {source.type}, whose definition is not in the bag; {remedy}"
     columns, lost = decode_messages(source.messages, source.type, fields, is_cdr=source.encoding == "cdr")
     return columns, f"{lost} of {count} messages of {name} do not fit their definition" if lost else ""
+
+
+def _log_messages(source: MessageSource, fields: Any) -> Iterator[LogMessage]:
+    """Yield the texts of a topic with messages for people, at most ``MOST_TEXTS``."""
+    level, text, levels = TEXTS.get(source.type, ("", "", ()))
+    for time, data in zip(source.times[:MOST_TEXTS], source.messages, strict=False) if text else ():
+        with suppress(LayoutError):
+            layout = MessageLayout(data, source.type, fields, is_cdr=source.encoding == "cdr")
+            place = layout.numbers.get(level, (len(data), None))[0]
+            rank = sum(data[place : place + 1] >= bytes([least]) for least in levels)
+            name = ("debug", "info", "warning", "error")[rank if source.type != STATUS_TEXT else 3 - rank]
+            yield LogMessage(time=1e-9 * time, level=name, text=layout.texts.get(text, b"").decode("utf-8", "replace"))
 
 
 def _types_in_message_definition(source: MessageSource) -> Any:

@@ -264,11 +264,12 @@ class LayoutError(ValueError):
 
 
 class MessageLayout:
-    """Places of the numbers in one message, and of the lengths that determine these places."""
+    """Places of the numbers in one message, its texts, and places of the lengths that determine these places."""
 
     def __init__(self, data: bytes, kind: str, fields: Fields, *, is_cdr: bool) -> None:
         """Walk through a message; raise ``LayoutError`` if it does not fit the definition of its type."""
         self.numbers: dict[str, tuple[int, np.dtype[Any]]] = {}
+        self.texts: dict[str, bytes] = {}
         self.lengths: list[int] = []
         self._data, self._fields, self._place, self._open = data, fields, 0, True
         self._origin, self._nodes = 4 if is_cdr else 0, 0
@@ -330,7 +331,9 @@ class MessageLayout:
 
     def _walk_number_or_text(self, kind: str, name: str) -> None:
         if kind == "string":
-            self._skip_bytes(self._read_length())
+            size, start = self._read_length(), self._place
+            self._skip_bytes(size)
+            self.texts[name] = self._data[start : start + size].rstrip(b"\0")
         elif kind in NUMBERS:
             number = np.dtype(NUMBERS[kind])
             self._align_to_size(number.itemsize)

@@ -129,6 +129,22 @@ def test_a_type_without_definition_is_named(tmp_path) -> None:
     assert all("px4_msgs/msg/VehicleAttitude" in note.values["error"] for note in read(path).notes)
 
 
+def test_texts_for_people_become_messages(tmp_path) -> None:
+    types = ros_bags.get_typestore(ros_bags.Stores.ROS1_NOETIC)
+    make, kind = types.types, "rosgraph_msgs/msg/Log"
+    with ros_bags.Writer1(tmp_path / "log.bag") as writer:
+        link = writer.add_connection("/rosout", kind, typestore=types)
+        for level, text in ((1, "tick"), (4, "low battery"), (8, "lost")):
+            head = make["std_msgs/msg/Header"](0, make["builtin_interfaces/msg/Time"](1, 0), "")
+            row = make[kind](head, level, "node", text, "file", "function", 1, [])
+            writer.write(link, 5_000_000_000, types.serialize_ros1(row, kind))
+    log = read(tmp_path / "log.bag")
+    assert [(one.level, one.text) for one in log.messages] == [
+        ("debug", "tick"), ("warning", "low battery"), ("error", "lost"),
+    ]  # fmt: skip
+    assert log.messages[0].time == 5.0
+
+
 def test_an_orientation_that_an_imu_does_not_give_is_none() -> None:
     """Its covariance begins with -1, and the orientation may be any, such as level."""
     columns = {f"orientation.{axis}": np.full(3, float(axis == "w")) for axis in "xyzw"}
