@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections import Counter
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
@@ -187,11 +188,11 @@ class FromLogCmd:
     json: bool = False  # Print one JSON object instead of text
 
     def run(self) -> int:
-        """Write the file, and print numbers that are assumed and open questions; return the exit status."""
+        """Write the file, and print open questions and the origin of each number; return the exit status."""
         from aerial_gym.errors import ConfigError
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-        from aerial_gym.sim2real.teststand.vehicle_draft import robot_yaml_with_origins
+        from aerial_gym.sim2real.teststand.vehicle_draft import LABELS, robot_yaml_with_origins
         from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
         if not self.logs:
@@ -216,14 +217,19 @@ class FromLogCmd:
                 "questions": list(draft.questions), "notes": list(draft.notes), "written": [str(path) for path in written],
             }))  # fmt: skip
             return 0
-        print_table(
-            [(key, f"{each.value:.4g}", each.origin) for key, each in draft.values.items()],
-            ("number", "value", "origin"),
+        kinds = Counter(each.kind for each in draft.values.values())
+        print(
+            f"{self.out}: of {len(draft.values)} numbers {', '.join(f'{kinds[kind]} {kind}' for kind in sorted(kinds))}"
         )
+        for question in draft.questions:
+            print(f"question: {question}")
+        unit = "of full thrust" if draft.force_mode else "per squared speed"
+        rows = [(LABELS[key].format(unit), f"{each.value:.4g}", each.origin) for key, each in draft.values.items()]
+        print_table(rows, ("number", "value", "origin"))
         print(f"rotors: {draft.layout_origin}")
         for sentence in draft.notes:
             print(f"note: {sentence}")
-        for question in draft.questions:
-            print(f"question: {question}")
         print(f"written: {', '.join(map(str, written))}")
+        mapping = written[1] if draft.mapping else self.mapping
+        print(f"next: aerial-gym replay {self.out} ANOTHER_FLIGHT{'' if mapping is None else f' --mapping {mapping}'}")
         return 0

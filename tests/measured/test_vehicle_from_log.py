@@ -118,7 +118,7 @@ def test_drafts_agree_with_an_independent_fit(paths: list[Path]) -> None:
 def test_replay_of_the_own_flight_is_inside_the_interval_of_the_thrust(log: str, mass: float, tmp_path: Path) -> None:
     """By the mean vertical force; in the second flight of ArduPilot the vehicle carries a load for ten seconds."""
     draft = draft_vehicle([log], mass=mass, arm=ARM)
-    thrust = draft.values["thrust"]
+    thrust = draft.values["hover_thrust" if draft.force_mode else "thrust"]
     (tmp_path / "v.yaml").write_text(robot_yaml_with_origins(draft, name="log"))
     (tmp_path / "v.mapping.yaml").write_text(draft.mapping)
     replay(str(tmp_path / "v.yaml"), [log], tmp_path / "out", mapping=str(tmp_path / "v.mapping.yaml"))

@@ -85,6 +85,12 @@ class CommandCurve:
     power: Estimate
     lag: Estimate
     full: float = 1.0  # Full command; above 1 the largest one in the logs
+    reached: float  # Largest speed of the fit, 99.9th percentile [rad/s]
+
+    @property
+    def full_speed(self) -> float:
+        """Steady speed of a full command [rad/s]."""
+        return self.offset.value + self.gain.value
 
 
 def rows_of_flight(log: FlightLog, thrust_input: Callable[[FlightLog], Array]) -> FlightRows:
@@ -297,8 +303,19 @@ def _values_with_lag(values: Array, lag: float, rate: float) -> Array:
     return lfilter([0.0, 1.0 - share], [1.0, -share], values - values[:1], axis=0) + values[:1]
 
 
+def _values_later(values: Array, rows: float) -> Array:
+    """Return values (T, R) later by a number of rows, with straight lines between rows."""
+    at = np.clip(np.arange(len(values)) - rows, 0.0, None)
+    before = at.astype(int)
+    share, after = (at - before)[:, None], np.minimum(before + 1, len(values) - 1)
+    return (1.0 - share) * values[before] + share * values[after]
+
+
 def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
-    """Return the steady speed of a command and the lag behind it; None without measured speeds and fast commands."""
+    """Return the steady speed of a command and the lag behind it; None without measured speeds and fast commands.
+
+    The interval of the lag includes the shorter lag beside a dead time, which the flight fits as well.
+    """
     if any(log.rotor_command is None or log.rotor_speed is None for log in logs):
         return None
     parts = [part for log in logs for part in _curve_parts(log, CURVE_PARTS if len(logs) == 1 else 1)]
@@ -306,15 +323,16 @@ def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
     largest = max(float(part.speed.max()) for part in parts)
 
     def residual(params: Array, chosen: Sequence[int]) -> Array:
-        offset, gain, power, lag = params * (largest, largest, 1.0, 0.02)
+        offset, gain, power, lag, dead = np.append(params, 0.0)[:5] * (largest, largest, 1.0, 0.02, 0.02)
         errors = []
         for part in (parts[k] for k in chosen):
-            state = _values_with_lag(offset + gain * (np.clip(part.command, 0.0, None) / full) ** power, lag, part.rate)
+            command = np.clip(_values_later(part.command, dead * part.rate), 0.0, None)
+            state = _values_with_lag(offset + gain * (command / full) ** power, lag, part.rate)
             errors.append(((state - part.speed) / largest)[part.rows].reshape(-1))
         return np.concatenate(errors)
 
     def fit(chosen: Sequence[int], start: Array) -> Array:
-        low, high = (0.0, 0.1, 0.3, 0.05), (0.6, 2.0, 1.5, 10.0)
+        low, high = (np.array(ends)[: start.size] for ends in ((0.0, 0.1, 0.3, 0.05, 0.0), (0.6, 2.0, 1.5, 10.0, 2.5)))
         return np.asarray(least_squares(residual, start, bounds=(low, high), args=(chosen,)).x, dtype=np.float64)
 
     count = range(len(parts))
@@ -322,7 +340,10 @@ def fit_command_curve(logs: Sequence[FlightLog]) -> CommandCurve | None:
     scale = np.array((largest, largest, 1.0, 0.02))
     half = _jackknife_half_width([fit([k for k in count if k != left], whole) for left in count])
     offset, gain, power, lag = map(Estimate.from_half_width, whole * scale, half * scale)
-    return CommandCurve(offset=offset, gain=gain, power=power, lag=lag, full=full)
+    beside = float(fit(list(count), np.append(whole, 0.05))[3] * scale[3])
+    lag = Estimate(value=lag.value, low=min(lag.low, beside - half[3] * scale[3]), high=lag.high)
+    reached = float(np.quantile(np.concatenate([part.speed[part.rows].ravel() for part in parts]), 0.999))
+    return CommandCurve(offset=offset, gain=gain, power=power, lag=lag, full=full, reached=reached)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,8 @@ from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
 from aerial_gym.sim2real.teststand.effectiveness import CommandCurve, Effectiveness
-from aerial_gym.sim2real.teststand.log_geometry import RotorLayout
+
+SOURCE = "aerial-gym robot from-log"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,16 +25,43 @@ class ValueWithOrigin:
     origin: str
 
     @property
+    def kind(self) -> str:
+        """First word of the origin: assumed, given, logged or measured."""
+        return self.origin.replace(":", " ").split()[0]
+
+    @property
     def is_assumed(self) -> bool:
         """Whether neither log nor flight shows it."""
-        return self.origin.startswith("assumed")
+        return self.kind == "assumed"
 
     def weaken(self, values: Mapping[str, "ValueWithOrigin"], *names: str) -> "ValueWithOrigin":
         """Return the value as assumed if one of the named values is."""
         assumed = [name for name in names if name in values and values[name].is_assumed]
         if self.is_assumed or not assumed:
             return self
-        return replace(self, origin=f"assumed: scales with the assumed {' and '.join(assumed)}")
+        return replace(self, origin=f"assumed: scales with the assumed {' and '.join(assumed).replace('_', ' ')}")
+
+
+LABELS = {
+    "mass": "mass [kg]",
+    "arm": "arm [m]",
+    "thrust": "thrust per squared speed [N s²/rad²]",
+    "hover_thrust": "rotor thrust at the mean command [N]",
+    "thrust_exponent": "exponent of the command's thrust",
+    "inertia_x": "inertia about x [kg m²]",
+    "inertia_y": "inertia about y [kg m²]",
+    "inertia_z": "inertia about z [kg m²]",
+    "torque_ratio": "torque ratio [m]",
+    "lag": "rotor lag [s]",
+    "largest_thrust": "rotor thrust at full command [N]",
+    "roll": "roll acceleration {} [rad/s²]",
+    "pitch": "pitch acceleration {} [rad/s²]",
+    "yaw": "yaw acceleration {} [rad/s²]",
+    "speed_offset": "speed at command 0 [rad/s]",
+    "speed_gain": "further speed at command 1 [rad/s]",
+    "speed_power": "exponent of the command's speed",
+}
+"""Names and units of the numbers for people; the accelerations are those of a rotor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +87,7 @@ def mean_command(logs: Sequence[FlightLog]) -> float:
     return float(commands[commands > 0.3 * np.quantile(commands, 0.9)].mean())
 
 
-def command_mapping_yaml(
-    draft: VehicleDraft, layout: RotorLayout, logs: Sequence[FlightLog], mapping: LogMapping | None
-) -> str:
+def command_mapping_yaml(draft: VehicleDraft, logs: Sequence[FlightLog], mapping: LogMapping | None) -> str:
     """Return a mapping that turns logged commands into speeds [rad/s], or into thrusts [N] without measured speeds.
 
     A thrust curve becomes the power law with the same thrust and slope at the mean command. Text files keep the rest of their
@@ -78,14 +104,19 @@ def command_mapping_yaml(
         law = replace(own, gain=curve.gain.value / curve.full**power, power=power, offset=offset)
     elif draft.force_mode:
         u, power = mean_command(logs), draft.values["thrust_exponent"].value
-        thrust = draft.values["thrust"].value * float(layout.law.share(np.array(u)))
-        law = replace(own, gain=thrust / u**power, power=power)
+        law = replace(own, gain=draft.values["hover_thrust"].value / u**power, power=power)
     else:
         return ""
-    source = "aerial-gym robot from-log"
-    if base is None:
-        base = LogMapping(summary="commands of this vehicle", time=ColumnsCfg(columns=("t",)), source=source)
-    return dump_yaml(replace(base, rotor_command=law, source=source))
+    if base is not None:
+        return dump_yaml(replace(base, rotor_command=law, source=SOURCE))
+    name, origin = (
+        ("thrust", draft.values["thrust_exponent"]) if curve is None else ("speed", draft.values["speed_power"])
+    )
+    numbers = f"gain: {law.gain:.7g}, power: {law.power:.7g}, offset: {law.offset:.7g}"
+    return "\n".join((
+        f"summary: {name} of the commands of this vehicle", "time: {columns: [t]}",
+        f"rotor_command: {{columns: [rotor_command], {numbers}}}  # power {origin.origin}", f"source: {SOURCE}", "",
+    ))  # fmt: skip
 
 
 def robot_yaml_with_origins(draft: VehicleDraft, *, name: str) -> str:
@@ -117,7 +148,7 @@ def robot_yaml_with_origins(draft: VehicleDraft, *, name: str) -> str:
         for place, axis, spin in zip(draft.places, axes, draft.spins, strict=True)
     ]
     arm = f"; arm {v['arm'].origin}" if "arm" in v else ""
-    source = json.dumps(f"aerial-gym robot from-log {name}")
+    source = json.dumps(f"{SOURCE} {name}")
     return "\n".join((
         f"summary: {json.dumps(f'vehicle of {name}')}", "body:",
         line("mass", f"{v['mass'].value:g}", v["mass"]), "  inertia:", *inertia,

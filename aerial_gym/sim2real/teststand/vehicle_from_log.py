@@ -43,6 +43,9 @@ from aerial_gym.sim2real.teststand.vehicle_draft import (
 FEWEST_S = 3.0  # Least time in the air [s]
 LARGEST_FORCE = 100.0  # Larger commands of a CSV file are speeds [rad/s]; smaller ones are thrusts [N] or shares
 WIDEST = 0.15  # Largest half width of the interval of a measured number, relative to it; a wider one is an assumption
+UNEVEN = (
+    0.2  # Difference of both spins' shares of the thrust that no usual asymmetry gives; motors differ by some per cent
+)
 VARIED = 1.3  # Ratio of thrusts per command in parts of the flights that no single vehicle shows
 FASTEST_FALL = 10.0  # Change of the vertical velocity over a flight [m/s] that its mean specific force may contain
 
@@ -65,8 +68,8 @@ def draft_vehicle(
     power = None if has_speeds or not fast else fit_thrust_power(logs)
     if power is not None and _has_narrow_interval_above_zero(power[0]):
         low, high = power[0].low, power[0].high
-        law = ThrustLaw(power=power[0].value, origin=f"measured here: u^{power[0].value:.2f} [{low:.2f}, {high:.2f}]")
-        layout = replace(layout, law=law)
+        origin = f"measured here [{low:.3g}, {high:.3g}]"
+        layout = replace(layout, law=ThrustLaw(power=power[0].value, origin=origin))
     if not has_speeds and not fast:
         layout = replace(layout, law=_law_of_slow_commands(logs, layout.law))
 
@@ -88,7 +91,20 @@ def draft_vehicle(
     curve = fit_command_curve(logs) if has_speeds and fast else None
     lag = curve.lag if curve is not None else power[1] if power is not None else None
     draft = _assemble_draft(layout, effect, curve, lag, mean_force_per_input(flights), has_speeds, mass, arm, logs)
-    return replace(draft, mapping=command_mapping_yaml(draft, layout, logs, mapping))
+    notes = (*draft.notes, *_notes_on_yaw_balance(flights, draft.spins))
+    return replace(draft, notes=notes, mapping=command_mapping_yaml(draft, logs, mapping))
+
+
+def _notes_on_yaw_balance(flights: Sequence[FlightRows], spins: Sequence[int]) -> list[str]:
+    """Return a note if the mean inputs of equal rotors would turn the vehicle, which does not turn in the mean."""
+    mean = np.concatenate([flight.inputs[flight.flies] for flight in flights]).mean(axis=0)
+    left, right = (float(mean[np.array(spins) == spin].sum()) for spin in (1, -1))
+    if abs(left - right) <= UNEVEN * (left + right):
+        return []
+    return [
+        f"In the mean, rotors of spin 1 give {left / (left + right):.0%} of the thrust and those of spin -1 the rest, by their "
+        "inputs. Equal upright rotors would turn the vehicle: check the spins, a tilt of the motors, and the command curve."
+    ]
 
 
 def _law_of_slow_commands(logs: Sequence[FlightLog], law: ThrustLaw) -> ThrustLaw:
@@ -150,9 +166,10 @@ def _has_narrow_interval_above_zero(estimate: Estimate) -> bool:
 
 
 def _value_of_estimate(estimate: Estimate, basis: str = "") -> ValueWithOrigin:
-    interval = f" [{estimate.low:.3g}, {estimate.high:.3g}]" if np.isfinite(estimate.high) else ""
-    how = "measured here" if _has_narrow_interval_above_zero(estimate) else "assumed: not clear in the flight,"
-    return ValueWithOrigin(value=estimate.value, origin=f"{how}{interval}{basis}")
+    if not 0.0 < estimate.low <= estimate.high < inf:
+        return ValueWithOrigin(value=estimate.value, origin="assumed: the flight does not show it")
+    how = "measured here" if _has_narrow_interval_above_zero(estimate) else "assumed: the flight shows only"
+    return ValueWithOrigin(value=estimate.value, origin=f"{how} [{estimate.low:.3g}, {estimate.high:.3g}]{basis}")
 
 
 def _scale_estimate(estimate: Estimate, factor: float) -> Estimate:
@@ -181,9 +198,8 @@ def _assemble_draft(
     places, spins, layout_origin, notes = _places_and_spins_of_rotors(layout, effect)
     notes = [*layout.notes, *notes]
     if layout_origin.startswith("assumed"):
-        questions.append(
-            f"Which rotor is where, and how does it turn? Give --frame: {', '.join(FRAMES)}, or a robot file"
-        )
+        frames = ", ".join(name for name, rotors in FRAMES.items() if len(rotors.split()) == layout.count)
+        questions.append(f"Which rotor is where, and how does it turn? Give --frame: {frames}, or a robot file")
     if not layout.has_lengths:
         if arm is None:
             questions.append("How far is a rotor's axis from the centre? Measure it and give --arm-m")
@@ -193,30 +209,35 @@ def _assemble_draft(
         values["arm"] = ValueWithOrigin(value=length, origin=how)
     elif arm is not None:
         notes.append(f"--arm-m {arm:g} is not used: the places of the rotors are known ({layout.source}).")
-    thrust = _value_of_estimate(_scale_estimate(lift.mean, kilograms), ": hover, by the mass").weaken(values, "mass")
+    law, mean = layout.law, 1.0 if has_speeds else mean_command(logs)
+    unit = kilograms * (1.0 if has_speeds else float(law.share(np.array(mean))))
+    thrust = _value_of_estimate(_scale_estimate(lift.mean, unit), ": by the mass").weaken(values, "mass")
     if lift.highest > VARIED * lift.lowest:
-        a, b = kilograms * lift.lowest, kilograms * lift.highest
+        a, b = unit * lift.lowest, unit * lift.highest
         thrust = replace(thrust, origin=f"assumed: it varies from {a:.3g} to {b:.3g} in the flights")
         questions.append(
             "What changed the thrust per command in flight: a load, a propeller, the battery? Give flights without it"
         )
-    values["thrust"] = thrust
+    values["thrust" if has_speeds else "hover_thrust"] = thrust
     if not has_speeds:
-        values["thrust_exponent"] = ValueWithOrigin(
-            value=layout.law.slope(mean_command(logs)), origin=f"{layout.law.origin}; at the mean command"
-        )
+        exponent = f"{law.origin}; at the mean command {mean:.2f}"
+        values["thrust_exponent"] = ValueWithOrigin(value=law.slope(mean), origin=exponent)
+        thrust = replace(thrust, value=kilograms * lift.mean.value)  # of a full share
     axes = np.tile((0.0, 0.0, 1.0), (layout.count, 1)) if layout.axes is None else layout.axes
     arms = np.abs(np.cross(places, axes)).max(axis=0)
     for axis, (name, reach) in enumerate(zip(("inertia_x", "inertia_y"), arms[:2], strict=True)):
         if effect is not None and effect.known[axis]:
             moment = _quotient_by_estimate(effect.sizes[axis], float(reach) * thrust.value)
             value = _value_of_estimate(moment, ": by arm, mass and effectiveness")
-            if not layout.has_lengths:
-                value = replace(value, origin=f"assumed: of a frame as wide as long; {value.origin}")
-            values[name] = value.weaken(values, "mass", "arm", "thrust")
+            value = value.weaken(values, "mass", "arm", "thrust", "hover_thrust")
+            if not layout.has_lengths and not value.is_assumed:
+                value = replace(
+                    value, origin=f"assumed: if the frame is as wide as long, [{moment.low:.3g}, {moment.high:.3g}]"
+                )
+            values[name] = value
         else:
             guess = 0.4 * kilograms * float(reach) ** 2
-            why = "the log is too slow for torques" if effect is None else "not clear in the flight"
+            why = "the log is too slow for torques" if effect is None else "the flight does not show it"
             values[name] = ValueWithOrigin(value=guess, origin=f"assumed: 0.4 m arm², +- 50 %; {why}")
     for name in ("inertia_x", "inertia_y"):  # short numbers, whose sum stays exact in the file
         values[name] = replace(values[name], value=float(f"{values[name].value:.5g}"))
@@ -226,11 +247,15 @@ def _assemble_draft(
     slow = ValueWithOrigin(value=0.05, origin="assumed: speeds or commands are not logged fast enough")
     values["lag"] = slow if lag is None else _value_of_estimate(lag)
     values["largest_thrust"] = _largest_thrust(thrust, curve, layout.law, has_speeds, logs)
-    unit = "squared speed" if has_speeds else "unit of thrust"
     for name, size in zip(("roll", "pitch", "yaw"), () if effect is None else effect.sizes[:3], strict=False):
-        values[name] = _value_of_estimate(size, f": angular acceleration per {unit}")
-    for name, part in () if curve is None else (("offset", curve.offset), ("gain", curve.gain), ("power", curve.power)):
-        values[f"speed_{name}"] = _value_of_estimate(part, ": speed of a command")
+        if size.low > 0.0:
+            values[name] = _value_of_estimate(size)
+    if curve is not None:
+        for name in ("offset", "gain", "power"):
+            values[f"speed_{name}"] = _value_of_estimate(getattr(curve, name), f", up to {curve.reached:.0f} rad/s")
+        if not _reaches_full_thrust(curve.reached**2, curve.full_speed**2):
+            origin = f"assumed: the flights reach {curve.reached:.0f} of {curve.full_speed:.0f} rad/s"
+            values["speed_gain"] = ValueWithOrigin(value=curve.gain.value, origin=origin)
     return VehicleDraft(
         values=values, places=places, axes=layout.axes, spins=spins, layout_origin=layout_origin, curve=curve,
         effectiveness=effect, questions=tuple(questions), notes=tuple(notes), force_mode=not has_speeds,
@@ -271,7 +296,7 @@ def _places_and_spins_of_rotors(
     """Return places and spins of the rotors: those of the flight where it shows them, else those of the log."""
     shown = effect if effect is not None and effect.known.all() else None
     if layout.places is not None and layout.spins is not None and (shown is None or not shown.measured.any()):
-        result = "the flight does not show all signs" if shown is None else "the flight agrees"
+        result = "these flights cannot check it" if shown is None else "the flight agrees"
         return layout.places, layout.spins, f"{layout.origin}: {layout.source}; {result}", []
     if shown is None:
         raise DataError(
@@ -304,15 +329,29 @@ def _places_of_weights(weights: Array) -> Array:
 def _largest_thrust(
     thrust: ValueWithOrigin, curve: CommandCurve | None, law: ThrustLaw, has_speeds: bool, logs: Sequence[FlightLog]
 ) -> ValueWithOrigin:
-    """Return the thrust at full command, or at the largest speed in flight if no command curve is known."""
+    """Return the thrust at full command, or at the largest speed in flight if no command curve is known.
+
+    It is measured only if the flights reach it, and show its curve.
+    """
     series = [log.rotor_speed if has_speeds else log.rotor_command for log in logs]
-    largest = max(float(values.max()) for values in series if values is not None)
-    origin = f"{thrust.origin};" if thrust.is_assumed else "measured here:"
+    largest = max(float(np.quantile(values, 0.999)) for values in series if values is not None)
+    if has_speeds and curve is None:
+        origin = "assumed: at the largest speed in flight; the motors may give more"
+        return ValueWithOrigin(value=thrust.value * largest**2, origin=origin)
     if curve is not None:
-        full = (curve.offset.value + curve.gain.value) ** 2
-        return ValueWithOrigin(value=thrust.value * full, origin=f"{origin} at full command, by the command curve")
-    if has_speeds:
-        return ValueWithOrigin(value=thrust.value * largest**2, origin=f"{origin} at the largest speed in flight")
-    reached = f"at full command; the flights reach {largest:.2g}"
-    most = float(law.share(np.array(max(largest, 1.0))))
-    return ValueWithOrigin(value=thrust.value * most, origin=f"assumed: {reached}")
+        ends, reached, most = (
+            f"{curve.reached:.0f} of {curve.full_speed:.0f} rad/s",
+            curve.reached**2,
+            curve.full_speed**2,
+        )
+    else:
+        full = max(largest, 1.0)
+        ends, reached, most = f"command {largest:.2g} of {full:.2g}", *law.share(np.array((largest, full))).tolist()
+    shown = not thrust.is_assumed and (curve is not None or law.origin.startswith("measured"))
+    how = "measured here" if shown and _reaches_full_thrust(reached, most) else "assumed"
+    return ValueWithOrigin(value=thrust.value * most, origin=f"{how}: at full command; the flights reach {ends}")
+
+
+def _reaches_full_thrust(reached: float, most: float) -> bool:
+    """Return whether the largest input of the flights is the full one within ``WIDEST``."""
+    return reached > (1.0 - WIDEST) * most

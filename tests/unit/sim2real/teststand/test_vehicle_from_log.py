@@ -12,7 +12,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.logs.raw_log import RawLog
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log, read_flights
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand import vehicle_from_log
 from aerial_gym.sim2real.teststand.log_geometry import (
@@ -25,7 +25,7 @@ from aerial_gym.sim2real.teststand.log_geometry import (
     _px4_layout,
     frame_layout,
 )
-from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, robot_yaml_with_origins
+from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, mean_command, robot_yaml_with_origins
 from aerial_gym.sim2real.teststand.vehicle_from_log import _torque_ratio_and_yaw_inertia, draft_vehicle
 from tests.unit.sim2real import flat_flights, ulog_files
 
@@ -109,7 +109,8 @@ def test_a_flight_without_speeds_gives_thrusts(tmp_path: Path) -> None:
     assert draft.force_mode
     assert draft.values["mass"].is_assumed
     assert any("--mass-kg" in question for question in draft.questions)
-    assert draft.values["thrust"].is_assumed
+    assert draft.values["hover_thrust"].is_assumed
+    assert draft.values["largest_thrust"].is_assumed
 
 
 def test_a_layout_that_the_flight_contradicts_is_replaced(flights: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,13 +191,15 @@ def test_numbers_on_an_assumed_mass_or_arm_are_assumed(flights: list[Path], tmp_
         draft_vehicle(flights[:1], mass=m, arm=a) for m, a in ((MASS, 0.1), (MASS, None), (None, None))
     )
     assert {name for name, value in known.values.items() if value.is_assumed} == {
-        "inertia_x", "inertia_y", "torque_ratio", "inertia_z",
+        "inertia_x", "inertia_y", "torque_ratio", "inertia_z", "largest_thrust", "speed_gain",
     }  # fmt: skip
     assert not no_arm.values["thrust"].is_assumed
     written = tmp_path / "robot.yaml"
     written.write_text(robot_yaml_with_origins(known, name="known"))
     placed = draft_vehicle(flights[:1], mass=MASS, frame=str(written))
-    assert {name for name, value in placed.values.items() if value.is_assumed} == {"torque_ratio", "inertia_z"}
+    assert {name for name, value in placed.values.items() if value.is_assumed} == {
+        "torque_ratio", "inertia_z", "largest_thrust", "speed_gain",
+    }  # fmt: skip
     assert none.values["thrust"].is_assumed
     assert none.values["largest_thrust"].is_assumed
 
@@ -222,18 +225,55 @@ def test_a_thrust_curve_becomes_a_power_law_at_the_mean_command(
     law = find_mapping(tmp_path / "m.yaml").rotor_command
     assert law is not None
     for u in (0.33, 0.35, 0.37):
-        thrust = draft.values["thrust"].value * (0.65 * u**2 + 0.35 * u)
+        thrust = draft.values["largest_thrust"].value * (0.65 * u**2 + 0.35 * u)
         assert law.gain * u**law.power == pytest.approx(thrust, rel=2e-3)
+    assert draft.values["hover_thrust"].kind == "measured"
+    assert draft.values["largest_thrust"].is_assumed  # by a curve that the flight does not show
 
 
 def test_fast_commands_show_the_exponent_of_their_thrust(tmp_path: Path) -> None:
     """By the slope of ``(IDLE + GAIN u^POWER)²``; the lag of the speeds is that of the thrust."""
-    draft = draft_vehicle([write_flight(tmp_path / "commands.csv", 5, speeds=False)], mass=MASS, arm=0.1)
+    path = write_flight(tmp_path / "commands.csv", 5, speeds=False)
+    draft = draft_vehicle([path], mass=MASS, arm=0.1)
     part = GAIN * 0.35**POWER
     exponent = draft.values["thrust_exponent"]
     assert exponent.value == pytest.approx(2.0 * POWER * part / (IDLE + part), rel=0.05)
     assert exponent.origin.startswith("measured here")
     assert draft.values["lag"].value == pytest.approx(LAG, rel=0.3)
+    hover, full = (draft.values[f"{name}_thrust"] for name in ("hover", "largest"))
+    assert hover.value == pytest.approx(full.value * mean_command(read_flights([path])) ** exponent.value, rel=1e-6)
+    assert hover.kind == "measured"
+    assert full.is_assumed  # far beyond the commands of this flight
+
+
+def test_a_thrust_beyond_the_flight_is_assumed(flights: list[Path]) -> None:
+    """Commands reach 0.6 of full, so that speed and thrust of a full command are extrapolated."""
+    draft = draft_vehicle(flights[:1], mass=MASS, arm=0.1)
+    assert draft.curve is not None
+    assert draft.curve.reached < 0.8 * draft.curve.full_speed
+    assert {draft.values[name].kind for name in ("largest_thrust", "speed_gain")} == {"assumed"}
+
+
+def test_inputs_that_would_turn_the_vehicle_give_a_note(tmp_path: Path) -> None:
+    """Slow commands do not show the spins; those of each sign are 0.3 and 0.6 of full in one log, equal in the other."""
+    path = write_flight(tmp_path / "slow.csv", 5, speeds=False)
+    slow, table = replace(find_mapping("aerial_gym"), torques=False), pd.read_csv(path)
+    commands, spins = [f"cmd_{k + 1}" for k in range(4)], np.array(frame_layout("quad_x", 4).spins)
+    for ratio, notes in ((1.0, 0), (0.5, 1)):
+        table.assign(**(table[commands] * np.where(spins > 0, ratio, 1.0))).to_csv(path, index=False)
+        draft = draft_vehicle([path], mass=MASS, arm=0.1, frame="quad_x", mapping=slow)
+        assert len(draft.notes) == notes
+
+
+def test_the_lag_beside_a_dead_time_is_within_its_interval(flights: list[Path], tmp_path: Path) -> None:
+    """One lag alone absorbs the dead time of 7.5 ms."""
+    table = pd.read_csv(flights[0])
+    commands = [name for name in table if name.startswith("cmd_")]
+    table[commands] = table[commands].shift(-3).ffill()
+    table.to_csv(tmp_path / "dead.csv", index=False)
+    curve = draft_vehicle([tmp_path / "dead.csv"], mass=MASS, arm=0.1).curve
+    assert curve is not None
+    assert curve.lag.low < LAG < 0.9 * curve.lag.value
 
 
 def test_slow_commands_show_an_exponent_that_contradicts_the_log(tmp_path: Path) -> None:
@@ -244,6 +284,11 @@ def test_slow_commands_show_an_exponent_that_contradicts_the_log(tmp_path: Path)
     parts["actuator_motors"] = {"timestamp": stamp} | {f"control[{i}]": share[:, i] for i in range(4)}
     path = ulog_files.write_ulog(tmp_path / "a.ulg", parts, {"THR_MDL_FAC": 0.0})
     draft = draft_vehicle([path], mass=0.6, arm=0.14, frame="quad_x")
+    (tmp_path / "m.yaml").write_text(draft.mapping)
+    law = find_mapping(tmp_path / "m.yaml").rotor_command
+    assert law is not None
+    assert law.power == pytest.approx(draft.values["thrust_exponent"].value)
+    assert draft.mapping.count("\n") == 4  # no other column
     assert draft.values["thrust_exponent"].value == pytest.approx(2.0, rel=0.05)
     assert draft.values["thrust_exponent"].origin.startswith("measured here")
 
