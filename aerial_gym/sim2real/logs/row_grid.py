@@ -11,11 +11,10 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import interpolate_by_spline, interpolate_columns
+from aerial_gym.sim2real.logs.signals import IN_BAND, interpolate_by_spline, interpolate_columns
 from aerial_gym.sim2real.logs.streams import Stream
 
 GYRO_RATES_HZ = (50.0, 2000.0)  # Range of rates in which the gyro gives the rows
-IN_BAND = ("ang_vel", "specific_force", "rotor_speed", "rotor_command")  # Streams whose spectra are compared
 SLOWEST_COMMANDS_HZ = 40.0  # Lowest rate of rotor data that show torques and lags: two samples in a lag of 0.05 s
 
 

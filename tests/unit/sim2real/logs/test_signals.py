@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.recording import take_rows
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     apply_lag,
@@ -236,3 +237,19 @@ def test_integrated_rates_equal_the_product_of_the_turns() -> None:
     attitude = integrate_rates(time, rates)
     assert (Rotation.from_quat(attitude[-1]).inv() * expected).magnitude() < 1e-12
     np.testing.assert_array_equal(attitude[0], (0.0, 0.0, 0.0, 1.0))
+
+
+def test_white_noise_of_uneven_rows_stays_white() -> None:
+    """Straight lines between rows would leave 0.7 of the density of white noise at a quarter of the rate, and 0.5 at 0.4."""
+    rng = np.random.default_rng(0)
+    time = 0.0025 * np.arange(20_000) + 1.5e-4 * rng.standard_normal(20_000)
+    kept = np.ones(time.size, dtype=bool)
+    kept[np.add.outer(rng.integers(1, 19_970, 50), np.arange(20)).ravel()] = False
+    noise = rng.standard_normal((time.size, 3))
+    log = FlightLog(path="a.csv", time=time, attitude=np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)), ang_vel=noise)
+    even = log_at_equal_steps(take_rows(log, kept))
+    assert even.ang_vel is not None
+    assert even.lost is not None
+    frequency, density = welch(even.ang_vel[~even.lost], 400.0, 800)
+    low, high = (density[(frequency > a) & (frequency < b)].mean() for a, b in ((10.0, 60.0), (80.0, 120.0)))
+    assert high / low == pytest.approx(1.0, abs=0.1)
