@@ -37,7 +37,7 @@ _BY_SEVERITY = {
         "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
         "rotor_unit_assumed "
         "battery_left_out file_damaged frames_damaged bytes_left_out checksum_wrong position_jumps_left "
-        "sensor_bias sensor_turned sensor_late velocity_factor sensor_dropout row_without_state row_with_bad_stamp "
+        "sensor_bias sensor_turned sensor_late sensor_gain velocity_factor sensor_dropout row_without_state row_with_bad_stamp "
         # test stand
         "test_left_out axes_open few_steps rows_far_apart mass_exact scatter_unknown no_unseen_log flights_differ "
         "curvature_kept "

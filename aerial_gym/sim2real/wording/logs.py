@@ -123,6 +123,10 @@ LOGS: dict[str, Template] = {
         "The {sensor} does not follow the motion that {other} shows: its gain is {gain:number4} ± {half_width:number} "
         "instead of 1. It measures another body, or its topic repeats old values."
     ),
+    "sensor_gain": (
+        "{column} reads {gain_ratio:number4} ± {half_width_ratio:number} of the motion that {other} shows. Effects are known "
+        "no better: calibrate the sensor, or check unit and clock of {other}."
+    ),
     "vertical_force_off": (
         "The mean vertical specific force, less the change of velocity, is {mean_m_s2:number4} m/s². A sound accelerometer "
         "reads 9.81 ± {offset_m_s2:number} m/s²: its scale, its axes or the attitude are wrong."

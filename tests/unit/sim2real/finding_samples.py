@@ -216,6 +216,7 @@ SAMPLES = [
     Finding("rows_without_quaternion", "f1", {"rows": 2, "total": 800, "times_s": [1.5, 2.25]}),
     Finding("log_simulated", "f1", {"evidence": ["SYS_HITL = 1", "hardware PX4_SITL"]}),
     Finding("sensor_at_rest", "f1", {"sensor": "gyro", "other": "attitude", "gain": 0.0013, "half_width": 0.01}),
+    Finding("sensor_gain", "f1", {"column": "acc_z", "other": "velocity", "gain_ratio": 0.91, "half_width_ratio": 0.01}),
     Finding("vertical_force_off", "f1", {"mean_m_s2": 3.94, "offset_m_s2": 0.785}),
     Finding("topic_covers_part", "f1", {"topic": "esc_status[0]", "covered_s": 3.0, "log_s": 31.5}),
     Finding("stream_too_late", "f1", {"topic": "mocap[0]", "late_ms": 412.0, "half_width_ms": 3.0}),

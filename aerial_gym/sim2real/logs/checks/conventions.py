@@ -17,6 +17,7 @@ from aerial_gym.sim2real.logs.checks.kinematics import (
     CHECK_BANDWIDTH_HZ,
     QUIET,
     WORST_AGREEMENT,
+    findings_on_gains,
     gains_of_moving_sensors,
     imu_errors_from_kinematics,
     permutation_of_horizontal_axes,
@@ -52,7 +53,8 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[Finding]:
     _check_velocity_against_position(log, attitude)
     _check_force_frame(log, attitude)
     check_units_against_accelerometer(log)
-    return [*notes, *(note for errors in imu_errors_from_kinematics(log) for note in errors.findings())]
+    notes += [note for errors in imu_errors_from_kinematics(log) for note in errors.findings()]
+    return [*notes, *findings_on_gains(log)]
 
 
 def check_duration_and_rate(log: FlightLog) -> None:

@@ -28,8 +28,8 @@ BETTER = 0.4  # Other axes are probable if their residual (rms) is less than thi
 QUIET = {"gyro": 0.1, "accelerometer": 0.3, "velocity": 0.3}
 """Least RMS motion [rad/s], [m/s²], [m/s] that shows a gain, angles and a delay; a bias needs none."""
 
-MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002}
-"""Smallest bias [rad/s], [m/s²], angle [rad] and delay [s] that are reported."""
+MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002, "gain": 0.02}
+"""Smallest bias [rad/s], [m/s²], angle [rad], delay [s] and relative error of a gain that are reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +157,30 @@ def findings_on_sensors_at_rest(log: FlightLog) -> list[Finding]:
         Finding("sensor_at_rest", "", {**select_fields(one, "sensor", "other", "gain"), "half_width": half_width})
         for one, half_width in pairs
         if abs(one.gain) <= half_width < abs(1.0 - one.gain)
+    ]
+
+
+def findings_on_gains(log: FlightLog) -> list[Finding]:
+    """Return a finding on each gain on the motion of another sensor that certainly differs from 1.
+
+    They are those of all axes of the gyro, but of the accelerometer's z alone: a little tilt spoils x and y.
+    """
+    names = {("gyro", axis): f"omega_{axis}" for axis in "xyz"} | {("accelerometer", "z"): "acc_z"}
+    gains = [one for one in gains_of_moving_sensors(log, by_axis=True) if (one.sensor, one.axis) in names]
+    pairs = [(one, one.half_width(0.975)) for one in gains]
+    return [
+        Finding(
+            "sensor_gain",
+            "",
+            {
+                "column": names[one.sensor, one.axis],
+                "other": one.other,
+                "gain_ratio": one.gain,
+                "half_width_ratio": half_width,
+            },
+        )
+        for one, half_width in pairs
+        if abs(one.gain - 1.0) - half_width > MATERIAL["gain"]
     ]
 
 

@@ -148,6 +148,20 @@ def test_a_log_that_is_not_what_it_claims(table: pd.DataFrame, tmp_path: Path, c
         check(change(table), tmp_path)
 
 
+@pytest.mark.parametrize(("gain", "told"), [(1.015, False), (1.03, True), (0.95, True)])
+def test_a_wrong_gain_is_told(gain: float, told: bool, table: pd.DataFrame, tmp_path: Path) -> None:
+    """Of the gyro, whose attitude cannot have a wrong scale, and of a velocity and a position that both do."""
+    columns = {
+        "omega_x": (gain, 0.003, scale(table, OMEGA, (gain, 1, 1))),
+        "acc_z": (1.0 / gain, 0.5 * abs(gain - 1.0) + 0.005, scale(table, [*V, *P], gain)),  # gravity keeps its size
+    }
+    for column, (expected, tolerance, changed) in columns.items():
+        log = read_flight_log(write(changed, tmp_path / "a.csv"))
+        notes = [note for note in check_log(log_at_equal_steps(log), ROBOT) if note.code == "sensor_gain"]
+        assert [note.values["column"] for note in notes] == [column] * told
+        assert [note.values["gain_ratio"] for note in notes] == pytest.approx([expected] * told, abs=tolerance)
+
+
 @pytest.mark.parametrize(("change", "axes"), [
     (lambda t: t, ""),
     (lambda t: scale(t, ACC, (-1, 1, 1)), r"\(-acc_x, acc_y\)"),
