@@ -109,10 +109,10 @@ def gains_of_moving_sensors(log: FlightLog, *, by_axis: bool = False) -> list[Se
         (sensor, other, measured, motion, level), (*_, next_motion, _) = pair
         shown, even, odd = (lowpass(one - level, rate, band) for one in (measured, motion, next_motion))
         odd = 0.5 * (odd + np.roll(odd, 1, axis=0))  # at the even rows
-        shown, even, odd = (one[inner] - one[inner].mean(axis=0) for one in (shown, even, odd))
-        starts = np.arange(0, len(shown), size)
+        starts = np.arange(0, len(shown[inner]), size)
         if starts.size <= FEWEST_BLOCKS:
             continue
+        shown, even, odd = (one[inner] - one[inner].mean(axis=0) for one in (shown, even, odd))
         products = (0.5 * shown * (even + odd), even * odd)
         along, square = (np.add.reduceat(one, starts) for one in products)
         for axis, own in {"x": [0], "y": [1], "z": [2]}.items() if by_axis else [("", [0, 1, 2])]:
