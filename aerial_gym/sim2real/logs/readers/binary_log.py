@@ -36,7 +36,6 @@ from aerial_gym.sim2real.logs.streams import (
     Stream,
     undo_resets,
     usable_streams,
-    without_incomplete_rotor_data,
 )
 
 
@@ -46,7 +45,6 @@ def streams_of_log(raw: RawLog, mapping: LogMapping | None = None) -> tuple[dict
     channels = LOG_READERS.get(raw.format).channels(raw)
     mapped = _channels_of_mapping(raw, channels, mapping)
     streams = usable_streams([*(one for one in mapped if one.quantity not in SETPOINTS), *channels], notes)
-    streams = without_incomplete_rotor_data(streams, notes)
     streams |= _setpoint_streams([*mapped, *setpoint_channels(raw)], streams)
     streams = leave_out_partial_streams(undo_resets(streams, notes), notes)
     if not {"attitude", "ang_vel"} & streams.keys():

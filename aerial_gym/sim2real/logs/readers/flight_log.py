@@ -28,7 +28,7 @@ from aerial_gym.sim2real.logs.recording import (
     take_rows,
 )
 from aerial_gym.sim2real.logs.row_grid import without_slow_rotor_data
-from aerial_gym.sim2real.logs.streams import Stream
+from aerial_gym.sim2real.logs.streams import Stream, without_incomplete_rotor_data
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +113,7 @@ def open_log(path: str | Path, mapping: LogMapping | None = None, *, hover: bool
 def open_raw_log(raw: RawLog, mapping: LogMapping | None = None, *, hover: bool = False) -> LogFlights:
     """Return the flights of a decoded binary log; raise ``DataError`` if it holds none."""
     streams, notes = streams_of_log(raw, mapping)
+    streams = streams if hover else without_incomplete_rotor_data(streams, notes)
     spans = flight_spans(streams, notes)
     if not spans:
         raise DataError(f"{raw.path}: holds no flight of {SHORTEST_S:g} s without a gap in its topics")

@@ -36,7 +36,7 @@ def hover(**more: dict[str, float]) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
-def test_a_single_event_of_landing_counts_and_an_esc_without_telemetry_does_not() -> None:
+def test_a_single_event_of_landing_counts_and_an_esc_without_telemetry_does_not(tmp_path: Path) -> None:
     """A log that begins in the air, with one landing; three of four ESCs send their speed, which no rotor is known to have."""
     parts = topics(flight(5, seconds=8.0, rate=100.0))
     stamp = parts["esc_status"]["timestamp"]
@@ -47,6 +47,8 @@ def test_a_single_event_of_landing_counts_and_an_esc_without_telemetry_does_not(
     assert log.rotor_speed is None
     assert log.num_rotors == 4
     assert [note.values["topic"] for note in log.notes if note.code == "topic_left_out"] == ["esc_status[0]"]
+    thrown = open_log(write_ulog(tmp_path / "a.ulg", parts), hover=True)  # a flywheel is one of four motors
+    assert thrown.streams["rotor_speed"].values.shape[1] == 3
 
 
 def test_hover_has_gravity_up_and_north_is_enu_y() -> None:
