@@ -25,18 +25,26 @@ class WatchCmd:
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
     log: Annotated[str, tyro.conf.Positional]  # Flight log of any format, FILE#2 for one of its flights; - for stdin
+    mapping: str | None = (
+        None  # Mapping of the log's columns or commands: a name or a file (.yaml); not with rows as they come
+    )
     follow: bool = False  # Wait for more rows at the end of the file, until interrupted
     false_alarm_hours: float = 100.0  # Mean flight time between two false alarms [h], at least
     json: bool = False  # Print one JSON object a line in place of sentences
 
     def run(self) -> int:
         """Print a line for each failure at its detection; return the exit status."""
+        from aerial_gym.errors import ConfigError
         from aerial_gym.interop import one_thread
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.logs.readers.follow import file_lines, is_log_of_flights, stdin_lines
 
-        robot = robot_by_name(self.robot)
-        if self.log != "-" and not self.follow and is_log_of_flights(self.log):
+        robot, whole = robot_by_name(self.robot), self.log != "-" and not self.follow
+        if self.mapping is not None and not whole:
+            raise ConfigError(
+                "--mapping reads a whole log, and --follow and - take rows as they come; give only one of them"
+            )
+        if whole and (self.mapping is not None or is_log_of_flights(self.log)):
             with one_thread():
                 self._watch_logged_flights(robot)
             return 0
@@ -55,9 +63,11 @@ class WatchCmd:
         from aerial_gym.sim2real.logs.conversion import flight_table
         from aerial_gym.sim2real.logs.flights import scale_relative_commands
         from aerial_gym.sim2real.logs.readers.flight_log import open_log
+        from aerial_gym.sim2real.logs.readers.mapping import find_mapping
         from aerial_gym.sim2real.wording import text
 
-        for flight in open_log(self.log).flights():
+        layout = None if self.mapping is None else find_mapping(self.mapping)
+        for flight in open_log(self.log, layout).flights():
             table = flight_table(scale_relative_commands(flight, robot))
             settings = {"torques": flight.torques, "false_alarm_hours": self.false_alarm_hours}
             watch = FlightWatch(robot, list(table), name=flight.name, **settings)

@@ -49,7 +49,7 @@ _BY_SEVERITY = {
         "materiality_open fly weigh_or_log train_like_test log_velocity log_faster inspect_rest trust_ambiguous trust_as_shown "
         "trust_as_trained test_like_train "
         "ties_named certain_beside_ties open_in_channels rigid_vehicle_only until_failure_only doubt_by_test "
-        "left_open_note offsets_sizes parameter_tied values_tied laws_tied stands_in "
+        "left_open_note offsets_sizes parameter_tied parameters_tied values_tied laws_tied stands_in "
         # not testable, not named
         "not_excited no_soft_arms acts_on_links no_such_effect logs_lack voltage_too_steady commands_too_coarse "
         "no_inertial_sensor kinematics_disagree torques_not_compared effect_refused parameters_unknown flights_disagree "

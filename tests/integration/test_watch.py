@@ -8,6 +8,8 @@ import pandas as pd
 import pytest
 
 from aerial_gym.cli.main import main
+from aerial_gym.config.loader import dump_yaml
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from benchmarks.undeclared import CaseFiles, make_case
 from benchmarks.undeclared import PlantFailure as Hidden
 from tests.unit.sim2real.ulog_files import topics, write_ulog
@@ -54,6 +56,24 @@ def test_a_failure_in_a_binary_log_is_named(files: CaseFiles, tmp_path: Path, ca
         assert main(["watch", str(files.robot), str(name), "--json"]) == 0
         told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         assert [(one["stage"], one["name"], one["params"]["motor"]) for one in told[1:]] == [("named", "weak_motor", 1)]
+
+
+def test_a_mapping_names_the_columns_of_a_watched_log(files: CaseFiles, tmp_path: Path, capsys) -> None:
+    """Rows as they come need the layout of the package."""
+    path, words = next(path for path in files.train if path.stem == "train_4"), {"t": "seconds", "q_x": "quaternion_x"}
+    pd.read_csv(path).rename(columns=words).to_csv(tmp_path / "other.csv", index=False)
+    mapping = dump_yaml(find_mapping("aerial_gym"))
+    for word, other in words.items():
+        mapping = mapping.replace(f"- {word}\n", f"- {other}\n")
+    (tmp_path / "m.yaml").write_text(mapping)
+    assert main(["watch", str(files.robot), str(path), "--json"]) == 0
+    own = capsys.readouterr().out.splitlines()
+    command = ["watch", str(files.robot), str(tmp_path / "other.csv"), "--mapping", str(tmp_path / "m.yaml"), "--json"]
+    assert main(command) == 0
+    mapped = capsys.readouterr().out.splitlines()
+    assert [json.loads(line)["name"] for line in mapped] == [json.loads(line)["name"] for line in own]
+    assert mapped
+    assert main([*command, "--follow"]) == 2
 
 
 def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(files, capsys, monkeypatch) -> None:

@@ -35,6 +35,10 @@ from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 WINDOW_BLOCKS = 600  # Number of blocks analysed together: one minute
 SHORTEST_S = 2.0  # Least time before a failure that leaves a usable flight [s]
 
+SHORTEST_BROWN_OUT_S = (
+    2.0 * BLOCK_S
+)  # Within a shorter one, no block shows the lag of the rotors, which a contact lacks
+
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEvent:
@@ -133,12 +137,15 @@ class FailureFinder:
         if not (odds := log_sum_of_odds(causes)) > self.limit:
             return None
         ranked = sorted((locate_onset(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
-        if not odds > self.limit + self._usual_odds(works, ranked[0]):
+        first = ranked[0]
+        if first.end is not None and first.end - first.time < SHORTEST_BROWN_OUT_S:
+            return None
+        if not odds > self.limit + self._usual_odds(works, first):
             return None
         logs = np.array([one.log_odds for one in ranked])
         probability = float(1.0 / np.exp(logs - logs[0]).sum())
         rival = ranked[1].cause if len(ranked) > 1 else None
-        failure = self._make_failure(ranked[0], flight, probability, rival)
+        failure = self._make_failure(first, flight, probability, rival)
         material = "scale" not in failure.interval or failure.interval["scale"][0] < 1.0 - Criteria().material
         return failure if material else None
 

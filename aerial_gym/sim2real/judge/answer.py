@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from aerial_gym.sim2real.findings import Finding, unit_suffix
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, WORSE, Outcome
-from aerial_gym.sim2real.judge.verdict import Verdict, notes_on_materiality
+from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, notes_on_materiality
 from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
@@ -151,12 +151,18 @@ def _open_findings(verdict: Verdict) -> Iterator[Finding]:
     for point in verdict.open_points:
         if point.code not in result:
             yield _with_errors(verdict, point) if point.code == "remains_unexplained" else point
-    yield from (rival.finding for effect in verdict.effects for rival in effect.in_part)
+    yield from (_rivals_in_part(effect) for effect in verdict.effects if effect.in_part)
     yield from (tie.finding for tie in verdict.value_ties if tie.is_as_simple)
     structure = verdict.structure
     if structure.kind != "none":
         values = {"channel": structure.channel, "freq_hz": structure.freq_hz, "share": structure.share}
         yield Finding("structure_found", structure.kind, values)
+
+
+def _rivals_in_part(effect: NamedEffect) -> Finding:
+    """Return the parameters of a named effect that others may replace, together; the notes have the numbers."""
+    parts = {key: list(dict.fromkeys(getattr(one, key) for one in effect.in_part)) for key in ("parameter", "other")}
+    return Finding("parameters_tied", effect.name, {"parameters": parts["parameter"], "others": parts["other"]})
 
 
 def _next_steps(verdict: Verdict) -> Iterator[Finding]:

@@ -44,6 +44,7 @@ from aerial_gym.sim2real.logs.signals import (
 from aerial_gym.sim2real.logs.stream_delays import correct_row_delays
 
 MOST_LIFT = 30.0  # Largest plausible thrust at full command in weights; racing vehicles reach 15
+POWERED = 0.3  # Least share of the usual input of the rotors at which they carry the vehicle
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
 
@@ -132,7 +133,7 @@ def load_flights(
                 with _collect_refusals(refused):
                     raw = opened.flight(number)
                     seen.add(raw)
-                    log = derive_velocity(scale_relative_commands(mend_position_jumps(resample_log(raw)), robot))
+                    log = scale_relative_commands(derive_velocity(mend_position_jumps(resample_log(raw))), robot)
                     log = correct_row_delays(log)
                     read[real.with_name(Path(raw.path).name)] = (log, check_log(log, robot))
                     learned += learning is None or index < learning
@@ -225,7 +226,7 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
 
     With speeds, the line ``w = a + b u`` is fitted behind the rotor lag. In force mode a thrust is the square of the share.
     """
-    share, force = log.rotor_command, log.specific_force
+    share = log.rotor_command
     if not log.relative_commands or share is None or share.shape[1] != robot.num_rotors:
         return log
     if log.rotor_speed is not None:
@@ -236,16 +237,20 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
             )
         idle, slope = fit_line_behind_lag(share, log.rotor_speed, robot, sample_rate(log))
         command, full = idle + slope * share, idle + slope
-    elif force is None:
+    elif log.specific_force is None and log.lin_vel is None:
         raise DataError(
-            f"{log.path}: its commands are shares of the largest speed, and without accelerometer no thrust scales them; "
-            "map rotor_command with a gain in rad/s"
+            f"{log.path}: its commands are shares of the largest speed, and without accelerometer and velocity no thrust "
+            "scales them; map rotor_command with a gain in rad/s"
         )
     else:
+        force = complete_flight(log).specific_force
+        assert force is not None
         relative = share**2 if "force" in robot.rotor_traits else share
         if not np.any(relative):
             raise DataError(f"{log.path}: its rotor commands are 0 throughout; give a log of a flight")
-        full = _scale_to_thrust(relative, force[:, 2], robot)
+        total = relative.sum(axis=1)
+        carries = total > POWERED * np.quantile(total, 0.9)  # not on the ground, which also holds the vehicle
+        full = _scale_to_thrust(relative[carries], force[carries, 2], robot)
         weight = robot.body.mass * STANDARD_GRAVITY
         if not full > 0.0 or total_rotor_force(robot, np.full((1, robot.num_rotors), full))[0] > MOST_LIFT * weight:
             raise DataError(

@@ -9,6 +9,7 @@ import numpy as np
 
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.flights import POWERED
 from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
@@ -84,7 +85,7 @@ class VehicleDraft:
 def mean_command(logs: Sequence[FlightLog]) -> float:
     """Return the mean of the commands with which the rotors carry the vehicle."""
     commands = np.concatenate([log.rotor_command.ravel() for log in logs if log.rotor_command is not None])
-    return float(commands[commands > 0.3 * np.quantile(commands, 0.9)].mean())
+    return float(commands[commands > POWERED * np.quantile(commands, 0.9)].mean())
 
 
 def command_mapping_yaml(draft: VehicleDraft, logs: Sequence[FlightLog], mapping: LogMapping | None) -> str:

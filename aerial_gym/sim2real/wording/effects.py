@@ -247,6 +247,13 @@ def _imu_bias_sentence(_: Finding, params: ParameterChanges) -> str:
     return f"{parts[0][0].upper()}{join_words(parts)[1:]}."
 
 
+def _thrust_curve_sentence(_: Finding, params: ParameterChanges) -> str:
+    """Return the sentence on the exponent ``1 + k / 2`` over hover, the same for commands of speed and of thrust."""
+    one = params["k"].convert_unit(0.5)
+    size = f"{value_text(1.0 + one.value, one.half_width)} {half_width_text(one.half_width, '')}"
+    return f"Relative to hover, thrust is the declared thrust to the power of {size}."
+
+
 def _h_force_flapping_sentence(_: Finding, params: ParameterChanges) -> str:
     units = {"kh": ("drag coefficient", "µN s²/(m rad)"), "kf": ("moment coefficient", "µN s²/rad")}
     parts = [
@@ -278,7 +285,7 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "h_force_flapping": _h_force_flapping_sentence,
     "axial_inflow": _coefficient_template("Rotor thrust falls in climb by", {"ka": ""}, "µN s²/(m rad)", 1e6),
     "translational_lift": _coefficient_template("Rotor thrust grows with squared airspeed by", {"kt": ""}, "N s²/m²"),
-    "thrust_curve": _value_template("Thrust grows with the rotor speed to the power of 2 plus {k}", {"k": (1.0, "")}),
+    "thrust_curve": _thrust_curve_sentence,
     "thrust_coefficient": _ratio_template("All rotors give", "more thrust", "less thrust"),
     "weak_motor": _ratio_template("ROTOR gives", "more thrust", "less thrust"),
     "torque_ratio": _ratio_template("The drag torque of the rotors is", "higher", "lower"),

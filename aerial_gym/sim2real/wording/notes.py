@@ -147,6 +147,7 @@ NOTES: dict[str, Template] = {
         "Train on flights that move as the test flights do."
     ),
     "parameter_tied": "{parameter} of {subject} may also be {other} ({params:params}; log odds {log_odds:.1f}).",
+    "parameters_tied": "{parameters:and} of {subject} may also be {others:or}.",
     "values_tied": _sentence_on_value_tie,
     "at_bound": (
         "{subject} ends at a physical bound of {parameters:names}: its law does not fit exactly, or another cause "

@@ -139,6 +139,7 @@ SAMPLES = [
     Finding("materiality_open", "rotor_drag", {"channel": "specific_force.x", **RISES}),
     Finding("doubt_by_test", "slung_payload", {"other": "payload_mass", "log_odds": -3.4}),
     Finding("left_open_note", "", {"channels": XZ}), Finding("parameter_tied", "inertia_error", TIED),
+    Finding("parameters_tied", "rotor_drag", {"parameters": ["dx", "dy"], "others": ["quadratic_drag", "h_force_flapping"]}),
     Finding("values_tied", "payload_mass", {
         "replaced": ["payload_mass"], "others": [{"effect": "thrust_coefficient", "params": {"scale": 0.87}}], "loss": 0.31,
     }),

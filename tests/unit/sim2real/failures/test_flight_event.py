@@ -252,6 +252,15 @@ def test_a_flight_without_a_failure_tells_nothing() -> None:
     assert run_watch(flight(3, noise=1.0)) == []
 
 
+@pytest.mark.parametrize("seconds", [0.02, 0.05, 0.08])
+def test_a_knock_is_no_brown_out(seconds: float) -> None:
+    """A touchdown takes the force for less than a block."""
+    table = flight(3, noise=1.0)
+    table = table.rename(columns={f"rotor_{n}": f"cmd_{n}" for n in range(1, 5)})
+    table.loc[(table.t >= ONSET) & (table.t < ONSET + seconds), "acc_z"] -= 40.0
+    assert run_watch(table) == []
+
+
 def test_a_failure_of_a_vehicle_that_does_not_fit_is_named_in_the_first_half_minute() -> None:
     """All rotors give 12 % less than declared, and one of them another 30 % less from 6 s on."""
     *_, named = alarms = run_watch(failure_table(0.7, thrust_scale=0.88))

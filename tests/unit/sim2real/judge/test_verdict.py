@@ -371,7 +371,7 @@ def test_a_parameter_that_may_be_another_effect_is_not_stated_as_found() -> None
     effect = make_named_effect(in_part=(rival,))
     assert "x_m" not in effect.finding.values
     assert "y_m" in effect.finding.values
-    assert "parameter_tied" in [one.code for one in answer_parts(unit_verdict("explained", effects=(effect,)))["open"]]
+    assert "parameters_tied" in [one.code for one in answer_parts(unit_verdict("explained", effects=(effect,)))["open"]]
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.follow import file_lines
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.recording import FlightLog, row_arrays
-from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
 from tests.unit.sim2real.flat_flights import flight, write
 from tests.unit.sim2real.logs.readers import dataflash_files
 from tests.unit.sim2real.ulog_files import topics, write_ulog
@@ -167,6 +167,23 @@ def test_a_full_command_is_that_of_steady_speeds_whatever_the_delay(late: float)
     )  # fmt: skip
     (note,) = scale_relative_commands(log, robot).notes
     assert note.values["full"] == pytest.approx(1800.0, rel=0.001)
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_shares_are_scaled_by_the_flight_without_the_ground_or_an_accelerometer(force: bool) -> None:
+    """On the ground for half the time; in hover each of 4 rotors carries a quarter of the weight at a share of 0.5."""
+    robot, rows = robot_by_name("base_quadrotor"), 800
+    share = np.full((rows, 4), 0.5)
+    share[: rows // 2] = 0.02
+    level = np.tile((0.0, 0.0, 0.0, 1.0), (rows, 1))
+    given = {"specific_force": np.tile((0.0, 0.0, 9.81), (rows, 1))} if force else {"lin_vel": np.zeros((rows, 3))}
+    log = FlightLog(
+        path="a.csv", time=0.01 * np.arange(rows), attitude=level, ang_vel=np.zeros((rows, 3)), rotor_command=share,
+        relative_commands=True, **given,
+    )  # fmt: skip
+    scaled = scale_relative_commands(log, robot).rotor_command
+    thrust = total_rotor_force(robot, scaled[-1:])
+    assert thrust[0] == pytest.approx(robot.body.mass * 9.81, rel=1e-3)
 
 
 def assert_same_flights(originals: list[FlightLog], copies: list[FlightLog], tolerance: float = 0.0) -> None:
