@@ -92,10 +92,11 @@ def largest_open_squares(
         freedom[places] *= len(places)
 
     def with_offsets(size: Array, covariance: Array, freedom: ArrayLike) -> Array:
-        offsets = size[:, None, None] ** 2 * np.diag(rows / rows.sum())
-        products = np.stack([block_diagonal(one, other) for one, other in zip(mean_product, offsets, strict=True)])
-        whole = block_diagonal(covariance, np.eye(rows.size))
-        return quantile_of_squares(products, whole, significance, estimated=rows.size, freedom=freedom)
+        """Return the sum of two limits of half the probability each: no larger sum is more probable (Bonferroni)."""
+        each = size[:, None, None] ** 2 * np.diag(rows / rows.sum())
+        offsets = quantile_of_squares(each, np.eye(rows.size), 0.5 * significance, freedom=freedom)
+        own, alone = (quantile_of_squares(mean_product, covariance, share * significance) for share in (0.5, 1.0))
+        return np.where(size > 0.0, own + offsets, alone)
 
     def limits(covariance: Array) -> tuple[Array, Array]:
         estimated = with_offsets(offset_channels.size, covariance, freedom)
@@ -110,34 +111,23 @@ def largest_open_squares(
     return np.where(fitted, by_scatter[0], by_noise[0]), np.where(fitted, by_scatter[1], by_noise[1])
 
 
-def block_diagonal(one: Array, other: Array) -> Array:
-    """Return the block-diagonal matrix of two square matrices."""
-    across = np.zeros((len(one), len(other)))
-    return np.block([[one, across], [across.T, other]])
-
-
-def quantile_of_squares(
-    product: Array, covariance: Array, significance: float, *, estimated: int = 0, freedom: ArrayLike = MANY
-) -> Array:
+def quantile_of_squares(product: Array, covariance: Array, significance: float, *, freedom: ArrayLike = MANY) -> Array:
     """Return the upper quantile of ``d^T M d`` for normal d, which it exceeds with probability ``significance``, (C,).
 
     Args:
         product: A matrix M for each channel, (C, K, K).
         covariance: Covariance S of d, (K, K).
-        estimated: Number of last entries of d whose variance is itself an estimate.
-        freedom: Degrees of freedom of that estimate, for all channels or for each, (C,).
+        freedom: Degrees of freedom from which the size of S was estimated, for all channels or for each, (C,).
 
     Source:
         Satterthwaite (1946), An approximate distribution of estimates of variance components, Biometrics Bulletin 2. The form
-        is taken as a multiple of chi-square with the same mean ``tr(M S)`` and variance ``2 tr((M S)²)``. The estimate of
-        ``tr(M S)`` is another such multiple, so their ratio has an F distribution.
+        is taken as a multiple of chi-square with the same mean ``tr(M S)`` and variance ``2 tr((M S)²)``. An estimated size is
+        another such multiple, so their ratio has an F distribution.
     """
     spread = product @ covariance
-    means = np.einsum("ckk->ck", spread)
-    mean = np.maximum(means.sum(axis=1), 1e-300)
+    mean = np.maximum(np.einsum("ckk->c", spread), 1e-300)
     own = np.maximum(mean**2 / np.maximum(np.einsum("ckl,clk->c", spread, spread), 1e-300), 1.0)
-    share = means[:, means.shape[1] - estimated :].sum(axis=1) / mean
-    return mean * ratio_quantile(1.0 - significance, own, np.minimum(MANY, freedom / np.maximum(share, 1e-9) ** 2))
+    return mean * ratio_quantile(1.0 - significance, own, np.minimum(MANY, freedom))
 
 
 @dataclass(frozen=True, kw_only=True)

