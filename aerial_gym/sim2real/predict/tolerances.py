@@ -33,10 +33,13 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
     **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest", "command_clock"), ("",)),
     "products": ("xy", "xz", "yz"),
+    "velocity_place": "xyz",
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
-OF_LOGS = ("sensor_delay", "acc_scale", "imu_place", "command_clock")  # Tolerances of the logger, which hide no effect
+OF_LOGS = ("sensor_delay", "acc_scale", "imu_place", "command_clock", "velocity_place")
+"""Tolerances of the logger, which hide no effect."""
+
 STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
 
 
@@ -57,6 +60,9 @@ class Tolerances:
     sensor_delay: float = LATE_S  # Delay of rotor speeds, accelerometer, gyro, attitude, velocity, each [s]
     acc_scale: float = 0.005  # Relative accelerometer scale per axis, after a calibration on six sides or at rest
     imu_place: float = 0.005  # Accelerometer position relative to the body origin, per axis [m]
+    velocity_place: float = (
+        0.005  # Point whose velocity is logged, per axis [m]; an estimator may take its accelerometer's
+    )
     nominal_voltage: float = 0.003  # Relative; battery voltage at which rotors reach the commanded speed
     command_hold: float = 0.3  # Shift of the command towards the next row, in rows: autopilots are faster than logs
     joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
@@ -147,6 +153,7 @@ class SensorErrors:
     gyro_bias: Tensor  # [rad/s], body, (3,)
     acc_scale: Tensor  # Relative, (3,)
     imu_place: Tensor  # Accelerometer position relative to the body origin [m], body, (3,)
+    velocity_place: Tensor  # Point whose velocity is logged, relative to the body origin [m], body, (3,)
     rotor_motion: Tensor  # Deviation of the motion in each rotor mode, in its standard deviations, (R,)
     answered_noise: Tensor  # Deviation of noise correlated with torque, then a quarter period late, in its std, (6,)
     attitude: Tensor  # Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)
@@ -167,7 +174,7 @@ class SensorErrors:
 def sensor_errors(tolerances: Tolerances, deviation: Tensor) -> SensorErrors:
     """Return the sensor errors of deviations (N,) in standard deviations."""
     off = split_deviations(deviation)
-    names = ("acc_bias", "gyro_bias", "acc_scale", "imu_place", "attitude")
+    names = ("acc_bias", "gyro_bias", "acc_scale", "imu_place", "velocity_place", "attitude")
     return SensorErrors(
         **{name: getattr(tolerances, name) * off[name] for name in names},
         rotor_motion=off["rotor_motion"],

@@ -204,10 +204,13 @@ class ImuReading:
         or None.
         """
         felt, force, torque = self.data.felt_force_kept, accelerations.specific_force, accelerations.ang_acc
-        lever = None
+        late = self.delays_by_flight(logged)
+
+        def lever(place: Tensor) -> Tensor:
+            return felt * self._in_band.lever_arm_acceleration(place, late).T
+
         if logged.imu_place.any():
-            lever = felt * self._in_band.lever_arm_acceleration(logged.imu_place, self.delays_by_flight(logged)).T
-            force = force + lever
+            force = force + lever(logged.imu_place)
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_readings_of_model(model)
             force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)
@@ -220,7 +223,8 @@ class ImuReading:
         if velocity != attitude:  # a derived force has the velocity's delay in those axes
             _, jerk, _ = self.data.kinematic_readings()
             force = torch.where(felt, force, force - (velocity - attitude) * jerk)
-        implied = self._read_kinematic_channels(model, logged, turn, lever)
+        place = logged.imu_place - logged.velocity_place
+        implied = self._read_kinematic_channels(model, logged, turn, lever(place) if place.any() else None)
         if logged.acc_scale.any():
             # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
@@ -238,11 +242,11 @@ class ImuReading:
     ) -> dict[str, Columns]:
         """Return the kinematic channels with sensor errors, cached for all models with equal errors.
 
-        ``turn``: rotation of the logged attitude, (3, 3); ``lever``: acceleration of the accelerometer's place against the body
-        origin [m/s²], (T, 3). None: without.
+        ``turn``: rotation of the logged attitude, (3, 3); ``lever``: acceleration of the accelerometer against the point of
+        the logged velocity [m/s²], (T, 3). None: without.
         """
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
-        own = (logged.acc_bias, logged.gyro_bias, logged.imu_place, logged.delays)
+        own = (logged.acc_bias, logged.gyro_bias, logged.imu_place, logged.velocity_place, logged.delays)
         numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:

@@ -433,6 +433,10 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
             body = replace(ROBOT.body, accelerometer=(0.01, 0.0, -0.005))
             at_place = make_predictor([off], robot=replace(ROBOT, body=body)).residuals(ModelParams())[0]
             np.testing.assert_allclose(at_place, back, atol=1e-12)
+            same_point = draw_deviations(**sizes, velocity_place_x=2.0, velocity_place_z=-1.0)
+            together = residual(off, ModelParams(deviation=same_point))
+            np.testing.assert_allclose(together[:, implied], moved[:, implied], atol=1e-12)
+            np.testing.assert_array_equal(together[:, forces], back[:, forces])
         unread = residual(results, ModelParams(deviation=draw_deviations(**sizes)))
         np.testing.assert_array_equal(unread[:, other_kinds], as_was[:, other_kinds])
 
