@@ -238,6 +238,30 @@ def test_a_thrust_curve_turns_about_hover() -> None:
     torch.testing.assert_close(result, expected, rtol=1e-6, atol=1e-8)
 
 
+def test_a_torque_gain_is_an_inverse_inertia_but_for_gyroscopic_torques() -> None:
+    """At rest w' = k tau / J as with J / k; in rotation the inertia alone changes the moment w x J w."""
+    gains, at_rest = (1.3, 0.8, 1.1), random_state(8)
+    at_rest = replace(at_rest, ang_vel=torch.zeros_like(at_rest.ang_vel))
+    robot = replace(asymmetric_robot(com=(0.0, 0.0, 0.0)), effects={})
+    vehicle = vehicle_from_config(robot, num_envs=8, dtype=F64)
+    flat = torch.zeros_like(vehicle.rotor_axis) + torch.tensor([0.0, 0.0, 1.0], dtype=F64)
+    diagonal = torch.diag_embed(vehicle.inertia.diagonal(dim1=-2, dim2=-1))
+    vehicle = replace(vehicle, rotor_axis=flat, inertia=diagonal)
+
+    def turn(name: str, values: tuple[float, ...], state: BodyState) -> torch.Tensor:
+        own = dict(zip(("sx", "sy", "sz"), values, strict=True))
+        return accelerations(build_model(vehicle, make_effects({name: own}, 8)), state).ang_acc
+
+    inverse, plain = tuple(1.0 / gain for gain in gains), accelerations(build_model(vehicle, []), at_rest).ang_acc
+    torch.testing.assert_close(turn("torque_gain", gains, at_rest), plain * torch.tensor(gains, dtype=F64))
+    torch.testing.assert_close(turn("inertia_error", inverse, at_rest), plain * torch.tensor(gains, dtype=F64))
+    moving = replace(at_rest, ang_vel=torch.tensor([[2.0, -3.0, 4.0]], dtype=F64).expand(8, 3))
+    size, w = diagonal[0].diagonal(), moving.ang_vel[0]
+    gyroscopic = -torch.linalg.cross(w, size * w) / size
+    alone = turn("torque_gain", gains, moving) - turn("torque_gain", gains, at_rest)
+    torch.testing.assert_close(alone, gyroscopic.expand(8, 3))
+
+
 def test_thrust_follows_the_voltage_by_a_power() -> None:
     """At 81 % of the nominal voltage a power of 1/2 leaves 90 % of the thrust; in a flight the voltage is the logged one."""
     effect = EFFECTS.get("thrust_voltage")

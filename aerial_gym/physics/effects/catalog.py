@@ -23,6 +23,7 @@ for _name, _place in (
     ("weak_motor", "rotor_failures:WeakMotor"),
     ("torque_ratio", "vehicle_errors:TorqueRatio"),
     ("arm_length", "vehicle_errors:ArmLength"),
+    ("torque_gain", "vehicle_errors:TorqueGain"),
     ("motor_time_constant", "vehicle_errors:MotorTimeConstant"),
     ("motor_asymmetry", "vehicle_errors:MotorAsymmetry"),
     ("motor_failure", "rotor_failures:MotorFailure"),

@@ -80,6 +80,36 @@ class ArmLength(VehicleEffect):
         )
 
 
+class TorqueGain(VehicleEffect):
+    """Torque gain: factors on the torques of the rotors about the body axes, as of arms or propeller wash of other shape.
+
+    Hubs ``(x, y, z) -> (sy x, sx y, z)`` and ``q -> sz q``. With thrusts along body z, torques about the origin become
+    ``tau_i -> s_i tau_i``. Then ``w' = J^-1 (S tau - w x J w)``: where the gyroscopic term is below the noise, an inertia of
+    ``1 / s_i`` times the declared one about that axis gives the same motion. With one s for all axes, it always does.
+    Source: Derived: Euler's equation, e.g. Featherstone (2008), Rigid Body Dynamics Algorithms, section 2.15.
+    """
+
+    name = "torque_gain"
+    summary = "factors on the torques of the rotors about each body axis"
+    acts_on = "rotor"
+    parameters = tuple(
+        Parameter(f"s{axis}", "-", 0.1, 10.0, 0.1, f"true per declared torque, body {axis}", neutral=1.0)
+        for axis in "xyz"
+    )
+    excitation = "turns about two axes at once, so fast that gyroscopic torques tell it from an inertia"
+    confused_with = ("inertia_error", "arm_length", "torque_ratio")
+    told_by_torques = True
+    on_joints = False
+    rotors = ANY_ROTOR
+    by_default = False  # Inertia, arm length and torque ratio look the same
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the rotors moved and the torque map scaled."""
+        x, y, z = vehicle.rotor_position.unbind(-1)
+        place = torch.stack((params[:, 1:2] * x, params[:, :1] * y, z), dim=-1)
+        return replace(vehicle.with_scaled_maps(torque=params[:, 2:3]), rotor_position=place)
+
+
 class MotorTimeConstant(VehicleEffect):
     """Motor time constant: the true lag of the rotors, equal for rise and fall, in place of the declared one.
 

@@ -324,8 +324,7 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
         or (code == "torques_not_compared" and EFFECTS.get(other).acts_on == "rotor")
     ]
     rivals = [rival.effect for rival in selection.effect_ties(name)]
-    values = [
-        other for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced for other in tie.params
-    ]
+    simple = [tie for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced]
+    values = [other for tie in simple for other in tie.params if other in selection.looked_for]
     names = dict.fromkeys((*rivals, *selection.rotor_ties.get(name, ()), *values, *hidden))
     return [other for other in names if cause_name(other) != cause_name(name)]

@@ -218,14 +218,19 @@ def _slung_payload_sentence(_: Finding, params: ParameterChanges) -> str:
     return f"A payload of {mass} swings on a cable{length}."
 
 
-def _inertia_error_sentence(_: Finding, params: ParameterChanges) -> str:
+def _axis_ratio_template(one: str, several: str) -> EffectTemplate:
+    """Return the template of ratios sx, sy and sz of a quantity about the body axes, in the singular and the plural."""
     words = {"sx": "in roll", "sy": "in pitch", "sz": "in yaw"}
-    axes = [
-        (one.convert_unit(1e2 / one.declared), f"higher {words[axis]}", f"lower {words[axis]}")
-        for axis, one in params.items()
-    ]
-    unsure = "The moments of inertia differ from the declared ones, but no axis for certain"
-    return _change_sentence(axes, "%", "The moment of inertia is {} than declared", unsure)
+
+    def sentence(_: Finding, params: ParameterChanges) -> str:
+        axes = [
+            (ratio.convert_unit(1e2 / ratio.declared), f"higher {words[axis]}", f"lower {words[axis]}")
+            for axis, ratio in params.items()
+        ]
+        unsure = f"The {several} differ from the declared ones, but no axis for certain"
+        return _change_sentence(axes, "%", f"The {one} is {{}} than declared", unsure)
+
+    return sentence
 
 
 def _wind_shear_sentence(finding: Finding, params: ParameterChanges) -> str:
@@ -328,7 +333,8 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
         {"mass": (1e3, "g"), "length": (1.0, "m"), "damping": (1.0, "N s/m")},
         length=". Its length is {length}",
     ),
-    "inertia_error": _inertia_error_sentence,
+    "inertia_error": _axis_ratio_template("moment of inertia", "moments of inertia"),
+    "torque_gain": _axis_ratio_template("torque of the rotors", "torques of the rotors"),
     "products_of_inertia": _change_template(
         "Per moment of inertia, products of inertia are {} than declared",
         "Products of inertia differ from the declared ones, but none for certain",

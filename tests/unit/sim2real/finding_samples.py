@@ -41,6 +41,7 @@ EFFECT_SAMPLES = [
     effect("joint_creep", compliance=(0.1, 0.0, 0.01), tau=(3.0, 3.0, 0.4), hinge=(0.4, 0.4, None)),
     effect("slung_payload", mass=(0.12, 0.0, 0.01), length=(1.2, 1.0, 0.04), damping=(0.01, 0.0, 0.002)),
     effect("inertia_error", sx=(1.12, 1.0, 0.02), sy=(0.9, 1.0, 0.02), sz=(1.01, 1.0, 0.03)),
+    effect("torque_gain", sx=(0.8, 1.0, 0.02), sy=(1.0, 1.0, 0.02), sz=(1.01, 1.0, 0.03)),
     effect("arm_length", scale=(0.93, 1.0, 0.01)),
     effect("products_of_inertia", xy=(0.12, 0.0, 0.02), xz=(-0.08, 0.0, 0.02), yz=(0.01, 0.0, 0.02)),
     effect("constant_wind", x=(1.2, 0.0, 0.1), y=(-0.6, 0.0, 0.1), z=(0.02, 0.0, 0.1)),

@@ -136,7 +136,7 @@ def select_effects(
         fit=fit,
         spread=spread,
         flight_offsets=final.offsets,
-        not_testable={name: reason for name, reason in reasons.items() if reason} | unseen,
+        not_testable={name: why for name, why in reasons.items() if why and not EFFECTS.get(name).in_place} | unseen,
         criteria=criteria,
         looked_for=named,
         value_ties=final.find_ties(fit, able),
@@ -204,8 +204,13 @@ class FinalFit:
         return replace(self.chosen, without=without), *self.fit(self.chosen.effect_names, start, frozenset(unseen))
 
     def find_ties(self, fit: ModelFit, names: Sequence[str]) -> tuple[ValueTie, ...]:
-        """Return the combinations of effects on declared values, among ``names``, that explain the flights as well as a fit."""
+        """Return the combinations of effects on declared values that explain the flights as well as a fit.
+
+        They are among ``names``, and effects that look like a fitted one and are no candidates for that reason.
+        """
         best = self.chosen.best
+        unasked = (name for name in EFFECTS if name not in (*names, *default_effects()))
+        names = [*names, *(name for name in unasked if set(EFFECTS.get(name).confused_with).intersection(fit.effects))]
         return find_value_ties(
             self.predictor, self.declared, fit, self.beside, names,
             window=occam_window(best), overdispersion=best.parameter_overdispersion,

@@ -125,6 +125,9 @@ def test_values_that_act_as_ratios_are_tied(factors, named, rivals, ambiguous, t
         assert set(names_of_ties(name, result)) == (rivals if ambiguous else set())
     tie = next(one for one in result.value_ties if set(one.params) == rivals)
     assert tie.loss < 1.0
+    if "arm_length" in named:  # arms of other length are a torque gain in roll and pitch, for which nobody asked
+        gain = next(one for one in result.value_ties if set(one.params) == {"torque_gain"}).params["torque_gain"]
+        assert [gain[axis] for axis in ("sx", "sy", "sz")] == pytest.approx([1.0 / 1.33, 1.0 / 1.33, 1.0], rel=0.04)
     if "inertia_error" in rivals:  # an inertia in place of a mass, a thrust or an arm has the inverse factor
         factor = 1.1 if named == {"payload_mass"} else max(factors.values())
         assert tie.params["inertia_error"]["sx"] == pytest.approx(factor, rel=0.04)
@@ -141,6 +144,7 @@ def test_a_scale_of_rotor_speeds_is_tied_with_a_thrust_where_no_command_tells_th
 
 @pytest.mark.slow
 def test_a_single_moment_of_inertia_has_no_tie(tmp_path: Path) -> None:
+    """Gyroscopic torques of these flights tell it from a torque gain about its axis."""
     result = select_hidden(tmp_path, VALUES, robot=declare_wrongly(roll_inertia=1.3), seconds=6.0, drag=0.3)
     assert result.effect_names == ("inertia_error",)
     assert result.value_ties == ()
