@@ -36,23 +36,38 @@ class FlightSplit:
     test: Files
 
 
-def write_log_part(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Path:
-    """Write a part of a log of the ARPL collection as means of four rows, 126 Hz, and return the file."""
+def write_log_part(log: Path, folder: Path, number: int, parts: int = 2, *, rows_per_mean: int = 1) -> Path:
+    """Write a part of a log as means of some rows each, and return the file."""
+    import numpy as np
     import pandas as pd
 
-    log = pd.read_csv(data / "arpl_crazyflie_imu" / f"{name}.csv")
-    rows = log[number * len(log) // parts : (number + 1) * len(log) // parts].reset_index(drop=True)
-    path = folder / f"{name}_{number}.csv"
-    rows.groupby(rows.index // 4).mean().to_csv(path, index=False)
+    table = pd.read_csv(log)
+    rows = table[number * len(table) // parts : (number + 1) * len(table) // parts]
+    path = folder / f"{number}_of_{parts}_{log.name}"
+    rows.groupby(np.arange(len(rows)) // rows_per_mean).mean().to_csv(path, index=False)
     return path
 
 
-def log_halves(number: int, *more: str) -> Files:
-    """Return the first or second halves of two logs, and some whole ones."""
-    return lambda data, folder: [
-        *(write_log_part(data, folder, name, number) for name in ("log10", "log15")),
-        *(write_log_part(data, folder, name, 0, 1) for name in more),
-    ]
+def arpl_halves(number: int, *more: str) -> Files:
+    """Return the first or second halves of two logs of ARPL, and some whole ones, as means of four rows (126 Hz)."""
+
+    def files(data: Path, folder: Path) -> list[Path]:
+        parts = [(name, number, 2) for name in ("log10", "log15")] + [(name, 0, 1) for name in more]
+        logs = data / "arpl_crazyflie_imu"
+        return [write_log_part(logs / f"{name}.csv", folder, *part, rows_per_mean=4) for name, *part in parts]
+
+    return files
+
+
+def pair_half(number: int, *more: str) -> Files:
+    """Return one half of the log of a vehicle below another one, beside that of the other, and whole logs of Neural-Swarm."""
+
+    def files(data: Path, folder: Path) -> list[Path]:
+        logs = data / "neural_swarm"
+        _, below = (write_log_part(logs / f"swap_ss_00_{vehicle}.csv", folder, number) for vehicle in ("cf51", "cf50"))
+        return [below, *(logs / f"{name}.csv" for name in more)]
+
+    return files
 
 
 def log_finder(collection: str, *names: str) -> Files:
@@ -74,12 +89,12 @@ def both_ways(name: str, **fields) -> dict[str, FlightSplit]:
 
 IDSIA = ("idsia_nanodrone", "square_*", "random*", "multisine_*")
 MELONS = log_finder("idsia_nanodrone", "melon_*")
-ARPL = {"robot": "crazyflie_2x_arpl", "mapping": "arpl_crazyflie_imu", "bandwidth": 10.0, "test": log_halves(1)}
+ARPL = {"robot": "crazyflie_2x_arpl", "mapping": "arpl_crazyflie_imu", "bandwidth": 10.0, "test": arpl_halves(1)}
 BRUSHLESS = {"robot": "crazyflie_21_brushless", "mapping": "idsia_nanodrone", "bandwidth": 10.0, "test": MELONS}
 
 SETS: dict[str, FlightSplit] = {
-    "arpl": FlightSplit(**ARPL, train=log_halves(0)),
-    "arpl_yaw": FlightSplit(**ARPL, train=log_halves(0, "log16_a")),
+    "arpl": FlightSplit(**ARPL, train=arpl_halves(0)),
+    "arpl_yaw": FlightSplit(**ARPL, train=arpl_halves(0, "log16_a")),
     "idsia": FlightSplit(**BRUSHLESS, train=log_finder(*IDSIA)),
     "idsia_half": FlightSplit(**BRUSHLESS, train=every_other(*IDSIA)),
     **both_ways(
@@ -89,6 +104,13 @@ SETS: dict[str, FlightSplit] = {
         bandwidth=8.0,
         train=log_finder("neural_swarm", "groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot"),
         test=log_finder("neural_swarm", "takeoff_cf50"),
+    ),
+    "neural_swarm_pair": FlightSplit(
+        robot="crazyflie_21",
+        mapping="neural_swarm",
+        bandwidth=8.0,
+        train=pair_half(0, "groundflight_cf50_a", "takeoff_cf52"),
+        test=pair_half(1),
     ),
     **both_ways(
         "nanobench",

@@ -70,18 +70,19 @@ def test_drag_and_thrust_are_named_and_hold_on_other_shapes(tmp_path: Path) -> N
         assert error[1] < 0.25 * error[0]
 
 
-def rms_near_the_ground(table: pd.DataFrame, flight: str, when: str) -> float:
-    """Return the residual along z [m/s²] below 0.13 m."""
+def rms_at_heights(table: pd.DataFrame, flight: str, low: float, high: float) -> list[float]:
+    """Return the residual along z [m/s²] between two heights [m], before and after."""
     rows = table[table["flight"] == flight]
     log = pd.read_csv(DATA / "neural_swarm" / f"{flight}.csv")
     height = np.interp(rows["t"] + log["t"].iloc[0], log["t"], log["pz"])
-    return float(np.sqrt(np.mean(rows[f"specific_force_z_{when}"][height < 0.13] ** 2)))
+    near = rows[(height >= low) & (height < high)]
+    return [float(np.sqrt(np.mean(near[f"specific_force_z_{when}"] ** 2))) for when in ("before", "after")]
 
 
 @pytest.mark.slow
 def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: Path) -> None:
     """Crazyflies that take off and land again and again (Shi et al., Neural-Swarm, ICRA 2020). Trained on three flights
-    of three vehicles; measured -68 % below 0.13 m on the fourth, held to 80 % of that."""
+    of three vehicles; measured -76 % below 0.13 m and -33 % from there to 0.3 m on the fourth, held to 80 % of that."""
     train = ("groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot")
     verdict = verdict_of_loop("crazyflie_21", "neural_swarm", train, ("takeoff_cf50",), tmp_path, bandwidth=8.0)
     (effect,) = (one for one in verdict["effects"] if one["name"] == "ground_effect")
@@ -89,9 +90,10 @@ def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: P
     gains = effect["params"]  # measured_data.md 3.6: 9 to 15 % more thrust at 65 to 90 mm, which is 3 to 4 radii
     assert gains["k"] > 5.0 if effect["law"] == "formula" else gains["g2"] > 0.05
     table = pd.read_csv(tmp_path / "residuals.csv")
-    before, after = (rms_near_the_ground(table, "takeoff_cf50", when) for when in ("before", "after"))
-    assert before == pytest.approx(0.56, abs=0.05)
-    assert after < (1.0 - 0.8 * 0.68) * before
+    near, above = (rms_at_heights(table, "takeoff_cf50", *heights) for heights in ((0.0, 0.13), (0.13, 0.3)))
+    assert near[0] == pytest.approx(0.56, abs=0.05)
+    assert near[1] < (1.0 - 0.8 * 0.76) * near[0]
+    assert above[1] < (1.0 - 0.8 * 0.33) * above[0]  # a formula that acts too high up makes it larger
     high = [verdict[when]["specific_force"]["x"]["rms"] for when in ("before", "after")]
     assert high[1] == pytest.approx(high[0], rel=0.02)
 
