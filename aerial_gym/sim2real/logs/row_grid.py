@@ -11,7 +11,7 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import FlightSpan
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import IN_BAND, interpolate_by_spline, interpolate_columns
+from aerial_gym.sim2real.logs.signals import IN_BAND, interpolate_by_spline, interpolate_columns, mean_of_held_values
 from aerial_gym.sim2real.logs.streams import Stream
 
 GYRO_RATES_HZ = (50.0, 2000.0)  # Range of rates in which the gyro gives the rows
@@ -73,7 +73,7 @@ def _resample(stream: Stream, rows: Array) -> Array:
         used = np.unique(np.concatenate((after - 1, after)))
         return Slerp(time[used], Rotation.from_quat(values[used]))(inside).as_quat()
     if stream.quantity == "rotor_command" and stream.rate >= SLOWEST_COMMANDS_HZ:
-        return _mean_of_held_values(rows, time, values, step)
+        return mean_of_held_values(rows, time, values, step)
     first, last = (np.searchsorted(time, rows + side * 0.5 * step) for side in (-1.0, 1.0))
     has_several = last - first >= 2
     interpolate = interpolate_by_spline if stream.quantity in IN_BAND else interpolate_columns
@@ -82,17 +82,6 @@ def _resample(stream: Stream, rows: Array) -> Array:
         means = _average_over_rows(rows, time, values, step, first, last)
         between[has_several] = means[has_several]
     return between
-
-
-def _mean_of_held_values(rows: Array, time: Array, values: Array, step: float) -> Array:
-    """Return the means over each row's step [s] of values (T, K) that hold until the next sample."""
-    ends = np.append(rows[1:], rows[-1] + step)
-    begins = np.append(time, max(time[-1], ends[-1]) + step)
-    total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values * np.diff(begins)[:, None], axis=0)))
-    both = interpolate_columns(np.append(rows, ends).clip(time[0]), begins, total)
-    lengths = np.subtract(*np.split(np.append(rows, ends).clip(time[0]), 2)[::-1])
-    means = np.subtract(*np.split(both, 2)[::-1]) / np.maximum(lengths, 1e-12)[:, None]
-    return np.where(lengths[:, None] > 0.0, means, values[:1])
 
 
 def _average_over_rows(rows: Array, time: Array, values: Array, step: float, first: Indices, last: Indices) -> Array:

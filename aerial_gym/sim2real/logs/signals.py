@@ -221,6 +221,17 @@ def interpolate_by_spline(at: Array, time: Array, values: Array) -> Array:
     return np.where(gap[before][:, None], line, CubicSpline(time, values)(inside))
 
 
+def mean_of_held_values(rows: Array, time: Array, values: Array, step: float) -> Array:
+    """Return the means over each row's step [s] of values (T, K) that hold until the next sample."""
+    ends = np.append(rows[1:], rows[-1] + step)
+    begins = np.append(time, max(time[-1], ends[-1]) + step)
+    total = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values * np.diff(begins)[:, None], axis=0)))
+    both = interpolate_columns(np.append(rows, ends).clip(time[0]), begins, total)
+    lengths = np.subtract(*np.split(np.append(rows, ends).clip(time[0]), 2)[::-1])
+    means = np.subtract(*np.split(both, 2)[::-1]) / np.maximum(lengths, 1e-12)[:, None]
+    return np.where(lengths[:, None] > 0.0, means, values[:1])
+
+
 def check_gaps(log: FlightLog) -> None:
     """Raise ``DataError`` if a time gap cannot be bridged, such as one left by bad quaternions."""
     steps = np.diff(log.time)
@@ -234,7 +245,9 @@ def check_gaps(log: FlightLog) -> None:
 
 
 def log_at_equal_steps(log: FlightLog) -> FlightLog:
-    """Return the log at equal time steps with unit quaternions of continuous sign; commands stay held, gaps are marked.
+    """Return the log at equal time steps with unit quaternions of continuous sign; gaps are marked.
+
+    A command holds until the next one: each row has its mean until the next row.
 
     Raise ``DataError`` if a gap cannot be bridged.
     """
@@ -253,7 +266,7 @@ def log_at_equal_steps(log: FlightLog) -> FlightLog:
     }
     moved["attitude"] = continuous_quaternion(moved["attitude"])
     if log.rotor_command is not None:
-        moved["rotor_command"] = log.rotor_command[np.clip(np.searchsorted(log.time, time, "right") - 1, 0, None)]
+        moved["rotor_command"] = mean_of_held_values(time, log.time, log.rotor_command, step)
     if log.battery is not None:
         moved["battery"] = np.interp(time, log.time, log.battery)
     span = {"shortest_s": float(steps.min()), "longest_s": float(steps.max()), "step_s": step}

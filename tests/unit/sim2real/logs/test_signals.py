@@ -89,7 +89,11 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
     result = log_at_equal_steps(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
     assert np.ptp(np.diff(result.time)) < 1e-12
     np.testing.assert_allclose(result.position[:, 1], 2.0 * result.time, atol=1e-12)
-    assert set(np.unique(result.rotor_command)) == {100.0, 300.0}
+    change = time[time >= 2.0][0]  # the row of the change has the mean of both commands
+    row = result.time[1] - result.time[0]
+    held = 100.0 * change + 300.0 * (result.time[-1] + row - change)
+    assert result.rotor_command.sum() * row == pytest.approx(held, rel=1e-9)
+    assert (np.abs(np.abs(result.rotor_command - 200.0) - 100.0) < 1e-9).sum() >= result.time.size - 1
     assert result.notes[0].code == "steps_resampled"
     with pytest.raises(DataError, match=r"0\.5 s after the row before, where 0\.01 s are usual; cut the log there"):
         log_at_equal_steps(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
