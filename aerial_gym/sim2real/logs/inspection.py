@@ -14,6 +14,7 @@ from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
+from aerial_gym.sim2real.logs.checks.conventions import LOWEST_RATE_HZ
 from aerial_gym.sim2real.logs.checks.kinematics import findings_on_sensors_at_rest
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
@@ -149,6 +150,9 @@ def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
     time = log.time if opened.rows is not None else row_times(opened.streams, span)
     rate = 1.0 / float(np.median(np.diff(time)))
     vertical_force = _mean_vertical_force(log)
+    slow = (
+        [Finding("rows_too_slow", "", {"rate_hz": rate, "least_hz": LOWEST_RATE_HZ})] if rate < LOWEST_RATE_HZ else []
+    )
     quantities = [name for name in row_arrays(log) if name not in ("time", "lines")]
     return FlightSummary(
         path=log.path,
@@ -159,7 +163,11 @@ def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
         streams=log.streams or {name: StreamTiming(source="table[0]", rate=rate) for name in quantities},
         battery=None if log.battery is None else (float(log.battery.min()), float(log.battery.max())),
         vertical_force=vertical_force,
-        notes=(*(note for note in log.notes if note not in opened.notes), *_findings_on_sensors(log, vertical_force)),
+        notes=(
+            *(note for note in log.notes if note not in opened.notes),
+            *slow,
+            *_findings_on_sensors(log, vertical_force),
+        ),
     )
 
 

@@ -86,6 +86,12 @@ def test_a_sensor_at_rest_in_flight_is_named(columns, sensor, table: pd.DataFram
     assert [note.code for note in scaled.notes] == ["vertical_force_off"]
 
 
+def test_rows_that_are_too_slow_for_a_comparison_are_named(table: pd.DataFrame, tmp_path: Path) -> None:
+    for every, codes in ((20, ["rows_too_slow"]), (8, [])):  # 10 and 25 Hz
+        log = inspect_log(write(table[::every], tmp_path / "a.csv"))
+        assert [note.code for note in log.flights[0].notes if note.code == "rows_too_slow"] == codes
+
+
 def test_a_log_without_a_flight_still_lists_its_topics(table: pd.DataFrame, tmp_path: Path) -> None:
     results = {name: part for name, part in topics(table).items() if name == "battery_status"}
     log = inspect_log(write_ulog(tmp_path / "a.ulg", results))
