@@ -11,16 +11,20 @@ from aerial_gym.errors import DataError
 SEPARATORS = (";", "\t", ",")  # Field separators; a header with none of them is separated by spaces
 SPACES = " "  # Separator mark for any run of white space
 ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # Encodings by byte-order mark; other files are UTF-8
-PACKED = {
-    b"\x1f\x8b": "gzip",
-    b"PK\x03\x04": "zip",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ": "xz",
-    b"\x28\xb5\x2f\xfd": "zstd",
-    b"7z\xbc": "7z",
-    b"ULogEnc": "PX4's log encryption, whose key only you have",
+FOREIGN = {
+    b"\x1f\x8b": "packed by gzip; unpack it first",
+    b"PK\x03\x04": "packed by zip; unpack it first",
+    b"BZh": "packed by bzip2; unpack it first",
+    b"\xfd7zXZ": "packed by xz; unpack it first",
+    b"\x28\xb5\x2f\xfd": "packed by zstd; unpack it first",
+    b"7z\xbc": "packed by 7z; unpack it first",
+    b"ULogEnc": "encrypted by PX4; decrypt it with your private key",
+    b"MATLAB ": "a MATLAB file; export its variables as CSV, one column each",
+    b"\x89HDF": "an HDF5 file; export its data as CSV, one column each",
+    b"PAR1": "a single Parquet file; give the folder that log convert wrote, or export CSV",
+    b"\xfd": "MAVLink without times of reception; record a telemetry log (.tlog)",
 }
-"""Compression of files by their first bytes."""
+"""Files that are no logs, by their first bytes, and the way out."""
 REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)  # Start of a comment, a separator hint or an empty line
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # A number with a decimal comma
 
@@ -103,8 +107,8 @@ def read_lines(path: Path) -> list[str]:
 
 def check_is_text(data: bytes, path: str) -> None:
     """Raise ``DataError`` if the first bytes of a file are not text."""
-    if packed := next((name for head, name in PACKED.items() if data.startswith(head)), None):
-        raise DataError(f"{path}: is packed by {packed}; unpack it first")
+    if foreign := next((text for head, text in FOREIGN.items() if data.startswith(head)), None):
+        raise DataError(f"{path}: is {foreign}")
     if data[:2] not in ENCODINGS and b"\0" in data.split(b"\n", 1)[0]:
         raise DataError(
             f"{path}: cannot be read as text: it holds binary data of no known log format "

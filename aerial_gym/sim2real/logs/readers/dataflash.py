@@ -89,6 +89,11 @@ class DataflashReader(LogReader):
         named = {table.type.name: table for table in tables}
         if named.keys().isdisjoint(("IMU", "ATT", "RATE", "GYR")):
             raise DataError(f"{path}: holds no messages IMU, ATT, RATE or GYR of ArduPilot; log them (LOG_BITMASK)")
+        if not any(set(messages.TIMES) & set(table.type.fields) for table in tables):
+            raise DataError(
+                f"{path}: has messages without times, as .px4log of PX4 before 1.6; convert it by sdlog2_dump.py of PX4, and "
+                "give the CSV file with a mapping"
+            )
         parameters, changes = _parameters_and_changes(named)
         units, lost = _field_units(types, named), data.size - used
         texts = list(zip(named["MSG"].seconds, named["MSG"].texts("Message"), strict=False)) if "MSG" in named else []

@@ -120,7 +120,21 @@ def test_a_number_selects_one_flight(table: pd.DataFrame, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("head", "word"), [(b"\x1f\x8b\x08\0", "gzip"), (b"PK\x03\x04\0", "zip"), (b"ab\0c", "log-formats")]
+    ("head", "word"),
+    [
+        *(
+            (b"\x1f\x8b\x08\0", "gzip"),
+            (b"PK\x03\x04\0", "zip"),
+            (b"ab\0c", "log-formats"),
+            (b"ULogEnc\x01", "private key"),
+        ),
+        *(
+            (b"MATLAB 5.0 MAT-file", "MATLAB"),
+            (b"\x89HDF\r\n\x1a\n", "HDF5"),
+            (b"PAR1", "Parquet"),
+            (b"\xfd\x1c\0\0", "tlog"),
+        ),
+    ],
 )
 def test_packed_and_unknown_files_are_refused(head: bytes, word: str, tmp_path: Path) -> None:
     (tmp_path / "a.ulg").write_bytes(head + bytes(100))

@@ -90,6 +90,13 @@ def test_a_log_without_sensors_is_refused(tmp_path, data) -> None:
         read(tmp_path, data)
 
 
+def test_messages_without_times_are_named(tmp_path) -> None:
+    data = files.message("FMT", 128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    data += files.message("FMT", 4, 15, "IMU", "fff", "GyroX,GyroY,GyroZ") + 9 * (b"\xa3\x95\x04" + bytes(12))
+    with pytest.raises(DataError, match="px4log"):
+        read(tmp_path, data)
+
+
 def test_a_log_as_text_gives_the_quantities_of_the_binary_log(tmp_path) -> None:
     text = (
         b"ArduCopter V3.1\n"
