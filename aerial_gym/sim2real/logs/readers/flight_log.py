@@ -161,7 +161,9 @@ def _with_mapping(log: FlightLog, layout: LogMapping) -> FlightLog:
     of_share = scaled is not None and scaled.columns == ("rotor_command",) and scaled.times is scaled.over is None
     return replace(
         log,
-        command_curve=(scaled.offset, scaled.gain, scaled.power) if scaled is not None and of_share else None,
+        command_curve=(scaled.offset, scaled.gain, scaled.power)
+        if scaled is not None and of_share
+        else log.command_curve,
         lift_off=layout.lift_off_m,
         hover_above=layout.hover_above_m,
         torques=log.torques and layout.torques,

@@ -1,8 +1,8 @@
 """Read PX4 ULog files with pyulog. Letters: T samples, R rotors.
 
 Source: PX4 message definitions (github PX4/PX4-Autopilot, msg/): VehicleAttitude, VehicleLocalPosition, SensorCombined,
-VehicleAngularVelocity, ActuatorMotors, ActuatorOutputs, EscReport, BatteryStatus, VehicleLandDetected; output functions:
-src/lib/mixer_module/output_functions.yaml; thrust curve: THR_MDL_FAC in the PX4 parameter reference.
+VehicleAngularVelocity, SensorGyroFifo, ActuatorMotors, ActuatorOutputs, EscReport, BatteryStatus, VehicleLandDetected; output
+functions: src/lib/mixer_module/output_functions.yaml; thrust curve: THR_MDL_FAC in the PX4 parameter reference.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,6 +30,10 @@ from aerial_gym.sim2real.logs.readers.mapping import UNITS, quantity_from_ned_fr
 from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, Header
+FIFO_SAMPLES, SLOWEST_GYRO_HZ = (
+    32,
+    50.0,
+)  # Samples in a message of raw data, which are used if all other gyros are slower
 LONGEST_LATENCY_US = 1_000_000  # Largest delay from sampling to publication [us] on one clock
 MOTOR_1 = 101  # Output function of motor 1; further motors follow
 MOST_MOTORS = 12
@@ -128,8 +132,11 @@ class UlogReader(LogReader):
             for name in names
             for topic in log.topic_instances(name, *fields)
         ]
+        usable = [one for one in usable if np.isfinite(one.values).any()]
+        gyros = [one.time.size / max(float(np.ptp(one.time)), 1e-9) for one in usable if one.quantity == "ang_vel"]
         return [
-            *faster_first([one for one in usable if np.isfinite(one.values).any()]),
+            *(_raw_gyro_channels(log) if max(gyros, default=0.0) < SLOWEST_GYRO_HZ else ()),
+            *faster_first(usable),
             *(
                 _vector_channel(topic, "lin_vel", GPS_VELOCITY)
                 for name in ("vehicle_gps_position", "sensor_gps")
@@ -184,6 +191,22 @@ def _vector_channel(topic: Topic, quantity: str, fields: Sequence[str]) -> LogCh
         return channel
     changes = np.any(np.diff(topic.numbers(*known), axis=0) != 0.0, axis=1)
     return replace(channel, resets=channel.time[1:][changes])
+
+
+def _raw_gyro_channels(log: RawLog) -> Iterator[LogChannel]:
+    """Yield the samples of ``sensor_gyro_fifo``, less the calibrated offset; none for a board that is mounted turned."""
+    names = ["samples", "scale", "dt", *(f"{axis}[{i}]" for axis in "xyz" for i in range(FIFO_SAMPLES))]
+    for topic in log.topic_instances("sensor_gyro_fifo", *names) if log.number("SENS_BOARD_ROT", 0.0) == 0.0 else ():
+        count, place = topic.columns["samples"].astype(int)[:, None], np.arange(FIFO_SAMPLES)
+        stamps = topic.columns.get("timestamp_sample", 1e6 * topic.time)
+        time = stamp_seconds(stamps, 1e-6)[:, None] - 1e-6 * topic.columns["dt"][:, None] * (count - 1 - place)
+        counts = np.stack([topic.numbers(*(f"{axis}[{i}]" for i in place)) for axis in "xyz"], axis=2)
+        device = float(np.median(topic.columns.get("device_id", np.zeros(1))))
+        number = next((k for k in range(4) if log.number(f"CAL_GYRO{k}_ID", -1.0) == device), 0)
+        offset = [log.number(f"CAL_GYRO{number}_{axis}OFF", 0.0) for axis in "XYZ"]
+        inside = place < count
+        values = (topic.columns["scale"][:, None, None] * counts)[inside] - offset
+        yield replace(topic.channel("ang_vel", quantity_from_ned_frd("ang_vel", values)), time=time[inside])
 
 
 def _rotor_speed_channels(log: RawLog) -> Iterator[LogChannel]:

@@ -36,6 +36,27 @@ def hover(**more: dict[str, float]) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
+@pytest.mark.parametrize(("every", "source"), [(20, "sensor_gyro_fifo[0]"), (1, "vehicle_angular_velocity[0]")])
+def test_raw_samples_of_a_gyro_replace_slow_rates(every: int, source: str) -> None:
+    """Eight samples of 0.625 ms before each stamp, in counts, with a calibrated offset of 0.1 rad/s about x."""
+    parts = topics(flight(5, seconds=8.0, rate=200.0))
+    gyro = parts["vehicle_angular_velocity"]
+    stamp, rates = gyro["timestamp"], np.stack([gyro[f"xyz[{i}]"] for i in range(3)], axis=1)
+    at = stamp[:, None] - 625.0 * (7 - np.arange(8))
+    raw = {"samples": np.full(stamp.size, 8.0), "scale": np.full(stamp.size, 1e-3), "dt": np.full(stamp.size, 625.0)}
+    for k, axis in enumerate("xyz"):
+        values = 1000.0 * (np.interp(at, stamp, rates[:, k]) + 0.1 * (axis == "x"))
+        raw |= {f"{axis}[{i}]": values[:, i] if i < 8 else np.zeros(stamp.size) for i in range(32)}
+    parts["sensor_gyro_fifo"] = {"timestamp": stamp, **raw}
+    parts["vehicle_angular_velocity"] = {name: values[::every] for name, values in gyro.items()}
+    log = read_topics(parts, CAL_GYRO0_XOFF=0.1)
+    assert log.streams["ang_vel"].source == source
+    assert log.ang_vel is not None
+    seconds = 1e-6 * stamp.astype(float)
+    shown = np.stack([np.interp(log.time, seconds, one) for one in (rates * (1.0, -1.0, -1.0)).T], axis=1)
+    np.testing.assert_allclose(log.ang_vel[20:-20], shown[20:-20], atol=0.02)
+
+
 def test_a_single_event_of_landing_counts_and_an_esc_without_telemetry_does_not(tmp_path: Path) -> None:
     """A log that begins in the air, with one landing; three of four ESCs send their speed, which no rotor is known to have."""
     parts = topics(flight(5, seconds=8.0, rate=100.0))
