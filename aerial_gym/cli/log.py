@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from aerial_gym.sim2real.logs.readers.mapping import LogMapping
     from aerial_gym.sim2real.logs.recording import StreamTiming
 
+ENDS = {
+    "impact": "an impact (touchdown or crash)", "gap": "a gap", "velocity_reset": "a reset of the velocity",
+    "log_end": "the end of the log",
+}  # fmt: skip
+"""Reasons for the end of a flight, in words."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LogCmd:
@@ -52,7 +58,7 @@ class InspectLogCmd(LogCmd):
             print(json_line(render_findings(inspection.as_mapping()), allow_nan=False))
         else:
             _print_inspection(inspection)
-        return int(not inspection.flights)
+        return int(all(flight.refusal is not None for flight in inspection.flights))
 
     def _write_draft(self, path: Path) -> "LogMapping":
         from aerial_gym.sim2real.logs.mapping_draft import draft_mapping
@@ -106,50 +112,56 @@ class PlotLogCmd(LogCmd):
 
 
 def _print_inspection(log: "LogInspection") -> None:
+    """Print the flights with their consequences, findings on the file, the next step, and last its topics."""
     from aerial_gym.sim2real.wording import text
 
     console = Console(markup=False)
-    console.print(f"{log.raw.path}: {log.raw.format}, {len(log.raw.topics)} topics, {len(log.flights)} flights")
-    for name, value in log.short_metadata.items():
-        console.print(f"  {name}: {value}")
-    rows = [
-        (f"{t.name}[{t.instance}]", str(t.samples), *map(_number_text, (t.rate, t.start, t.end, t.longest_gap)))
-        for t in log.topics
-    ]
-    print_table(rows, ("topic", "samples", "rate [Hz]", "first [s]", "last [s]", "longest gap [s]"), title="topics")
-    if log.armed:
-        console.print("armed: " + ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in log.armed))
+    console.print(f"{log.raw.path}: {log.raw.format}, {len(log.flights)} flight{'' if len(log.flights) == 1 else 's'}")
+    for refusal in log.refusals:
+        console.print(f"refused: {refusal}")
     for flight in log.flights:
         _print_flight(flight)
-    for change in log.raw.parameter_changes:
-        console.print(f"parameter at {change.time:.2f} s: {change.name} = {change.value}, before {change.before}")
+    for note in log.notes:
+        console.print(f"note: {text(note)}")
     times: dict[tuple[str, str], list[float]] = {}
     for message in log.warnings:
         times.setdefault((message.level, message.text), []).append(message.time)
     for (level, sentence), at in times.items():
         repeats = f" and {len(at) - 1} times more until {at[-1]:.2f} s" if len(at) > 1 else ""
         console.print(f"{level} at {at[0]:.2f} s{repeats}: {sentence}")
-    for note in log.notes:
-        console.print(f"note: {text(note)}")
-    for refusal in log.refusals:
-        console.print(f"refused: {refusal}")
+    if any(flight.refusal is None for flight in log.flights):
+        console.print(
+            f"next: aerial-gym replay ROBOT.yaml {log.raw.path}; without a robot file: aerial-gym robot from-log"
+        )
+    if log.armed:
+        console.print("armed: " + ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in log.armed))
+    for name, value in log.raw.metadata.items():
+        console.print(f"  {name}: {value}")
+    rows = [
+        (f"{t.name}[{t.instance}]", str(t.samples), *map(_number_text, (t.rate, t.start, t.end, t.longest_gap)))
+        for t in log.topics
+    ]
+    print_table(rows, ("topic", "samples", "rate [Hz]", "first [s]", "last [s]", "longest gap [s]"), title="topics")
 
 
 def _print_flight(flight: "FlightSummary") -> None:
     from aerial_gym.sim2real.wording import text
 
+    console = Console(markup=False)
     voltage = "" if flight.battery is None else f", battery {flight.battery[0]:.2f} to {flight.battery[1]:.2f} V"
     if flight.vertical_force is not None:
         voltage += f", mean vertical specific force {flight.vertical_force:.2f} m/s² (9.81 for a sound accelerometer)"
-    span = f"{flight.start:.2f} to {flight.end:.2f} s, ended by {flight.ended_by.replace('_', ' ')}"
+    span = f"{flight.start:.2f} to {flight.end:.2f} s, ended by {ENDS.get(flight.ended_by, flight.ended_by)}"
+    console.print(f"{flight.path}: {span}{voltage}")
+    if flight.refusal is not None:
+        console.print(f"  refused by comparisons: {flight.refusal}")
+    for note in flight.notes:
+        console.print(f"  note: {text(note)}")
     rows = [
         (name, each.source, _number_text(each.rate), _number_text(each.latency, 1e3), _delay_text(each))
         for name, each in flight.streams.items()
     ]
-    head = ("quantity", "topic", "rate [Hz]", "latency [ms]", "delay [ms]")
-    print_table(rows, head, title=f"{flight.path}: {span}{voltage}")
-    for note in flight.notes:
-        Console(markup=False).print(f"  note: {text(note)}")
+    print_table(rows, ("quantity", "topic", "rate [Hz]", "latency [ms]", "late by [ms]"))
 
 
 def _delay_text(stream: "StreamTiming") -> str:

@@ -14,7 +14,7 @@ from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.logs.checks.conventions import LOWEST_RATE_HZ
+from aerial_gym.sim2real.logs.checks.conventions import check_duration_and_rate
 from aerial_gym.sim2real.logs.checks.kinematics import findings_on_sensors_at_rest
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
@@ -32,6 +32,8 @@ ZERO_G_OFFSET = 0.080 * UNIT_G
 """Largest offset of a sound accelerometer [m/s²]. Source: InvenSense (2013), MPU-6000 specification 3.4, section 6.2."""
 
 LONGEST_VALUE = 500  # Longest metadata that are shown [characters]
+FASTEST_HZ = 2e4  # No sensor of a vehicle is logged faster [Hz]; samples that come closer are written in bursts
+
 SHOWN_LEVELS = ("warning", "error")  # Levels of messages that every reader should see
 
 
@@ -54,7 +56,7 @@ class TopicSummary:
     name: str
     instance: int
     samples: int
-    rate: float | None  # Usual number of samples per second [Hz]; None for less than two different stamps
+    rate: float | None  # Usual number of samples per second [Hz]; None for bursts and single samples
     start: float | None  # First stamp [s]
     end: float | None  # Last stamp [s]
     longest_gap: float | None  # Longest time between samples [s]
@@ -77,6 +79,7 @@ class FlightSummary:
     battery: tuple[float, float] | None  # Lowest and highest voltage [V]
     vertical_force: float | None  # Mean vertical specific force less dv/dt [m/s²]: g for a sound accelerometer
     notes: tuple[Finding, ...]
+    refusal: str | None  # Reason why no comparison takes this flight
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -150,9 +153,6 @@ def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
     time = log.time if opened.rows is not None else row_times(opened.streams, span)
     rate = 1.0 / float(np.median(np.diff(time)))
     vertical_force = _mean_vertical_force(log)
-    slow = (
-        [Finding("rows_too_slow", "", {"rate_hz": rate, "least_hz": LOWEST_RATE_HZ})] if rate < LOWEST_RATE_HZ else []
-    )
     quantities = [name for name in row_arrays(log) if name not in ("time", "lines")]
     return FlightSummary(
         path=log.path,
@@ -163,12 +163,18 @@ def _flight_summary(opened: LogFlights, number: int) -> FlightSummary:
         streams=log.streams or {name: StreamTiming(source="table[0]", rate=rate) for name in quantities},
         battery=None if log.battery is None else (float(log.battery.min()), float(log.battery.max())),
         vertical_force=vertical_force,
-        notes=(
-            *(note for note in log.notes if note not in opened.notes),
-            *slow,
-            *_findings_on_sensors(log, vertical_force),
-        ),
+        notes=(*(note for note in log.notes if note not in opened.notes), *_findings_on_sensors(log, vertical_force)),
+        refusal=_refusal_of_comparisons(log),
     )
+
+
+def _refusal_of_comparisons(log: FlightLog) -> str | None:
+    """Return the reason why ``replay`` and ``close-loop`` refuse a flight by its length or rate; None without one."""
+    try:
+        check_duration_and_rate(log)
+    except DataError as error:
+        return str(error)
+    return None
 
 
 def _mean_vertical_force(log: FlightLog) -> float | None:
@@ -195,11 +201,12 @@ def topic_summary(topic: Topic) -> TopicSummary:
     stamps = topic.time[np.isfinite(topic.time)]
     steps = np.diff(stamps)
     rises = steps[steps > 0.0]
+    rate = 1.0 / float(np.median(rises)) if rises.size else np.inf
     return TopicSummary(
         name=topic.name,
         instance=topic.instance,
         samples=topic.time.size,
-        rate=1.0 / float(np.median(rises)) if rises.size else None,
+        rate=rate if rate <= FASTEST_HZ else None,
         start=float(stamps[0]) if stamps.size else None,
         end=float(stamps[-1]) if stamps.size else None,
         longest_gap=float(rises.max()) if rises.size else None,

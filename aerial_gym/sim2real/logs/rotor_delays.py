@@ -41,7 +41,10 @@ def rotor_delay(log: FlightLog, rotors: Array, largest: float) -> tuple[float, f
     best = int(np.argmin(left[:, explained].sum(axis=1)))
     if not explained.any() or best in (0, shifts.size - 1):
         return None
-    return _refine(outputs[:, explained], squares, inner, float(shifts[best]) / rate, rate)
+    refined = _refine(outputs[:, explained], squares, inner, float(shifts[best]) / rate, rate)
+    return (
+        None if refined is None or refined[1] > largest else refined
+    )  # an interval as wide as the search shows nothing
 
 
 def _band_pass(values: Array, rate: float, band: float) -> Array:

@@ -86,7 +86,10 @@ def draft_vehicle(
     flights = [rows for rows in flights if rows.seconds > 0.0]
     seconds = sum(rows.seconds for rows in flights)
     if seconds < FEWEST_S:
-        raise DataError(f"{logs[0].path}: {seconds:.1f} s with all rotors turning; {FEWEST_S:g} s are needed")
+        raise DataError(
+            f"{logs[0].path}: {seconds:.1f} s with all rotors turning; {FEWEST_S:g} s are needed. "
+            "If the body was thrown by hand, take aerial-gym identify inertia"
+        )
     effect = _fit_to_layout(flights, layout) if fast else None
     curve = fit_command_curve(logs) if has_speeds and fast else None
     lag = curve.lag if curve is not None else power[1] if power is not None else None

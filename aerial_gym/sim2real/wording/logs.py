@@ -137,9 +137,6 @@ LOGS: dict[str, Template] = {
     "stream_moved": lambda f: f"{_stream_delay_text(f)}; it is moved.",
     "reset_undone": _reset_sentence,
     "rotors_too_slow": _slow_rotors_sentence,
-    "rows_too_slow": (
-        "The flight has {rate_hz:number} rows per second; a comparison with the simulator needs {least_hz:number}. Log faster."
-    ),
     "flight_state_unknown": "Arming and landing show no flight: the whole log counts as one.",
     "rotor_order_of_firmware": "Rotors are in the order of {firmware}; the robot file must list them in the same order.",
     "rotor_unit_assumed": (

@@ -227,7 +227,6 @@ SAMPLES = [
         Finding("rotors_too_slow", "f1", {"quantity": "rotor_command", "rate_hz": 10.03, "torques": torques})
         for torques in (False, True)
     ),
-    Finding("rows_too_slow", "f1", {"rate_hz": 4.0, "least_hz": 20.0}),
     Finding("flight_state_unknown", "f1"), Finding("commands_mixed", "f1"),
     Finding("rotor_unit_assumed", "f1", {"topic": "/motor_speeds", "unit": "rad/s"}),
     Finding("rotor_order_of_firmware", "f1", {"firmware": "PX4"}),

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
+from aerial_gym.cli.main import main
 from aerial_gym.errors import DataError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.logs.conversion import _write_parquet, convert_log
@@ -37,7 +38,16 @@ def test_a_topic_has_rate_span_and_longest_gap() -> None:
     assert (summary.name, summary.instance, summary.samples) == ("imu", 2, 201)
     assert (summary.rate, summary.start) == (pytest.approx(100.0), 0.0)
     assert (summary.end, summary.longest_gap) == (pytest.approx(2.99), pytest.approx(1.01))
-    assert topic_summary(Topic(name="one", time=np.zeros(1), columns={})).rate is None
+    for stamps in (np.zeros(1), np.repeat(np.arange(5.0), 40) + np.tile(np.arange(40) * 8e-6, 5)):  # the last: bursts
+        assert topic_summary(Topic(name="one", time=stamps, columns={})).rate is None
+
+
+def test_a_flight_that_comparisons_refuse_says_so(table: pd.DataFrame, tmp_path: Path, capsys) -> None:
+    for step, slow in ((10, False), (20, True)):
+        (one,) = inspect_log(write(table.iloc[::step], tmp_path / "a.csv")).flights
+        assert (one.refusal is not None) is slow
+        assert main(["log", "inspect", str(tmp_path / "a.csv")]) == int(slow)
+        assert ("next: " in capsys.readouterr().out) is not slow
 
 
 def test_a_ulog_has_flights_with_native_rates(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -84,12 +94,6 @@ def test_a_sensor_at_rest_in_flight_is_named(columns, sensor, table: pd.DataFram
     assert not inspect_log(write(table, tmp_path / "b.csv")).flights[0].notes
     scaled = inspect_log(write(table.assign(acc_z=0.4 * table["acc_z"]), tmp_path / "c.csv")).flights[0]
     assert [note.code for note in scaled.notes] == ["vertical_force_off"]
-
-
-def test_rows_that_are_too_slow_for_a_comparison_are_named(table: pd.DataFrame, tmp_path: Path) -> None:
-    for every, codes in ((20, ["rows_too_slow"]), (8, [])):  # 10 and 25 Hz
-        log = inspect_log(write(table[::every], tmp_path / "a.csv"))
-        assert [note.code for note in log.flights[0].notes if note.code == "rows_too_slow"] == codes
 
 
 def test_a_log_without_a_flight_still_lists_its_topics(table: pd.DataFrame, tmp_path: Path) -> None:
