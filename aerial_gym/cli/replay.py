@@ -53,6 +53,7 @@ class ReplayCmd:
             print(json_line(result.as_mapping()))
             return int(bool(result.left_out))
         console = Console(markup=False)
+        console.print(text(result.answer))
         rows = [[str(row[key]) for key in ("name", "before", "floor")] for row in channel_rows(result.evaluation, None)]
         head = ("channel", "residual", "noise floor")
         print_table(rows, head, title="measured minus predicted (rms, 95 % interval)")

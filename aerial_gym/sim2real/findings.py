@@ -60,7 +60,7 @@ _BY_SEVERITY = {
         "may_be_noise adds_too_little wrong_corr_time rival_process learned_refused gain_by_chance few_flights_better "
         "gain_small channel_worse channel_worse_in_flights no_velocity no_force share_small "
         # rollouts
-        "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short "
+        "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short errors_at_floor errors_above_floor "
         # round trip
         "controller_stands_in setpoints_missing"
     ),

@@ -12,7 +12,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
-from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
+from aerial_gym.sim2real.judge.evaluation import LEAST_GAP, ModelEvaluation, evaluate_models, reason_against_rollouts
 from aerial_gym.sim2real.logs.flights import (
     Flight,
     check_bandwidth,
@@ -49,6 +49,19 @@ class Replay:
     round_trip: RoundTrip | None = None  # Recorded setpoints flown in the model, if asked for
 
     @property
+    def answer(self) -> Finding:
+        """Return the number of errors above their noise floor, and the error that exceeds it most."""
+        floor, channels = self.evaluation.floor, self.evaluation.channels
+        if floor is None:
+            return Finding("floor_unknown")
+        ratios = [rms.value / max(level, 1e-300) for rms, level in zip(self.evaluation.residual, floor, strict=True)]
+        above, most = sum(ratio**2 >= LEAST_GAP for ratio in ratios), ratios.index(max(ratios))
+        if not above:
+            return Finding("errors_at_floor", "", {"channels": len(ratios)})
+        values = {"above": above, "channels": len(ratios), "channel": channels[most].name, "ratio": ratios[most]}
+        return Finding("errors_above_floor", "", values)
+
+    @property
     def notes(self) -> list[Finding]:
         """Findings on logs left out, the vehicle, the logs and missing rollouts."""
         missing = reason_against_rollouts(self.flights)
@@ -66,6 +79,7 @@ class Replay:
             "flights": [flight.path for flight in self.flights],
             "left_out": [text(note) for note in self.left_out],
             "bandwidth_hz": self.bandwidth,
+            "answer": text(self.answer),
             "replay": self.evaluation.as_mapping(),
             **({} if self.round_trip is None else {"round_trip": self.round_trip.as_mapping()}),
             "notes": [text(note) for note in self.notes],
@@ -219,6 +233,7 @@ def _write_report(folder: Path, result: Replay) -> None:
         "rollouts": replay_rollout_rows(result),
         "round_trip": round_trip_rows(result.round_trip),
         "figures": figures,
+        "answer": text(result.answer),
         "notes": [text(note) for note in result.notes],
         "shown_notes": SHOWN_NOTES,
         "no_rollouts": reason_against_rollouts(result.flights),

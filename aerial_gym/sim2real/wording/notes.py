@@ -209,6 +209,11 @@ NOTES: dict[str, Template] = {
     "share_small": "It takes at most {share:percent} of any mean square of flights left out.",
     "rollouts_lack_velocity": "No rollouts: {subject} without velocity or position.",
     "rollouts_lack_attitude": "No rollouts: {subject} without attitude, which the gyro alone does not give.",
+    "errors_at_floor": "No error of {channels} exceeds its noise floor by more than 10 %: the robot file fits these flights.",
+    "errors_above_floor": (
+        "{above} of {channels} errors exceed their noise floors. The {channel:error} does most, {ratio:number2} times. "
+        "Next: aerial-gym close-loop finds the cause, best from three or more flights."
+    ),
     "rollouts_too_short": "No rollouts: no flight is airborne for {shortest_s:g} s at a time.",
     "controller_flown": (
         "Round trip by the law of {controller}: {logged} of its parameters come from the log, {assumed} are assumed."

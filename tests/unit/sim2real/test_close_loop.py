@@ -293,6 +293,13 @@ def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["replay", str(folder / "robot.yaml"), str(folder / "f3.csv"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(results.evaluation.residual[0].value)
+    assert results.evaluation.floor is not None
+    ratios = [
+        one.value / floor for one, floor in zip(results.evaluation.residual, results.evaluation.floor, strict=True)
+    ]
+    assert results.answer.code == "errors_above_floor"
+    assert results.answer.values["ratio"] == max(ratios)
+    assert results.answer.values["above"] == sum(ratio > 1.1 for ratio in ratios)
 
 
 def test_a_replay_goes_on_beside_an_unusable_log_and_says_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
