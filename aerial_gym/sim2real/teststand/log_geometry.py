@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.errors import ConfigError, DataError, UnknownNameError
+from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import RawLog
@@ -191,7 +191,8 @@ def _layout_of_parameters(raw: RawLog, count: int) -> RotorLayout:
         for kind in dict.fromkeys(kinds) if kind
     )  # fmt: skip
     if {"CA_ROTOR_COUNT", "CA_ROTOR0_PX"} & raw.parameters.keys():
-        return replace(_px4_layout(raw, count), notes=notes)
+        layout = _px4_layout(raw, count)
+        return replace(layout, notes=(*notes, *layout.notes))
     if "FRAME_CLASS" in raw.parameters:
         kind, number = (int(raw.number(name, 0.0)) for name in ("FRAME_CLASS", "FRAME_TYPE"))
         y6 = {10: "y6b", 11: "y6f"}.get(number, "y6")
@@ -248,7 +249,8 @@ def _px4_layout(raw: RawLog, count: int) -> RotorLayout:
     """Return the rotors of PX4's control allocation; arms of 1 m are placeholders, of which only the pattern counts."""
     listed = int(raw.number("CA_ROTOR_COUNT", 0.0)) or count
     if listed != count:
-        raise DataError(f"CA_ROTOR_COUNT = {listed}, but the log has {count} rotors; give a log of one vehicle")
+        note = f"CA_ROTOR_COUNT = {listed} does not fit the {count} rotors in the log: the parameters of rotors are not used."
+        return RotorLayout(count=count, law=_px4_thrust_law(raw), notes=(note,))
 
     def vectors(kind: str, last: float = 0.0) -> Array:
         names = ((1.0, "X", 0.0), (-1.0, "Y", 0.0), (-1.0, "Z", last))

@@ -141,8 +141,8 @@ def test_arms_of_1_m_and_the_default_moment_are_placeholders() -> None:
     assert real.places is not None
     np.testing.assert_allclose(real.places[0], (0.2, -0.2, 0.0))
     assert real.spins == (1, 1, -1, -1)
-    with pytest.raises(DataError):
-        _px4_layout(px4(0.2), 6)
+    other = _layout_of_parameters(px4(0.2), 6)
+    assert (other.places, len(other.notes)) == (None, 1)
 
 
 def test_the_command_writes_a_file_that_loads(
