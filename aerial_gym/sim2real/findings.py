@@ -52,6 +52,7 @@ _BY_SEVERITY = {
         "left_open_note offsets_sizes parameter_tied parameters_tied values_tied laws_tied stands_in "
         # not testable, not named
         "not_excited no_soft_arms acts_on_links no_such_effect logs_lack voltage_too_steady commands_too_coarse "
+        "thrust_slope_open "
         "no_inertial_sensor kinematics_disagree torques_not_compared effect_refused parameters_unknown flights_disagree "
         "not_told_from_nothing interval_holds_neutral told_beside_another remainder_larger only_linear less_probable trifle "
         "follows_structure "

@@ -234,6 +234,10 @@ REASONS: dict[str, Template] = {
     "no_such_effect": "It looks like {alike}, but no effect of this name is registered.",
     "logs_lack": _sentence_on_lack,
     "voltage_too_steady": "The battery voltage varies by only {share:percent}. {subject:excitation}",
+    "thrust_slope_open": (
+        "Slow commands miss what the rotors did between samples, and leave open how steeply the thrust grows. "
+        "Log them at 40 Hz or more."
+    ),
     "commands_too_coarse": (
         "Commands are logged every {row_ms:number} ms, but the rotors follow within {lag_ms:number} ms. Log commands faster."
     ),

@@ -190,6 +190,7 @@ SAMPLES = [
     *(Finding("logs_lack", "downwash", {"flights": "all logs", "need": need}) for need in ("position", "lin_vel",
         "ceiling_height", "other_position", "battery")),
     Finding("voltage_too_steady", "battery_sag", {"share": 0.004}),
+    Finding("thrust_slope_open", "thrust_curve"),
     Finding("commands_too_coarse", "motor_time_constant", {"row_ms": 50.0, "lag_ms": 40.0}),
     Finding("effect_refused", "joint_spring", {"error": "joint_spring: needs a robot without joints"}),
     Finding("flights_disagree", "rotor_drag", {"log_odds": 12.0}),

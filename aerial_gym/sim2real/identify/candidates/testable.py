@@ -12,7 +12,9 @@ from aerial_gym.physics.effects.rotor_failures import nominal_lag
 from aerial_gym.physics.model import check_effect_on_joints, check_effect_on_rotors
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.scene import finding_on_absent_data
 
@@ -37,7 +39,11 @@ def finding_on_untestable_effect(
     if isinstance(effect, WindEffect) or "velocity" in effect.follows:
         needs += ("lin_vel",)  # hub velocities alone would attribute other errors to the air
     reason = finding_on_absent_data(name, needs, flights) or finding_on_steady_voltage(effect, train)
-    if reason := reason or _finding_on_low_command_rate(effect, robot, train):
+    if (
+        reason := reason
+        or _finding_on_low_command_rate(effect, robot, train)
+        or _finding_on_slope(effect, robot, train)
+    ):
         return reason
     try:
         check_effect_on_rotors(effect, robot.rotor_traits)
@@ -79,3 +85,19 @@ def _finding_on_low_command_rate(effect: Effect, robot: RobotCfg, flights: Seque
     row, lag = 1.0 / min(rates), min(nominal_lag(robot))
     values = {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag}
     return None if row < lag else Finding("commands_too_coarse", effect.name, values)
+
+
+def _finding_on_slope(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
+    """Return a finding if commands too slow for torques leave the slope of the thrust open in every flight.
+
+    They miss what the rotors did between samples. So the slope of force on thrust is too small, and the inverse of that of
+    thrust on force too large: only an interval of both that excludes the declared slope shows another curve.
+    """
+    if effect.name != "thrust_curve" or any(one.torques or one.rotor_speed is not None for one in flights):
+        return None
+    for one in flights:
+        if one.rotor_command is not None and one.specific_force is not None:
+            low, high = interval_of_thrust_slope(one, total_rotor_force(robot, one.rotor_command), one.on_ground)
+            if not low <= 1.0 <= high:
+                return None
+    return Finding("thrust_slope_open", effect.name)

@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     _flight_offset_columns,
@@ -16,6 +19,7 @@ from aerial_gym.sim2real.identify.candidates.structure import CommonLines, find_
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect, parameters_at_bounds
 from aerial_gym.sim2real.identify.least_squares.derivatives import rms_caused_by_tolerances, tolerance_jacobian
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.recording import row_arrays
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor, uniform_flight
@@ -30,6 +34,27 @@ def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) 
     for train, test in (([whole, without], [whole]), ([whole], [without])):
         assert finding_on_untestable_effect(name, ROBOT, train, test) == Finding("torques_not_compared", name)
     assert finding_on_untestable_effect("rotor_drag", ROBOT, [without]) is None
+
+
+@pytest.mark.parametrize(("noise", "shown"), [(0.0, True), (6.0, False)])
+def test_slow_commands_show_a_thrust_curve_only_beyond_both_regressions(noise: float, shown: bool) -> None:
+    """The force grows with the power 3 of the speed. What slow commands miss adds to the force."""
+    short = hover("a", 5.0)
+    rows = {name: np.concatenate([values] * 10) for name, values in row_arrays(short).items()}
+    one = replace(short, **rows | {"time": np.arange(10 * short.num_rows) / short.rate})
+    ratio = 1.0 + 0.1 * np.sin(one.time)
+    force = (
+        9.81 * ratio**3
+        + np.repeat(np.random.default_rng(0).normal(0.0, noise, one.num_rows // 50 + 1), 50)[: one.num_rows]
+    )
+    up = np.stack((np.zeros_like(force), np.zeros_like(force), force), axis=1)
+    speed = hover_speed(vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), 9.81).numpy()
+    slow = replace(
+        one, rotor_speed=None, rotor_command=speed * ratio[:, None], specific_force=up, torques=False, gyro=False
+    )
+    reason = finding_on_untestable_effect("thrust_curve", ROBOT, [slow])
+    assert reason == (None if shown else Finding("thrust_slope_open", "thrust_curve"))
+    assert finding_on_untestable_effect("thrust_curve", ROBOT, [replace(slow, torques=True, gyro=True)]) is None
 
 
 @pytest.mark.parametrize("name", ["motor_time_constant", "motor_asymmetry"])
