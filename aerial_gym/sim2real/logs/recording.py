@@ -152,6 +152,6 @@ def interpolate_setpoint(log: Recording, name: str) -> tuple[Array, Flags]:
     return rows, close & (log.time >= time[0] - edge) & (log.time <= time[-1] + edge)
 
 
-def sample_rate(log: FlightLog) -> float:
+def sample_rate(log: Recording) -> float:
     """Return the sample rate [Hz]."""
     return (log.time.size - 1) / float(log.time[-1] - log.time[0])

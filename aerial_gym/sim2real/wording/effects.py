@@ -203,12 +203,8 @@ def _motor_time_constant_sentence(_: Finding, params: ParameterChanges) -> str:
 
 
 def _rise_and_fall_time_sentence(_: Finding, params: ParameterChanges) -> str:
-    ways = {"tau_up": "rises", "tau_down": "falls"}
-    parts = [
-        f"{way} with {_value_with_half_width(params[name].convert_unit(1e3), 'ms')}"
-        for name, way in ways.items()
-        if name in params
-    ]
+    ways = [(params[name], way) for name, way in (("tau_up", "rises"), ("tau_down", "falls")) if name in params]
+    parts = [f"{way} with {_value_with_half_width(one.convert_unit(1e3), 'ms')}" for one, way in ways]
     return f"Rotor speed {join_words(parts)} of time constant."
 
 
@@ -223,10 +219,8 @@ def _axis_ratio_template(one: str, several: str) -> EffectTemplate:
     words = {"sx": "in roll", "sy": "in pitch", "sz": "in yaw"}
 
     def sentence(_: Finding, params: ParameterChanges) -> str:
-        axes = [
-            (ratio.convert_unit(1e2 / ratio.declared), f"higher {words[axis]}", f"lower {words[axis]}")
-            for axis, ratio in params.items()
-        ]
+        ratios = [(ratio.convert_unit(1e2 / ratio.declared), words[axis]) for axis, ratio in params.items()]
+        axes = [(ratio, f"higher {place}", f"lower {place}") for ratio, place in ratios]
         unsure = f"The {several} differ from the declared ones, but no axis for certain"
         return _change_sentence(axes, "%", f"The {one} is {{}} than declared", unsure)
 

@@ -23,7 +23,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.kinematics import BLOCK_S, CHECK_BANDWIDTH_HZ, WORST_AGREEMENT, gain_of_blocks
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.recording import FlightLog, Recording, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
 from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
@@ -212,7 +212,7 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
         )
 
 
-def interval_of_thrust_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
+def interval_of_thrust_slope(log: Recording, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
     """Return the interval of ``d ln |f| / d ln T``, between both regressions (see ``units``); 0 to infinity: not observable."""
     assert log.specific_force is not None
     rows = max(1, round(WINDOW_S * sample_rate(log)))
