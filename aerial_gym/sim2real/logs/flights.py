@@ -17,8 +17,9 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_duration_and_rate, check_log
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_log
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
+from aerial_gym.sim2real.logs.checks.duration import check_duration_and_rate
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_law, check_rotor_order, without_copied_commands
 from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_flights
 from aerial_gym.sim2real.logs.clock_offset import (

@@ -14,7 +14,7 @@ from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
-from aerial_gym.sim2real.logs.checks.conventions import check_duration_and_rate
+from aerial_gym.sim2real.logs.checks.duration import check_duration_and_rate
 from aerial_gym.sim2real.logs.checks.kinematics import findings_on_sensors_at_rest
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
@@ -22,7 +22,12 @@ from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_sta
 from aerial_gym.sim2real.logs.readers.flight_log import LogFlights, open_log
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, LogMapping, find_mapping
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, row_arrays, split_flight_number
+from aerial_gym.sim2real.logs.recording import (
+    FlightLog,
+    StreamTiming,
+    row_arrays,
+    split_flight_number,
+)
 from aerial_gym.sim2real.logs.row_grid import row_times
 from aerial_gym.sim2real.logs.signals import log_at_equal_steps, without_bad_quaternions
 from aerial_gym.sim2real.logs.stream_delays import DELAY_ROWS_HZ

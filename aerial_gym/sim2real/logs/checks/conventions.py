@@ -13,6 +13,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.checks.duration import rms_of_vectors
 from aerial_gym.sim2real.logs.checks.kinematics import (
     CHECK_BANDWIDTH_HZ,
     QUIET,
@@ -30,9 +31,6 @@ from aerial_gym.sim2real.logs.checks.units import (
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import lowpass
-
-SHORTEST_S = 2.0
-LOWEST_RATE_HZ = 20.0
 
 MIRRORS = {"roll": (1, 1, -1), "pitch": (1, -1, 1), "yaw": (-1, 1, 1)}  # Signs of yaw, pitch and roll
 LEAST_GAIN = 0.5  # Share of the attitude's turning that a working gyro shows at least
@@ -57,32 +55,6 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[Finding]:
     return [*notes, *findings_on_gains(log)]
 
 
-def check_duration_and_rate(log: FlightLog) -> None:
-    """Raise ``DataError`` for a log that is too short or too slow; run this first, as a wrong time unit spoils all checks."""
-    span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
-    if span < SHORTEST_S:
-        raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
-    if sample_rate(log) < LOWEST_RATE_HZ:
-        unit = _unit_of_time(log)
-        remedy = f"t is in {unit} by the motion: give time unit: {unit} in a mapping file" if unit else "log faster"
-        raise DataError(
-            f"{log.path}: has {sample_rate(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; {remedy}"
-        )
-
-
-def _unit_of_time(log: FlightLog) -> str:
-    """Return the unit of the time column (ms, us or ns) from the ratio of motion to rate; empty if it is seconds."""
-    step = np.diff(log.time)[:, None]
-    turned = (Rotation.from_quat(log.attitude[:-1]).inv() * Rotation.from_quat(log.attitude[1:])).as_rotvec()
-    pairs = [(turned, log.ang_vel)]
-    if log.position is not None:
-        pairs.append((np.diff(log.position, axis=0), log.lin_vel))
-    moved = [(turn, rate) for turn, rate in pairs if rate is not None and np.any(rate)]
-    ratios = [_rms_of_vectors(turn) / _rms_of_vectors(rate[1:] * step) for turn, rate in moved]
-    exponent = round(np.log10(ratios[-1]) / 3.0) if ratios and ratios[-1] > 0.0 else 0
-    return {-1: "ms", -2: "us", -3: "ns"}.get(exponent, "")
-
-
 def _check_constant_columns(log: FlightLog) -> None:
     for name in ("ang_vel", "specific_force", "rotor_speed", "rotor_command"):
         values = getattr(log, name)
@@ -94,10 +66,6 @@ def _check_constant_columns(log: FlightLog) -> None:
                 f"{log.path}: {name} {still[0] + 1} is {values[0, still[0]]:.6g} in every row; "
                 "leave a sensor that did not work empty in all its columns"
             )
-
-
-def _rms_of_vectors(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(np.square(values), axis=-1))))
 
 
 def _rows_of_comparison(log: FlightLog) -> slice:
@@ -133,14 +101,14 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     if log.ang_vel is None:
         return
     measured = _lowpass_compared_rows(log.ang_vel, log)
-    size = _rms_of_vectors(measured)
+    size = rms_of_vectors(measured)
     if size < QUIET["gyro"]:
         _check_resting_gyro(log, size)
         return
 
     def difference_and_rate(quaternion: Array) -> tuple[float, Array]:
         rate = body_rate_from_attitude(quaternion, sample_rate(log), CHECK_BANDWIDTH_HZ)[_rows_of_comparison(log)]
-        return _rms_of_vectors(rate - measured) / max(size, _rms_of_vectors(rate)), rate
+        return rms_of_vectors(rate - measured) / max(size, rms_of_vectors(rate)), rate
 
     miss, rate = difference_and_rate(log.attitude)
     if miss < WORST_AGREEMENT:
@@ -149,11 +117,11 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     alternatives = {text: difference_and_rate(read(log.attitude))[0] for text, read in READINGS.items()}
     slope = float((rate * measured).sum() / (measured * measured).sum())
     degrees = UNITS["deg/s"]
-    if _rms_of_vectors(rate - degrees * measured) < 0.5 * _rms_of_vectors(rate) and abs(slope / degrees - 1.0) < 0.5:
+    if rms_of_vectors(rate - degrees * measured) < 0.5 * rms_of_vectors(rate) and abs(slope / degrees - 1.0) < 0.5:
         alternatives["omega is in degrees per second"] = 0.0
     in_world, in_frd = attitude[_rows_of_comparison(log)].apply(rate), rate * (1.0, -1.0, -1.0)
-    alternatives["omega is in world axes"] = _rms_of_vectors(in_world - measured) / size
-    alternatives["omega is in axes x forward, y right, z down"] = _rms_of_vectors(in_frd - measured) / size
+    alternatives["omega is in world axes"] = rms_of_vectors(in_world - measured) / size
+    alternatives["omega is in axes x forward, y right, z down"] = rms_of_vectors(in_frd - measured) / size
     best = min(alternatives, key=lambda text: alternatives[text])
     guess = "check order, direction, axes and units of both"
     if alternatives[best] < 0.6 * miss:
@@ -235,12 +203,12 @@ def _check_velocity_against_position(log: FlightLog, attitude: Rotation) -> None
         return
     velocity = _lowpass_compared_rows(log.lin_vel, log)
     derived = _lowpass_compared_rows(log.position, log, derivative=True)
-    size = max(_rms_of_vectors(velocity), _rms_of_vectors(derived))
-    if size < QUIET_SPEED or (miss := _rms_of_vectors(velocity - derived) / size) < WORST_AGREEMENT:
+    size = max(rms_of_vectors(velocity), rms_of_vectors(derived))
+    if size < QUIET_SPEED or (miss := rms_of_vectors(velocity - derived) / size) < WORST_AGREEMENT:
         return
     turned = _lowpass_compared_rows(attitude.apply(log.lin_vel), log)
     guess = "check units and axes of both"
-    if _rms_of_vectors(turned - derived) < 0.5 * miss * size:
+    if rms_of_vectors(turned - derived) < 0.5 * miss * size:
         guess = "it looks as if v is in body axes: turn it into world axes"
     raise DataError(
         f"{log.path}: velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z) differ by {miss:.0%} of "
@@ -256,12 +224,12 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
     as_world = _lowpass_compared_rows(log.specific_force, log)
     if log.lin_vel is None and log.position is None:
         across = _lowpass_compared_rows(attitude.inv().apply(log.specific_force), log)
-        size, turned_size = (_rms_of_vectors(one[:, :2]) for one in (as_world, across))
+        size, turned_size = (rms_of_vectors(one[:, :2]) for one in (as_world, across))
         is_world, motion = size > LEAST_ACROSS and turned_size < 0.3 * size, "thrust"
     else:
         world = _acceleration_from_motion(log) + AT_REST
         pairs = ((as_body, as_world), (as_world, world), (as_body, world))
-        difference, of_world, of_body = (_rms_of_vectors(one - other) for one, other in pairs)
+        difference, of_world, of_body = (rms_of_vectors(one - other) for one, other in pairs)
         is_world, motion = difference > 0.5 and of_world < 0.4 * of_body, "the motion"
     if is_world:
         raise DataError(
@@ -290,8 +258,8 @@ def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None
             f"{log.path}: acc contradicts velocity and attitude; it looks as if x and y of the body are {order}; reorder the "
             "columns or declare it in a mapping file"
         )
-    size = max(_rms_of_vectors(motion), _rms_of_vectors(felt))
-    miss = _rms_of_vectors(motion - felt) / max(size, QUIET_FORCE)
+    size = max(rms_of_vectors(motion), rms_of_vectors(felt))
+    miss = rms_of_vectors(motion - felt) / max(size, QUIET_FORCE)
     if miss < WORST_AGREEMENT:
         return
     alternatives = {
@@ -304,13 +272,13 @@ def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None
     angle = float(np.arctan2(across.sum(), (motion[:, :2] * felt[:, :2]).sum()))
     way = f"x and y there must be turned by {np.degrees(angle):.0f} deg about z to be those of the attitude"
     alternatives[way] = Rotation.from_euler("z", angle).apply(motion)
-    misses = {text: _rms_of_vectors(other - felt) / size for text, other in alternatives.items()}
+    misses = {text: rms_of_vectors(other - felt) / size for text, other in alternatives.items()}
     assert log.specific_force is not None
     angles = attitude.as_euler("ZYX")
     for name, signs in MIRRORS.items():
         turned = Rotation.from_euler("ZYX", angles * signs).apply(log.specific_force)
         other = _lowpass_compared_rows(turned, log) - AT_REST
-        misses[f"the {name} of the attitude has the wrong sign"] = _rms_of_vectors(motion - other) / size
+        misses[f"the {name} of the attitude has the wrong sign"] = rms_of_vectors(motion - other) / size
     best = min(misses, key=lambda text: misses[text])
     if misses[best] < 0.5 * miss:
         name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"

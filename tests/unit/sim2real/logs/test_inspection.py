@@ -3,6 +3,8 @@ Conversion of logs: a CSV file of each flight, and all topics as Parquet or MCAP
 """
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,12 @@ def test_a_sensor_at_rest_in_flight_is_named(columns, sensor, table: pd.DataFram
     assert not inspect_log(write(table, tmp_path / "b.csv")).flights[0].notes
     scaled = inspect_log(write(table.assign(acc_z=0.4 * table["acc_z"]), tmp_path / "c.csv")).flights[0]
     assert [note.code for note in scaled.notes] == ["vertical_force_off"]
+
+
+def test_an_inspection_needs_no_torch() -> None:
+    """Its import takes longer than reading most logs."""
+    code = "import sys, aerial_gym.sim2real.logs.inspection; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_log_without_a_flight_still_lists_its_topics(table: pd.DataFrame, tmp_path: Path) -> None:

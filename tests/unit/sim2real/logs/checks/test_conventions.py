@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_duration_and_rate, check_log
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_log
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
+from aerial_gym.sim2real.logs.checks.duration import check_duration_and_rate
 from aerial_gym.sim2real.logs.flights import load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import log_at_equal_steps, without_bad_quaternions
