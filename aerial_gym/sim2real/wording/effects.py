@@ -274,6 +274,12 @@ MOUNT_WORDS = {
     "yaw": ("yawed left", "yawed right"),
 }
 
+
+def _mount_template(state: str, several: str) -> EffectTemplate:
+    unsure = f"The {several} are turned against the body, but about no axis for certain"
+    return _change_template(f"The {state} {{}}", unsure, MOUNT_WORDS, "°", degrees(1.0))
+
+
 EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "rotor_drag": _coefficient_template("Air drag per airspeed is", AXES, "N s/m"),
     "rotor_drag_of_thrust": _coefficient_template("Air drag per airspeed is", AXES | {"k": "by thrust"}, "N s/m"),
@@ -371,20 +377,8 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
         for law, at in (("", ""), ("_jet", " at 1 m below it"), ("_core", ""))
     },
     "imu_bias": _imu_bias_sentence,
-    "imu_misalignment": _change_template(
-        "The inertial sensors are mounted {}",
-        "The inertial sensors are turned against the body, but about no axis for certain",
-        MOUNT_WORDS,
-        "°",
-        degrees(1.0),
-    ),
-    "attitude_bias": _change_template(
-        "The axes of the logged attitude are {}",
-        "The axes of the logged attitude are turned against the body, but about no axis for certain",
-        MOUNT_WORDS,
-        "°",
-        degrees(1.0),
-    ),
+    "imu_misalignment": _mount_template("inertial sensors are mounted", "inertial sensors"),
+    "attitude_bias": _mount_template("axes of the logged attitude are", "axes of the logged attitude"),
     "command_curve": _coefficient_template(
         "The command curve per hover speed has",
         {"offset": "as offset", "gain": "as gain", "power": "as exponent"},
