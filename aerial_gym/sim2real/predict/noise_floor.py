@@ -104,7 +104,8 @@ def simulate_rounding(values: Array, rate: float, bandwidth: float, rows: slice 
     """Return a simulated signal, and ``LOGS`` roundings of it with the step sizes of the log, (T, K) each.
 
     It has the logged values in the band and, above it, white noise of their variance minus that of rounding, step² / 12.
-    Each rounding has a random phase, since at the log's own phase the signal would stay on one value.
+    Each rounding has a random phase, since at the log's own phase the signal would stay on one value. If most values differ,
+    steps are far below the noise, and a wide space between rare values is no step: nothing is rounded.
     """
     slow, random = lowpass(values, rate, bandwidth), np.random.default_rng(0)
     logs = np.empty((1 + LOGS, *values.shape))
@@ -113,7 +114,9 @@ def simulate_rounding(values: Array, rate: float, bandwidth: float, rows: slice 
         step = np.interp(moves, known[1:], np.diff(known)) if known.size > 1 else 0.0
         noise = np.mean((values[:, column] - moves)[rows] ** 2) - np.mean(np.square(step)) / 12.0
         signal_ = moves + np.sqrt(max(noise, 0.0)) * random.standard_normal(moves.size)
-        logs[0, :, column] = np.clip(signal_, known[0], known[-1])
+        logs[:, :, column] = np.clip(signal_, known[0], known[-1])
+        if 2 * known.size > moves[rows].size:
+            continue
         place = np.interp(logs[0, :, column], known, places)
         for log, phase in zip(logs[1:], random.random(LOGS), strict=True):
             log[:, column] = np.interp(np.round(place - phase) + phase, places, known)

@@ -22,7 +22,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
-from aerial_gym.sim2real.predict.noise_floor import mean_square_of_rounding, noise_floor
+from aerial_gym.sim2real.predict.noise_floor import mean_square_of_rounding, noise_floor, simulate_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import FARTHEST, find_windows, rollout_errors_of_models
 from aerial_gym.sim2real.predict.rows.batches import group_flights
@@ -531,6 +531,17 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
     assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
     # Below 10 Hz, white noise of 0.05 m/s² at 400 Hz keeps sqrt(sum H²) of its power: 0.05 sqrt(2 * 0.92 * 10 / 400) = 0.011.
     assert floor[0] == pytest.approx(0.05 * np.sqrt(2.0 * 0.92 * 10.0 / 400.0), rel=0.1)
+
+
+def test_a_reading_whose_values_differ_is_not_rounded_between_rare_values() -> None:
+    """Noise with a last command of 200 rad/s: most rounded copies of a sparse tail would be off by tens of rad/s."""
+    speed = 1000.0 + 80.0 * np.random.default_rng(0).standard_normal((4000, 1))
+    speed[-10:] -= np.linspace(0.0, 700.0, 10)[:, None]
+    signal_, *rounded = simulate_rounding(speed, 400.0, 10.0, slice(None))
+    for log in rounded:
+        np.testing.assert_array_equal(log, signal_)
+    signal_, *rounded = simulate_rounding(20.0 * np.round(speed / 20.0), 400.0, 10.0, slice(None))
+    assert np.std(rounded[0] - signal_) == pytest.approx(20.0 / np.sqrt(12.0), rel=0.2)
 
 
 @pytest.mark.parametrize(
