@@ -112,7 +112,10 @@ class RotorSearch:
     def possible_additions(self, fitted: EffectSetFit) -> tuple["PossibleEffect", ...]:
         """Return the unproven effects that may act beside a set, on every rotor: their odds exceed ``-LEAST_SCORE``."""
         rotors = {one.name for one in self.view.library.candidates if not one.structure and is_of_one_rotor(one.name)}
-        sets = self._larger_sets(fitted, (self.pool | rotors).difference(fitted.effects), least=-LEAST_SCORE)
+        names = sorted(
+            (self.pool | rotors).difference(fitted.effects)
+        )  # each by itself, so that none crowds out another
+        sets = (pair for own in names for pair in self._larger_sets(fitted, (own,), least=-LEAST_SCORE))
         results = (PossibleEffect(name, one.support[name].log_odds_with_overdispersion, one) for name, one in sets)
         return tuple(one for one in results if one.log_odds > -LEAST_SCORE)
 

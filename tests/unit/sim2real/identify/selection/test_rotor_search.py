@@ -97,6 +97,8 @@ def test_the_interval_covers_the_values_beside_effects_that_may_act() -> None:
 
 
 def test_an_effect_that_may_act_is_neither_proven_nor_clearly_less_probable() -> None:
-    case = rotor_search({"weak_motor 4": 0.9, "weak_motor 3": -3.3, "motor_tilt 2": -2.0})
-    possible = case.possible_additions(make_fit())
-    assert [(one.name, one.log_odds) for one in possible] == [("weak_motor", 0.9), ("motor_tilt", -2.0)]
+    """Three tilts with larger odds do not crowd out the weak rotor 4."""
+    tilts = {f"motor_tilt {rotor}": odds for rotor, odds in ((1, 1.5), (2, 2.0), (3, 1.0))}
+    possible = rotor_search({"weak_motor 4": 0.9, "weak_motor 3": -3.3, **tilts}).possible_additions(make_fit())
+    labels = [(f"{one.name} {one.fitted.params.effects[one.name][0]:.0f}", one.log_odds) for one in possible]
+    assert labels == [("motor_tilt 2", 2.0), ("motor_tilt 1", 1.5), ("motor_tilt 3", 1.0), ("weak_motor 4", 0.9)]
