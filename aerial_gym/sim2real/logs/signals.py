@@ -216,8 +216,10 @@ def interpolate_by_spline(at: Array, time: Array, values: Array) -> Array:
         return line
     inside, before = np.clip(at, time[0], time[-1]), np.clip(np.searchsorted(time, at, "right") - 1, 0, step.size - 1)
     usual = float(np.median(step))
-    close = ndimage.maximum_filter1d(step < usual / GAP_STEPS, 5)  # a slope between close samples is mostly noise
-    gap = (step > GAP_STEPS * usual) | close
+    close = ndimage.binary_dilation(
+        step < usual / GAP_STEPS, iterations=2
+    )  # a slope between close samples is mostly noise
+    gap = np.logical_or(step > GAP_STEPS * usual, close)
     return np.where(gap[before][:, None], line, CubicSpline(time, values)(inside))
 
 
