@@ -52,16 +52,21 @@ class PossibleEffect:
     name: str
     log_odds: float  # Robust log odds of the set with it
     fitted: EffectSetFit  # The set with it
+    without: EffectSetFit  # The set without it
+
+    def shift(self, name: str, place: int) -> float:
+        """Return the change of one parameter of the set that the effect causes."""
+        return float(self.fitted.params.effects[name][place] - self.without.params.effects[name][place])
 
 
-def variance_between_sets(fitted: EffectSetFit, possible: Sequence[PossibleEffect], name: str, place: int) -> float:
+def variance_between_sets(possible: Sequence[PossibleEffect], name: str, place: int) -> float:
     """Return the variance of one parameter of a set about its value, over the set and those with a possible effect.
 
+    A set that has lost an effect since keeps these shifts, as its own change comes from that loss.
     Source: Hoeting, Madigan, Raftery, Volinsky (1999), Bayesian model averaging: a tutorial, Statistical Science 14, eq. 3.
     """
     shares = special.softmax([0.0, *(one.log_odds for one in possible)])[1:]
-    shifts = np.array([one.fitted.params.effects[name][place] for one in possible]) - fitted.params.effects[name][place]
-    return float(shares @ shifts**2)
+    return float(shares @ np.array([one.shift(name, place) for one in possible]) ** 2)
 
 
 @dataclass(frozen=True)
@@ -112,11 +117,11 @@ class RotorSearch:
     def possible_additions(self, fitted: EffectSetFit) -> tuple["PossibleEffect", ...]:
         """Return the unproven effects that may act beside a set, on every rotor: their odds exceed ``-LEAST_SCORE``."""
         rotors = {one.name for one in self.view.library.candidates if not one.structure and is_of_one_rotor(one.name)}
-        names = sorted(
-            (self.pool | rotors).difference(fitted.effects)
-        )  # each by itself, so that none crowds out another
+        names = sorted((self.pool | rotors).difference(fitted.effects))  # Each by itself: none crowds out another
         sets = (pair for own in names for pair in self._larger_sets(fitted, (own,), least=-LEAST_SCORE))
-        results = (PossibleEffect(name, one.support[name].log_odds_with_overdispersion, one) for name, one in sets)
+        results = (
+            PossibleEffect(name, one.support[name].log_odds_with_overdispersion, one, fitted) for name, one in sets
+        )
         return tuple(one for one in results if one.log_odds > -LEAST_SCORE)
 
     def _larger_sets(

@@ -177,9 +177,9 @@ class FinalFit:
         fit = replace(fit, frozen=frozen)
         by_flight = replace(fit, moments=fit.moments.sum_by_label(fit.moments.flight))  # suffices from here on
         spread = uncertainty(fit, self.chosen.weights.weight)
-        named, possible, scale = self.chosen.named, self.chosen.possible, parameter_scales(fit.effects)
+        scale = parameter_scales(fit.effects)
         owners = [fit.parameter_owners[k] for k in spread.columns.tolist()]
-        variances = [variance_between_sets(named, possible, *owner) for owner in owners]
+        variances = [variance_between_sets(self.chosen.possible, *owner) for owner in owners]
         return by_flight, replace(spread, between_sets=np.array(variances) / scale[spread.columns] ** 2)
 
     def fit_determined(self) -> tuple[MostProbableSet, ModelFit, Uncertainty]:

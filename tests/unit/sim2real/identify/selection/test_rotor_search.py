@@ -91,9 +91,9 @@ def test_a_rotor_that_only_the_linear_model_shows_is_not_named() -> None:
 def test_the_interval_covers_the_values_beside_effects_that_may_act() -> None:
     """A weak rotor with even odds moves the thrust from 1.16 to 1.18: half of the squared change is its variance."""
     alone, beside = (make_fit("thrust_coefficient", params={"thrust_coefficient": (value,)}) for value in (1.16, 1.18))
-    possible = PossibleEffect("weak_motor", 0.0, beside)
-    assert variance_between_sets(alone, [possible], "thrust_coefficient", 0) == pytest.approx(0.5 * 0.02**2)
-    assert variance_between_sets(alone, [], "thrust_coefficient", 0) == 0.0
+    possible = PossibleEffect("weak_motor", 0.0, beside, alone)
+    assert variance_between_sets([possible], "thrust_coefficient", 0) == pytest.approx(0.5 * 0.02**2)
+    assert variance_between_sets([], "thrust_coefficient", 0) == 0.0
 
 
 def test_an_effect_that_may_act_is_neither_proven_nor_clearly_less_probable() -> None:
