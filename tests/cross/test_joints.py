@@ -21,7 +21,7 @@ from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
-from tests.physics.vehicles import CEILING, random_state, strong_effects
+from tests.physics.vehicles import BATTERY, CEILING, random_state, strong_effects
 from tests.repetitions import frequent_values
 
 FACTOR, ROUND_OFF = 4.0, 4e-6
@@ -87,7 +87,7 @@ def ground_effect_tree(radius: float = 0.4) -> RobotCfg:
     third = replace(third, link="left", axis=(0.1, -0.2, 1.0))
     mounts = replace(robot.mounts, layout=(first, replace(second, link="left"), third, fourth))
     rotor = ROBOTS.get("tinyprop").rotor
-    return replace(robot, mounts=mounts, rotor=replace(rotor, radius=radius))
+    return replace(robot, mounts=mounts, rotor=replace(rotor, radius=radius), battery=BATTERY)
 
 
 def heavier(vehicle: Vehicle) -> Vehicle:

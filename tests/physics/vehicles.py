@@ -54,9 +54,9 @@ def asymmetric_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -
 
 
 def robot_with_memory() -> RobotCfg:
-    """Return a quadrotor with drag, a battery and every effect that has memory."""
+    """Return a quadrotor with drag, a battery and every effect that has memory, with one law of a load."""
     robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
-    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
+    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers and name not in SECOND_LOADS):
         effect = EFFECTS.get(name)
         params = zip(effect.neutral(robot), effect.parameters, strict=True)
         steps = ((a, p, 0.5 * p.scale * (p.kind != "rotor")) for a, p in params)

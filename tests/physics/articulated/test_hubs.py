@@ -18,7 +18,7 @@ from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.flight import articulated_step, link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.model import Model, build_model
-from aerial_gym.physics.rigid_body import body_wrench
+from aerial_gym.physics.rigid_body import append_memory_to_params, body_wrench
 from aerial_gym.physics.state import ArticulatedState, BodyState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from tests.physics.vehicles import CEILING, F64, asymmetric_robot, random_state
@@ -59,7 +59,9 @@ def make_model(robot: RobotCfg, effects: dict[str, tuple[float, ...]], num_envs:
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     rows = [(EFFECTS.get(name), torch.tensor(row, dtype=F64).expand(num_envs, -1)) for name, row in effects.items()]
     bends = None if robot.joints is None else build_articulation(robot, like=vehicle.mass)
-    return build_model(vehicle, rows, ceiling_height=CEILING, articulation=bends, **rest)
+    model = build_model(vehicle, rows, ceiling_height=CEILING, articulation=bends, **rest)
+    memory = {one.name: torch.tensor(one.memory, dtype=F64).expand(num_envs, -1) for one, _ in rows if one.remembers}
+    return append_memory_to_params(model, memory)
 
 
 def strong(name: str) -> tuple[float, ...]:
