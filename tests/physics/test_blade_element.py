@@ -394,4 +394,4 @@ def test_what_no_propeller_can_do_is_refused() -> None:
 
 
 def test_neither_is_looked_for_unless_asked() -> None:
-    assert [name for name in EFFECTS if not EFFECTS.get(name).by_default] == ["blade_element", "vortex_ring"]
+    assert not any(EFFECTS.get(name).by_default for name in ("blade_element", "vortex_ring"))

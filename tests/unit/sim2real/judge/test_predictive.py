@@ -10,12 +10,12 @@ from scipy.stats import multivariate_normal
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
-from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import linearise_candidates
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, prior_of_flight_offsets
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
+from aerial_gym.sim2real.identify.selection.select import default_effects
 from aerial_gym.sim2real.judge import predictive
 from aerial_gym.sim2real.judge.predictive import ResidualSums, largest_open_squares, quantile_of_squares
 from aerial_gym.sim2real.judge.residual_excess import (
@@ -64,7 +64,7 @@ def test_the_quantile_allows_for_a_size_that_is_estimated() -> None:
 
 
 def judge_flight(
-    folder, inertia: float, *, still: bool, drag: float = 0.0, looked_for: tuple[str, ...] = tuple(EFFECTS),
+    folder, inertia: float, *, still: bool, drag: float = 0.0, looked_for: tuple[str, ...] = default_effects(),
     own: Mapping[str, float] = MappingProxyType({}), most: float = 0.15,
     more: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> ResidualExcess:  # fmt: skip

@@ -600,12 +600,12 @@ def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
 
 
 def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
-    tolerances, size = Tolerances(), len(Tolerances().names(6))
-    deviation = np.full(size, 2.9)
+    tolerances, names = Tolerances(), Tolerances().names(6)
+    deviation = np.full(len(names), 2.9)
     assert tolerances.implausible_deviations(deviation) == []
-    deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
-    notes = tolerances.implausible_deviations(deviation)
     asked = {"mass": 3.4, "thrust_6": -4.0, "command_clock": 3.1}
+    deviation[[names.index(name) for name in asked]] = list(asked.values())
+    notes = tolerances.implausible_deviations(deviation)
     assert notes == [Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in asked.items()]
 
 
