@@ -38,7 +38,8 @@ class CloseLoopCmd:
     command_clock, products, velocity_place; those that are left out stay as docs/guides/identify_from_flights.md says."""
 
     effects: tuple[str, ...] | None = None
-    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/results/propellers.md)."""
+    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/results/propellers.md) and
+    torque_gain, which inertia, arm length and torque ratio look like."""
 
     material: float = 0.05  # An effect is named if a residual rises, or may rise, by this share without it
     seed: int = 0  # Seed of the resampling behind the 95 % intervals

@@ -25,9 +25,7 @@ class WatchCmd:
 
     robot: Annotated[str, tyro.conf.Positional]  # Registered robot, or a robot file (.yaml)
     log: Annotated[str, tyro.conf.Positional]  # Flight log of any format, FILE#2 for one of its flights; - for stdin
-    mapping: str | None = (
-        None  # Mapping of the log's columns or commands: a name or a file (.yaml); not with rows as they come
-    )
+    mapping: str | None = None  # Mapping of columns or commands: a name or a file (.yaml); not with rows as they come
     follow: bool = False  # Wait for more rows at the end of the file, until interrupted
     false_alarm_hours: float = 100.0  # Mean flight time between two false alarms [h], at least
     json: bool = False  # Print one JSON object a line in place of sentences
