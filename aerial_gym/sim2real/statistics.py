@@ -89,14 +89,26 @@ class Rise(Estimate):
 
     label = "rises"
 
-    direction: int = 0  # 1 if at least two flights rise for certain and none falls; -1 for the opposite; else 0
+    flights: tuple[tuple[float, float], ...] = ()  # Interval of each flight alone
 
-    def reaches(self, least: float) -> bool:
-        """Return whether the whole interval reaches ``least``, or the value does while the flights agree that it rises.
+    def reaches(self, limit: float, *, least: float) -> bool:
+        """Return whether the whole interval reaches ``limit``, or the value does while the flights agree on a rise.
 
-        An effect that acts in some flights alone scatters between flights, although no flight contradicts it.
+        A flight counts if it may change by ``least``. Flights agree if two or more rise for certain, or the only one that
+        counts, and none falls for certain: an effect that acts in some flights alone scatters between flights, although no
+        flight contradicts it.
         """
-        return self.low >= least or (self.direction > 0 and self.value >= least)
+        return self.low >= limit or (self.value >= limit and self._do_flights_agree(1.0, least))
+
+    def falls(self, *, least: float) -> bool:
+        """Return whether the whole interval is below zero, or the value is while the flights agree on a fall."""
+        return self.high < 0.0 or (self.value < 0.0 and self._do_flights_agree(-1.0, least))
+
+    def _do_flights_agree(self, sign: float, least: float) -> bool:
+        ends = [sorted((sign * low, sign * high)) for low, high in self.flights]
+        changed = [(low, high) for low, high in ends if low <= -least or high >= least]
+        rising = sum(low > 0.0 for low, _ in changed)
+        return all(high >= 0.0 for _, high in changed) and (rising > 1 or rising == len(changed) == 1)
 
 
 def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
@@ -130,19 +142,16 @@ def rise_with_interval(values: Array, reference: Array, group: Indices, flight: 
     Source:
         Davison, Hinkley (1997), Bootstrap Methods and their Application, section 2.7 (nonparametric delta method).
     """
-    change, half = _log_ratio_with_half_width(values, reference, group, flight)
-    signs = []
-    for number in np.unique(flight):
-        own = flight == number
-        one, doubt = _log_ratio_with_half_width(values[own], reference[own], group[own], flight[own])
-        signs.append(np.sign(one) * (np.abs(one) > doubt))
-    up, down = (np.sum(np.array(signs) == sign, axis=0) for sign in (1.0, -1.0))
-    direction = ((up > 1) & (down == 0)).astype(int) - ((down > 1) & (up == 0))
-    with np.errstate(over="ignore"):
-        columns = (*(np.expm1(end) for end in (change, change - half, change + half)), direction)
+    parts = [flight == number for number in np.unique(flight)]
+    intervals = []
+    for own in (np.ones(flight.size, dtype=bool), *parts):
+        change, half = _log_ratio_with_half_width(values[own], reference[own], group[own], flight[own])
+        with np.errstate(over="ignore"):
+            intervals.append(np.expm1([change, change - half, change + half]))
+    whole, *alone = np.array(intervals).transpose(0, 2, 1).tolist()  # (C, 3) each
     return [
-        Rise(value=float(value), low=float(low), high=float(high), direction=int(way))
-        for value, low, high, way in zip(*columns, strict=True)
+        Rise(value=value, low=low, high=high, flights=tuple((one[place][1], one[place][2]) for one in alone))
+        for place, (value, low, high) in enumerate(whole)
     ]
 
 

@@ -54,7 +54,8 @@ class RivalGain:
 class Ablation:
     """Relative rise of the errors of the test flights when one accepted effect is removed."""
 
-    residual: dict[str, Rise]  # Rise of the residual (rms) of each channel
+    residual: dict[str, Rise]
+    """Rise of the residual (rms) of each channel, about the offset of each flight where that shows it better."""
 
     rollout: dict[float, dict[str, Rise]]
     """Rise of the free rollout's errors, by horizon [s] and quantity; empty without velocity in the logs."""
@@ -73,7 +74,7 @@ class Ablation:
         """Return True if an error rises by a material share for certain, False if none can; None if not shown."""
         rollouts = [rise for quantities in self.rollout.values() for rise in quantities.values()]
         rises = [*self.residual.values(), *rollouts]
-        if any(rise.reaches(self.least) for rise in rises):
+        if any(rise.reaches(self.least, least=self.least) for rise in rises):
             return True
         return None if any(rise.high >= self.least for rise in rises) else False
 
@@ -117,21 +118,33 @@ def ablations_of_effects(
         else:  # the only effect removed leaves the declared model
             flown = [evaluations[0].rollouts["free"]]
     residuals, group, flight = tested.residuals(final), time_block_of_rows(tested.times), flight_of_rows(tested.times)
-    residual = np.concatenate(residuals)
-    by_horizon = {}
+    residual, own = np.concatenate(residuals), selection.flight_offsets.size > 0.0
+    by_horizon, least = {}, selection.criteria.material
+
+    def about_offsets(parts: Sequence[Array]) -> Array:
+        """Return residuals (S, C) about the mean of each flight in channels where each flight has its own offset."""
+        return np.concatenate([part - own * part.mean(axis=0) for part in parts])
+
     for place, (name, params) in enumerate(without.items()):
         left = tested.residuals(params)
-        rises = rise_with_interval(np.concatenate(left), residual, group, flight)
+        rises = [
+            max(pair, key=lambda rise: (rise.reaches(least, least=least), rise.low))
+            for pair in zip(
+                rise_with_interval(np.concatenate(left), residual, group, flight),
+                rise_with_interval(*map(about_offsets, (left, residuals)), group, flight),
+                strict=True,
+            )
+        ]
         largest_rise = int(np.argmax([rise.value for rise in rises]))
         octaves = share_removed_by_octave(tested, left, residuals, largest_rise)
         rollout = rollout_rises_by_horizon(flown[place], evaluations[1].rollouts["free"]) if flown else {}
         by_horizon[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
-            least=selection.criteria.material,
+            least=least,
             rivals=gains_of_rivals(name, selection, train),
             octaves=octaves,
-            solid_below_hz=highest_reliable_frequency(octaves, tested.bandwidth, selection.criteria.material),
+            solid_below_hz=highest_reliable_frequency(octaves, tested.bandwidth, least),
         )
     return by_horizon
 

@@ -133,7 +133,7 @@ def _error_change(verdict: Verdict, one: Outcome) -> dict[str, object]:
         before, after = (model.rollout[variant][quantity][one.horizon] for model in (verdict.before, verdict.after))
     key = unit_suffix(unit)
     change: dict[str, object] = {"rise": one.rise.value, "rise_low": one.rise.low, "rise_high": one.rise.high}
-    if one.rise.low < 0.0 < one.rise.high and one.rise.direction:
+    if one.rise.low < 0.0 < one.rise.high and one.state in (BETTER, WORSE):
         change["flights_agree"] = True
     return {"quantity": one.name, f"before_{key}": before.value, f"after_{key}": after.value, **change}
 

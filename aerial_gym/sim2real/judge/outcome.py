@@ -43,9 +43,9 @@ class Outcome:
         """
         if -self.least < self.rise.low and self.rise.high < self.least:
             return SAME
-        if self.rise.high < 0.0 or (self.rise.direction < 0 and self.rise.value < 0.0):
+        if self.rise.falls(least=self.least):
             return BETTER
-        return WORSE if self.rise.reaches(0.0) else NOT_SHOWN
+        return WORSE if self.rise.reaches(0.0, least=self.least) else NOT_SHOWN
 
     @property
     def is_possibly_worse(self) -> bool:
@@ -55,7 +55,7 @@ class Outcome:
     @property
     def is_materially_worse(self) -> bool:
         """Return whether the error rises by a material share for certain."""
-        return self.state == WORSE and self.rise.reaches(self.least)
+        return self.state == WORSE and self.rise.reaches(self.least, least=self.least)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""

@@ -53,21 +53,28 @@ def test_an_interval_over_flights_holds_where_flights_differ() -> None:
     assert 0.90 * 400 <= inside <= 0.985 * 400
 
 
-@pytest.mark.parametrize(("ratios", "direction", "certain"), [
-    ((1.6, 1.0, 1.5), 1, True),  # it acts in two flights of three
-    ((1.6, 1.0, 1.0), 0, False),  # in one flight alone
-    ((1.6, 0.7, 1.5), 0, False),  # one flight contradicts
-    ((0.6, 1.0, 0.7), -1, False),
+@pytest.mark.parametrize(("ratios", "rises", "falls"), [
+    ((1.6, 1.0, 1.5), True, False),  # it acts in two flights of three
+    ((1.6, 1.0, 1.0), True, False),  # in one flight alone
+    ((1.6, 0.7, 1.5), False, False),  # one flight contradicts
+    ((0.6, 1.0, 0.7), False, True),
 ])  # fmt: skip
-def test_flights_that_an_effect_leaves_alone_contradict_nothing(
-    ratios: tuple, direction: int, *, certain: bool
-) -> None:
-    """The interval over three flights holds 0, since they differ; two flights that agree are certain nevertheless."""
+def test_flights_that_an_effect_leaves_alone_contradict_nothing(ratios: tuple, *, rises: bool, falls: bool) -> None:
+    """The interval over three flights holds 0, since they differ; those that change agree nevertheless."""
     reference = np.random.default_rng(2).standard_normal((900, 1))
     flight, group = np.repeat(np.arange(3), 300), np.repeat(np.arange(90), 10)
     (rise,) = rise_with_interval(np.array(ratios)[flight][:, None] * reference, reference, group, flight)
     assert rise.low < 0.0 < rise.high
-    assert (rise.direction, rise.reaches(0.05)) == (direction, certain)
+    assert (rise.reaches(0.05, least=0.05), rise.falls(least=0.05)) == (rises, falls)
+
+
+def test_one_flight_is_not_enough_where_the_others_are_open() -> None:
+    """The second flight has the effect as well, but its noise hides it."""
+    rng, flight, group = np.random.default_rng(4), np.repeat(np.arange(3), 300), np.repeat(np.arange(90), 10)
+    less, more = rng.standard_normal((2, 900, 1))
+    values = np.where((flight == 1)[:, None], more, np.array([1.6, 1.0, 1.0])[flight][:, None] * less)
+    (rise,) = rise_with_interval(values, less, group, flight)
+    assert not rise.reaches(0.05, least=0.05)
 
 
 def test_one_block_has_no_interval() -> None:
