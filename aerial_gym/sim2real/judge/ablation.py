@@ -127,13 +127,11 @@ def ablations_of_effects(
 
     for place, (name, params) in enumerate(without.items()):
         left = tested.residuals(params)
+        raw = rise_with_interval(np.concatenate(left), residual, group, flight)
+        about = rise_with_interval(about_offsets(left), about_offsets(residuals), group, flight)
         rises = [
             max(pair, key=lambda rise: (rise.reaches(least, least=least), rise.low))
-            for pair in zip(
-                rise_with_interval(np.concatenate(left), residual, group, flight),
-                rise_with_interval(*map(about_offsets, (left, residuals)), group, flight),
-                strict=True,
-            )
+            for pair in zip(raw, about, strict=True)
         ]
         largest_rise = int(np.argmax([rise.value for rise in rises]))
         octaves = share_removed_by_octave(tested, left, residuals, largest_rise)
