@@ -115,6 +115,9 @@ class BatterySag(BatteryEffect, CommandEffect):
         return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
 
 
+LEAST_VOLTAGE = 0.01  # Least voltage per nominal voltage in the power law
+
+
 class ThrustVoltage(BatteryEffect, RotorEffect):
     """Thrust at a rotor speed that follows the battery voltage, as speeds that are logged or controlled wrongly do.
 
@@ -141,9 +144,6 @@ class ThrustVoltage(BatteryEffect, RotorEffect):
         """Return ``T ((V / V_nominal)^k - 1)``."""
         share = (params[:, 2:3] / condition.vehicle.battery[:, :1]).clamp_min(LEAST_VOLTAGE)
         return condition.rotor_thrust * (share ** params[:, :1] - 1.0)
-
-
-LEAST_VOLTAGE = 0.01  # Least voltage per nominal voltage in the power law
 
 
 class CommandCurveEffect(CommandEffect):

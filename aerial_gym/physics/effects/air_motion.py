@@ -159,6 +159,7 @@ class Downwash(WrenchEffect):
 
 
 NEAREST = 0.3  # Least distance below the other vehicle in the formula of the jet [m]
+FARTHEST = 1e6  # Greatest one: there is no wake
 
 
 class DownwashJet(Downwash):
@@ -182,9 +183,6 @@ class DownwashJet(Downwash):
         """Return the share, (E,)."""
         height = below.clamp(NEAREST, FARTHEST).square()
         return torch.exp(-square / (params[:, 1].square() * height)) / height
-
-
-FARTHEST = 1e6  # Greatest distance below the other vehicle in the formula of the jet [m]: there is no wake
 
 
 class DownwashCore(Downwash):
