@@ -18,6 +18,7 @@ from aerial_gym.sim2real.logs.checks.kinematics import (
     CHECK_BANDWIDTH_HZ,
     QUIET,
     WORST_AGREEMENT,
+    SensorGain,
     findings_on_gains,
     gains_of_moving_sensors,
     imu_errors_from_kinematics,
@@ -134,22 +135,26 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
 
 def _check_resting_gyro(log: FlightLog, size: float) -> None:
     """Refuse a gyro, with RMS ``size`` [rad/s], that certainly shows less than half of the attitude's turning."""
-    for one in gains_of_moving_sensors(log):
-        if one.sensor == "gyro" and one.gain + one.half_width(SURE_GAIN) < LEAST_GAIN:
-            raise DataError(
-                f"{log.path}: omega is at rest ({size:.2g} rad/s RMS) while the attitude turns ({one.motion:.2g} rad/s RMS); "
-                "leave the inertial sensors out, or give a log in which they flew along"
-            )
+    for one in _low_gyro_gains(log):
+        raise DataError(
+            f"{log.path}: omega is at rest ({size:.2g} rad/s RMS) while the attitude turns ({one.motion:.2g} rad/s RMS); "
+            "leave the inertial sensors out, or give a log in which they flew along"
+        )
 
 
 def _check_gyro_axes(log: FlightLog) -> None:
     """Refuse a gyro with an axis that certainly shows less than half of the attitude's turning about it."""
-    for one in gains_of_moving_sensors(log, by_axis=True):
-        if one.sensor == "gyro" and one.gain + one.half_width(SURE_GAIN) < LEAST_GAIN:
-            raise DataError(
-                f"{log.path}: omega_{one.axis} shows {one.gain:.2f} ± {one.half_width(0.975):.2f} of the attitude's turning "
-                f"({one.motion:.2g} rad/s RMS), must be 1; correct the column, or leave the gyro out"
-            )
+    for one in _low_gyro_gains(log, by_axis=True):
+        raise DataError(
+            f"{log.path}: omega_{one.axis} shows {one.gain:.2f} ± {one.half_width(0.975):.2f} of the attitude's turning "
+            f"({one.motion:.2g} rad/s RMS), must be 1; correct the column, or leave the gyro out"
+        )
+
+
+def _low_gyro_gains(log: FlightLog, *, by_axis: bool = False) -> list[SensorGain]:
+    """Return the gains of the gyro that are certainly below ``LEAST_GAIN``."""
+    gains = gains_of_moving_sensors(log, by_axis=by_axis)
+    return [one for one in gains if one.sensor == "gyro" and one.gain + one.half_width(SURE_GAIN) < LEAST_GAIN]
 
 
 def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
