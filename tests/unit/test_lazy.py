@@ -13,7 +13,7 @@ from aerial_gym.physics import BACKENDS, EFFECTS
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A package of one module that counts its imports in ``sys``."""
+    """A package with one module, neither of them imported yet."""
     folder = tmp_path / "some_package"
     folder.mkdir()
     (folder / "__init__.py").write_text(
@@ -28,6 +28,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         'class Other:\n    """No."""\n\n    summary = "the other one"\n'
     )
     monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("some_package", "some_package.part"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     return "some_package"
 
 
@@ -41,7 +43,6 @@ def test_a_name_is_loaded_when_it_is_first_used(package: str) -> None:
 
 
 def test_a_summary_is_read_without_importing(package: str) -> None:
-    sys.modules.pop("some_package.part", None)
     assert ImportPath(f"{package}.part:Thing").summary() == "Does it. And more."
     assert ImportPath(f"{package}.part:Other").summary() == "the other one"
     assert "some_package.part" not in sys.modules
