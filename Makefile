@@ -6,7 +6,7 @@ BIN := .venv/bin
 # Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo docs test test-slow golden golden-update kill-test fuzz undeclared lint format clean
+.PHONY: setup demo docs test test-slow browser view-test golden golden-update kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -26,6 +26,16 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
+
+# Debian's Chromium and Playwright for tests/browser; Playwright downloads no browser of its own.
+SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
+browser: setup
+	command -v chromium > /dev/null || { $(SUDO) apt-get update && $(SUDO) apt-get install -y --no-install-recommends chromium fonts-dejavu-core; }
+	$(BIN)/python -m pip install -q --no-compile -c constraints.txt -e ".[browser]"
+
+# Pages and the viewer in a headless Chromium, which `make browser` installs; without it the tests skip.
+view-test: setup
+	$(BIN)/python -m pytest -m slow -rs tests/browser
 
 # Minutes: compares results of the whole package with tests/golden/reference. TOPICS: interface releases cases tasks.
 TOPICS ?=
