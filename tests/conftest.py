@@ -24,11 +24,13 @@ import torch  # noqa: E402
 import warp as wp  # noqa: E402
 
 from aerial_gym.assets import ENVIRONMENTS  # noqa: E402
-from aerial_gym.control import CONTROLLERS  # noqa: E402
+from aerial_gym.control import CONTROL_LAWS, CONTROLLERS  # noqa: E402
 from aerial_gym.env_manager import SIMS  # noqa: E402
 from aerial_gym.interop import launches  # noqa: E402
-from aerial_gym.physics import warp_backend  # noqa: E402
+from aerial_gym.physics import BACKENDS, EFFECTS, ROTOR_MAPS, warp_backend  # noqa: E402
 from aerial_gym.physics.fused.kernel import make_kernel  # noqa: E402
+from aerial_gym.registry.log_formats import LOG_READERS  # noqa: E402
+from aerial_gym.rl_training import TRAINERS  # noqa: E402
 from aerial_gym.robots import ROBOTS  # noqa: E402
 from aerial_gym.sensors import IMUS, SENSORS, imu  # noqa: E402
 from aerial_gym.sim2real.predict import replay  # noqa: E402
@@ -124,6 +126,7 @@ launches._workers = cache(CompileAtLaunch)
 REGISTRIES = (
     SIMS, ENVIRONMENTS, ROBOTS, CONTROLLERS, SENSORS, IMUS, task_registry,
     ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS,
+    BACKENDS, CONTROL_LAWS, EFFECTS, LOG_READERS, ROTOR_MAPS, TRAINERS,
 )  # fmt: skip
 
 
@@ -147,6 +150,13 @@ def own_names() -> Iterator[None]:
             del registry._entries[name]
     for name in [name for name in sys.modules if name.startswith("aerial_gym_task_")]:
         del sys.modules[name]
+
+
+@pytest.fixture
+def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Restore all registries after a test."""
+    for registry in REGISTRIES:
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,6 @@ import torch
 
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import CapabilityError
-from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.warp_backend import WarpBackend
 from tests.cross.test_backends import assert_same_flight, build
 from tests.physics.vehicles import asymmetric_robot
@@ -45,9 +44,8 @@ EFFECTS.register("cubic_drag", CubicDrag())
 
 
 @pytest.fixture
-def own_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def own_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
     """Return the name of an effect that a package outside ``aerial_gym`` has registered."""
-    monkeypatch.setattr(EFFECTS, "_entries", dict(EFFECTS._entries))
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "my_effects.py").write_text(PACKAGE)
     monkeypatch.delitem(sys.modules, "my_effects", raising=False)

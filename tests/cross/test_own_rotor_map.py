@@ -24,9 +24,8 @@ POWER, COEFFICIENT = 2.15, 4.0e-7
 
 
 @pytest.fixture
-def power_law(monkeypatch: pytest.MonkeyPatch) -> type[RotorMap]:
+def power_law(own_registries: None) -> type[RotorMap]:
     """Return the class of the guide's map, registered for one test."""
-    monkeypatch.setattr(ROTOR_MAPS, "_entries", dict(ROTOR_MAPS._entries))
     block = re.findall(r"^```python\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)[0]
     assert "warp" not in block
     names: dict[str, Any] = {"__name__": "own_rotor_map"}

@@ -17,10 +17,6 @@ from pathlib import Path
 import pytest
 
 from aerial_gym.cli.main import main
-from aerial_gym.physics import BACKENDS, EFFECTS
-from aerial_gym.registry.log_formats import LOG_READERS
-from aerial_gym.rl_training import TRAINERS
-from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
 from docs.generate.commands import command_page
 from docs.generate.configuration import configuration_names, documented_names
 
@@ -29,8 +25,6 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MARKS = ("slow", "compare", "file: ", "not run: ")
 COMMANDS = {"make golden"}  # Of the glossary: names that are commands
-
-REGISTRIES = (BACKENDS, EFFECTS, LOG_READERS, OBSERVATIONS, REWARDS, TERMINATIONS, TRAINERS)
 
 
 @dataclass(frozen=True)
@@ -65,14 +59,12 @@ def find_pages(mark: str) -> list[Path]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return an empty working folder with the examples and benchmarks of the repository; registries are restored."""
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> Path:
+    """Return an empty working folder with the examples and benchmarks of the repository."""
     for name in ("examples", "benchmarks"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    for registry in REGISTRIES:
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     return tmp_path
 
 

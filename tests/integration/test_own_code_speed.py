@@ -87,9 +87,7 @@ class OwnPolynomial(RotorMap):
 
 
 @pytest.fixture
-def own_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    for registry in (EFFECTS, CONTROL_LAWS, CONTROLLERS, ROTOR_MAPS):
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+def own_code(own_registries: None) -> None:
     EFFECTS.register("own_drag", OwnDrag())
     CONTROL_LAWS.register("own_rates", OwnRates)
     CONTROLLERS.register("own_rates", ControllerCfg(summary="rates", law="own_rates"))

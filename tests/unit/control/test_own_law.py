@@ -26,10 +26,8 @@ ROBOT, DT = ROBOTS.get("base_quadrotor"), 0.004
 
 
 @pytest.fixture
-def own_law(monkeypatch: pytest.MonkeyPatch) -> str:
+def own_law(own_registries: None) -> str:
     """Return the name of the guide's controller, registered for one test."""
-    for registry in (CONTROL_LAWS, CONTROLLERS):
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
     blocks = re.findall(r"^```python\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     assert "warp" not in blocks[0]
     names: dict[str, Any] = {"__name__": "own_law"}
