@@ -1,7 +1,7 @@
 """A video of a flight, seen by a colour camera that follows the robot; drawn by the rays that robots' own cameras use."""
 
 from dataclasses import replace
-from math import atan2, cos, dist, hypot, radians, sin, tan
+from math import cos, radians, sin, tan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +12,6 @@ from aerial_gym.errors import ConfigError, MissingDependencyError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from aerial_gym.config.checks import Vec3
-    from aerial_gym.config.shape import PartCfg
     from aerial_gym.task import Task
 
 KINDS = (".gif", ".webp", ".png")  # Endings of files that hold moving pictures, written by Pillow
@@ -38,28 +36,13 @@ def write_visible_robot(name: str, folder: str) -> str:
     """Write and return a robot file with visible shapes: its own, or arms and rotors, the front ones in red."""
     from aerial_gym.config import dump_yaml
     from aerial_gym.robots.catalog import robot_by_name
+    from aerial_gym.robots.looks import arm_parts, rotor_parts
 
     robot, file = robot_by_name(name), Path(folder) / "robot.yaml"
-    shapes = robot.visual or _arms_and_rotors([mount.position for mount in robot.mounts.layout])
+    shapes = robot.visual or (*arm_parts(robot), *rotor_parts(robot))
     text = dump_yaml(replace(robot, visible=True, visual=shapes))
     file.write_text(text, encoding="utf-8", errors="surrogateescape")
     return str(file)
-
-
-def _arms_and_rotors(hubs: "list[Vec3]") -> "tuple[PartCfg, ...]":
-    from aerial_gym.config.shape import PartCfg, ShapeCfg
-
-    parts = []
-    for x, y, z in hubs:
-        length, yaw, pitch = hypot(x, y, z), atan2(y, x), -atan2(z, hypot(x, y))
-        disc = 0.45 * min((dist((x, y, z), other) for other in hubs if other != (x, y, z)), default=2.0 * length)
-        color = (0.75, 0.2, 0.15) if x > 0.1 * length else (0.2, 0.25, 0.3)
-        if length > 0.0:
-            arm = ShapeCfg(kind="box", size=(length, 0.1 * length, 0.1 * length), color=(0.15, 0.15, 0.15))
-            parts.append(PartCfg(shape=arm, position=(x / 2, y / 2, z / 2), euler=(0.0, pitch, yaw)))
-        rotor = ShapeCfg(kind="cylinder", radius=max(disc, 0.01), height=0.06 * max(disc, 0.01), color=color)
-        parts.append(PartCfg(shape=rotor, position=(x, y, z + 0.1 * length)))
-    return tuple(parts)
 
 
 class Film:

@@ -1,0 +1,90 @@
+"""Vehicles on the page: meshes, rotors that turn, links that bend, arrows of forces."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from aerial_gym.robots.catalog import robot_by_name
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+from aerial_gym.viewer.server import open_server
+from aerial_gym.viewer.vehicle import SLOWER, VehicleView
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+
+@pytest.fixture(scope="module")
+def server() -> "Iterator[ViserServer]":
+    server = open_server(port=0)
+    yield server
+    server.stop()
+
+
+def handle(server: "ViserServer", name: str):
+    node = server.scene.get_handle_by_name(name)
+    assert node is not None
+    return node
+
+
+UPRIGHT, QUARTER = [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.5**0.5, 0.5**0.5]
+
+
+def test_hubs_follow_the_pose(server: "ViserServer") -> None:
+    """A quarter turn about z takes the hub (x, y) to (-y, x)."""
+    robot = robot_by_name("base_quadrotor")
+    view = VehicleView(server, "/turned", robot, count=2)
+    view.update(np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]), np.array([QUARTER, UPRIGHT]))
+    hubs = handle(server, "/turned/discs").batched_positions.reshape(2, 4, 3)
+    x, y, _ = np.array([mount.position for mount in robot.mounts.layout]).T
+    np.testing.assert_allclose(hubs[0, :, :2], np.stack((1.0 - y, 2.0 + x), axis=1), atol=1e-6)
+    np.testing.assert_allclose(hubs[1, :, :2], np.stack((x, y), axis=1), atol=1e-6)
+    body = handle(server, "/turned/body_0")
+    np.testing.assert_allclose(body.batched_positions[0], (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(body.batched_wxyzs[0], (0.5**0.5, 0.0, 0.0, 0.5**0.5), atol=1e-7)
+
+
+def test_rotors_turn_with_their_speed_and_sense(server: "ViserServer") -> None:
+    """After ``elapsed`` a blade has turned by ``SLOWER spin speed elapsed`` about its axis: 2 atan2(z, w)."""
+    robot = robot_by_name("base_quadrotor")
+    view = VehicleView(server, "/spinning", robot)
+    speed = np.array([[100.0, 200.0, 0.0, 300.0]]) if robot.rotor_types[0].mode == "speed" else None
+    if speed is None:
+        pytest.skip("the rotors of this robot have no speed")
+    view.update(np.zeros((1, 3)), np.array([UPRIGHT]), rotor_state=speed, elapsed=0.1)
+    turns = handle(server, "/spinning/blades").batched_wxyzs
+    angles = 2.0 * np.arctan2(turns[:, 3], turns[:, 0])
+    spins = np.array([mount.spin for mount in robot.mounts.layout])
+    expected = np.remainder(SLOWER * spins * speed[0] * 0.1, 2.0 * np.pi)
+    np.testing.assert_allclose(np.remainder(angles, 2.0 * np.pi), expected, atol=1e-5)
+
+
+def test_links_and_their_rotors_go_where_the_links_are(server: "ViserServer") -> None:
+    robot = robot_by_name("morphy")
+    view = VehicleView(server, "/bent", robot)
+    links = np.tile([0.0, 0.0, 1.0, *UPRIGHT], (1, len(robot.link_names), 1))
+    number = robot.link_names.index(robot.mounts.layout[2].link)
+    links[0, number, :3] += (0.0, 0.0, 0.5)
+    view.update(links[:, 0, :3], links[:, 0, 3:], links=links)
+    height = handle(server, "/bent/discs").batched_positions[:, 2]
+    np.testing.assert_allclose(height[2] - height[0], 0.5, atol=1e-6)
+
+
+def test_arrow_of_a_force_begins_at_the_vehicle(server: "ViserServer") -> None:
+    robot = robot_by_name("base_quadrotor")
+    view = VehicleView(server, "/pushed", robot, count=2)
+    place, weight = np.array([[0.0, 0.0, 1.0], [5.0, 0.0, 1.0]]), robot.body.mass * 9.81
+    for share in (0.5, 1.0):
+        force = np.array([[0.0, 0.0, -share * weight], [share * weight, 0.0, 0.0]])
+        view.update(place, np.array([UPRIGHT, UPRIGHT]), forces={"drag": force})
+        arrows = handle(server, "/pushed/force_drag").points
+        np.testing.assert_allclose(arrows[:, 0], place)
+        np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 4.0 * view.size * force / weight, atol=1e-6)
+
+
+def test_removed_vehicles_leave_nothing(server: "ViserServer") -> None:
+    VehicleView(server, "/gone", robot_by_name("base_quadrotor")).remove()
+    assert server.scene.get_handle_by_name("/gone/blades") is None
