@@ -207,10 +207,11 @@ class ImuReading:
         late = self.delays_by_flight(logged)
 
         def lever(place: Tensor) -> Tensor:
-            return felt * self._in_band.lever_arm_acceleration(place, late).T
+            return self._in_band.lever_arm_acceleration(place, late).T
 
-        if logged.imu_place.any():
-            force = force + lever(logged.imu_place)
+        for place, rows in ((logged.imu_place, felt), (logged.velocity_place, ~felt)):
+            if place.any() and rows.any():
+                force = force + rows * lever(place)
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_readings_of_model(model)
             force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)

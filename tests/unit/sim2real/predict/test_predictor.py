@@ -441,6 +441,21 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
         np.testing.assert_array_equal(unread[:, other_kinds], as_was[:, other_kinds])
 
 
+def test_a_derived_force_is_that_of_the_point_whose_velocity_is_logged(tmp_path: Path) -> None:
+    """Without an accelerometer, a velocity logged 1 cm ahead and 5 mm below the origin adds that point's lever arm."""
+    table, place = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"]), np.array([0.01, 0.0, -0.005])
+    moved = table.copy()
+    rate = table[[f"omega_{axis}" for axis in "xyz"]].to_numpy()
+    attitude = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]].to_numpy())
+    moved[["v_x", "v_y", "v_z"]] += attitude.apply(np.cross(rate, place))
+    origin, point = (residual(uniform_flight(t, tmp_path, n), ModelParams()) for n, t in (("a", table), ("b", moved)))
+    sizes = draw_deviations(velocity_place_x=2.0, velocity_place_z=-1.0)
+    back = residual(uniform_flight(moved, tmp_path, "c"), ModelParams(deviation=sizes))
+    assert np.abs(point - origin)[:, :3].max() > 0.05
+    assert np.abs(back - origin)[:, :3].max() < 0.05 * np.abs(point - origin)[:, :3].max()
+    np.testing.assert_array_equal(back[:, 3:], point[:, 3:])
+
+
 def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_path: Path) -> None:
     """Velocities with noise: what they imply varies more than what is felt, and a scale of it would come out 40 % small."""
     rng, flights = np.random.default_rng(5), []
