@@ -123,7 +123,7 @@ def evidence_over_rivals(
     base = predict(declared)
     white = _whitener(flown, noise, base, predict(declared, flown.seen_commands, _blur(flown, read, noise)))
     residual, count = white(shown - base), sum(map(len, params.values()))
-    errors = _small_errors(flown, declared, base, predict, nuisance, read)
+    errors = _small_errors(flown, declared, base, predict, nuisance, read, shown[:, :, GYRO])
     known = np.stack([white(error) for error in errors], axis=1)
     results = {"nothing": _log_bayes_factor(residual, known, count)}
     own = {cause for name in params for cause in cause_names(name)}
@@ -191,8 +191,12 @@ def _small_errors(
     predict: Callable[..., Array],
     nuisance: PlantNuisance,
     read: Array | None,
+    ang_acc: Array,
 ) -> Iterator[Array]:
-    """Yield what each small error of one standard deviation changes in the readings, (T, F, 16)."""
+    """Yield the change of the readings (T, F, 16) by each small error of one standard deviation.
+
+    ``ang_acc``: true angular acceleration [rad/s²], (T, F, 3), which the gyro shows.
+    """
     v, axes, logger = declared, np.eye(3), flown.logger
     vehicles = [replace(v, mass=v.mass * (1.0 + nuisance.mass))]
     vehicles += [replace(v, thrust_coeff=v.thrust_coeff * (1.0 + nuisance.thrust_coeff * one)) for one in np.eye(4)]
@@ -210,11 +214,12 @@ def _small_errors(
         return alone
 
     for one in axes:
-        lever = np.cross(base[:, :, GYRO], one) + np.cross(rate, np.cross(rate, one))
+        lever = np.cross(ang_acc, one) + np.cross(rate, np.cross(rate, one))
         yield place_in_readings(FORCE, nuisance.acc_bias * one)
         yield place_in_readings(TURN, nuisance.gyro_bias * one)
         yield place_in_readings(FORCE, nuisance.acc_scale * one * base[:, :, FORCE])
         yield place_in_readings(FORCE, nuisance.imu_place * lever)
+        yield place_in_readings(VELOCITY, nuisance.velocity_place * lever)
         turned = place_in_readings(VELOCITY, np.cross(one, base[:, :, VELOCITY])) + place_in_readings(
             TURN, np.cross(one, rate)
         )

@@ -33,13 +33,14 @@ class PlantNuisance:
 
     acc_scale: float = 0.0  # Accelerometer, each axis, relative
     imu_place: float = 0.0  # Accelerometer from the origin of the body, each axis [m]
+    velocity_place: float = 0.0  # Point whose position and velocity are logged, from the body origin, each axis [m]
 
 
 TRACKED = PlantNuisance(attitude=0.01, acc_of_flight=0.05)
 """As logs of a motion-capture room have it beside: markers that are aligned by eye, an accelerometer that warms up."""
 
-LOGGED = replace(TRACKED, delay=0.003, acc_scale=0.005, imu_place=0.005)
-"""And as loggers write it: filters and telemetry take time, an accelerometer has a scale and a place."""
+LOGGED = replace(TRACKED, delay=0.003, acc_scale=0.005, imu_place=0.005, velocity_place=0.005)
+"""Also errors of loggers: delays by filters and telemetry, scale and place of the accelerometer, place of the velocity."""
 
 LATE = ("rotor", "acc", "rate", "rotation", "velocity")  # What is late by itself; the position is with the rotation
 
@@ -55,6 +56,9 @@ class Bias:
 
     imu_place: Array = field(default_factory=lambda: np.zeros(3))
     """Of the accelerometer from the origin of the body [m], (3,)."""
+
+    velocity_place: Array = field(default_factory=lambda: np.zeros(3))
+    """Point whose position and velocity are logged, from the body origin [m], (3,)."""
 
     delay: Array = field(default_factory=lambda: np.zeros(len(LATE)))
     """By how much each of ``LATE`` is late in the log [s]."""
@@ -87,7 +91,8 @@ def add_nuisance(
     if cfg.acc_of_flight:
         acc = acc + draw(cfg.acc_of_flight, num_flights, 3)
     delay, scale, place = draw(cfg.delay, len(LATE)), draw(cfg.acc_scale, 3), draw(cfg.imu_place, 3)
-    bias = Bias(acc=acc, gyro=gyro, attitude=attitude, delay=delay, acc_scale=scale, imu_place=place)
+    errors = {"delay": delay, "acc_scale": scale, "imu_place": place, "velocity_place": draw(cfg.velocity_place, 3)}
+    bias = Bias(acc=acc, gyro=gyro, attitude=attitude, **errors)
     stretch = np.sqrt(1.0 + inertia)
     factor = 1.0 if any(name in hidden for name in STATED_LAG) else 1.0 + float(tau[0])
     vehicle = replace(
@@ -121,8 +126,8 @@ NOISELESS = PlantNoise(acc=0.0, gyro=0.0, attitude=0.0, position=0.0, velocity=0
 class Sample:
     """Readings of all sensors at one instant."""
 
-    position: Array  # Body origin [m], world, (F, 3)
-    velocity: Array  # Of the body origin [m/s], world, (F, 3)
+    position: Array  # Body origin, or the point of ``Bias.velocity_place`` [m], world, (F, 3)
+    velocity: Array  # Velocity of that point [m/s], world, (F, 3)
     rotation: Array  # Tracked axes, those of the body but for how they are aligned, to world, (F, 3, 3)
     rate: Array  # Angular velocity [rad/s], IMU axes, (F, 3)
     acc: Array  # Specific force where the accelerometer is [m/s²], IMU axes, (F, 3)
@@ -157,10 +162,12 @@ class PlantSensors:
         if self._turn is not None:
             rate, acc = rate @ self._turn, acc @ self._turn
         acc = (1.0 + self._bias.acc_scale) * acc
+        turn, place = rotation_matrices(state), self._bias.velocity_place
+        lever = np.cross(state[:, RATE], place)
         return Sample(
-            position=plant.origin_position(state) + draw[:, 0:3],
-            velocity=plant.origin_velocity(state) + draw[:, 3:6],
-            rotation=rotation_matrices(state) @ (np.eye(3) + cross_matrix(draw[:, 6:9])) @ self._aligned,
+            position=plant.origin_position(state) + turn @ place + draw[:, 0:3],
+            velocity=plant.origin_velocity(state) + np.einsum("fij,fj->fi", turn, lever) + draw[:, 3:6],
+            rotation=turn @ (np.eye(3) + cross_matrix(draw[:, 6:9])) @ self._aligned,
             rate=rate + draw[:, 9:12] + self._bias.gyro,
             acc=acc + draw[:, 12:15] + self._bias.acc,
             rotor=self._rotor_reading * state[:, ROTOR] * (1.0 + draw[:, 15:19]),

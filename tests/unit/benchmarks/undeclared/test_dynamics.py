@@ -206,6 +206,10 @@ def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None
     bias = replace(NO_BIAS, imu_place=place, acc_scale=scale)
     sensors = PlantSensors(NOISELESS, bias, [np.random.default_rng(0)], 1)
     np.testing.assert_allclose(sensors.sample(0, plant, state).acc, (1.0 + scale) * felt, rtol=1e-6, atol=1e-6)
+    sensors = PlantSensors(NOISELESS, replace(NO_BIAS, velocity_place=place), [np.random.default_rng(0)], 1)
+    np.testing.assert_allclose(sensors.sample(0, plant, state).velocity, velocity(state), atol=1e-12)
+    moves = (sensors.sample(0, plant, s).position for s in step)
+    np.testing.assert_allclose(-np.subtract(*moves) / (2.0 * dt), velocity(state), rtol=1e-6, atol=1e-6)
 
 
 def test_what_is_late_in_a_log_is_what_was_measured_earlier() -> None:

@@ -2,6 +2,7 @@
 Failures of the truth plant against closed forms: rotors that are told one speed all along.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from benchmarks.undeclared.dynamics import ROTOR, VEL, rest_state
 from benchmarks.undeclared.evidence import EVERY, FlightStates, evidence_over_rivals
 from benchmarks.undeclared.full_dynamics import FullPlant
 from benchmarks.undeclared.loggers import (
+    LOGGERS,
     LONGEST_BURST,
     START_US,
     PlantLogger,
@@ -129,6 +131,20 @@ def test_evidence_falls_with_the_small_error_that_looks_the_same(case: CaseRecor
     q = gain / (1.0 + gain)
     evidence = evidence_over_rivals(states, case.params, noise, PlantNuisance(**{**vars(EXACT), "acc_bias": 0.02}))
     assert evidence["nothing"] == pytest.approx(0.5 * q - 3.0 * np.log(1.0 + q / 6.0), abs=0.01)
+
+
+def test_evidence_of_a_centre_of_mass_needs_places_of_accelerometer_and_velocity() -> None:
+    """Without torques only lever arms tell: of a large q, an offset o and two places of error s leave ``2 o² / s²``."""
+    offset = {"x": 0.005, "y": 0.0, "z": 0.0}
+    flown = fly_case(effects={"com_offset": offset}, seed=3, num_train=1, num_test=0, duration_s=8.0)
+    states = FlightStates(flown.record, [0], FIRST, LOGGERS["px4"])
+
+    def evidence(imu_place: float, velocity_place: float) -> float:
+        sizes = replace(PlantNuisance(), imu_place=imu_place, velocity_place=velocity_place)
+        return evidence_over_rivals(states, flown.params, PlantNoise(), sizes)["nothing"]
+
+    assert min(evidence(0.005, 0.0), evidence(0.0, 0.005)) > 20.0
+    assert evidence(0.005, 0.005) == pytest.approx(1.0 - 1.5 * np.log(1.0 + 2.0 / 3.0), abs=0.05)
 
 
 DT = 5e-4
