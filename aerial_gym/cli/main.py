@@ -26,6 +26,7 @@ COMMANDS: dict[str, ImportPath] = {
     "log inspect": ImportPath("aerial_gym.cli.log:InspectLogCmd"),
     "log convert": ImportPath("aerial_gym.cli.log:ConvertLogCmd"),
     "log plot": ImportPath("aerial_gym.cli.log:PlotLogCmd"),
+    "view": ImportPath("aerial_gym.cli.view:ViewCmd"),
     "train": ImportPath("aerial_gym.cli.train:TrainCmd"),
     "train-encoder": ImportPath("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
     "play": ImportPath("aerial_gym.cli.play:PlayCmd"),

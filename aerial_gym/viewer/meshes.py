@@ -21,14 +21,15 @@ def shape_mesh(shape: ShapeCfg) -> "trimesh.Trimesh":
     """Return the triangles of one shape, which is no compound and no URDF."""
     import trimesh.creation as make
 
+    radius, height = shape.radius or 0.0, shape.height or 0.0
     if shape.kind == "mesh":
         return load_mesh(str(shape.path), scale=shape.scale, up=shape.up)
     if shape.kind == "sphere":
-        return make.icosphere(subdivisions=2, radius=shape.radius or 0.0)
+        return make.icosphere(subdivisions=2, radius=radius)
     if shape.kind == "cylinder":
-        return make.cylinder(radius=shape.radius, height=shape.height, sections=24)
+        return make.cylinder(radius=radius, height=height, sections=24)
     if shape.kind == "capsule":
-        return make.capsule(radius=shape.radius, height=shape.height, count=[16, 16])
+        return make.capsule(radius=radius, height=height, count=[16, 16])
     if shape.kind == "plane":
         sheet = make.box(extents=(PLANE_M, PLANE_M, 0.01))
         return sheet.apply_translation((0.0, 0.0, -0.005))

@@ -7,8 +7,9 @@ wrapped while the server starts.
 import socket
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
+from io import StringIO
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 PAGE_RULES = (
-    "default-src 'self' data: blob: 'unsafe-inline' 'wasm-unsafe-eval'; connect-src 'self' data: blob:; "
-    "frame-ancestors 'none'"
+    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; connect-src 'self' data: blob:; worker-src blob: data:; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
 )
 """Content security policy of the page: nothing from elsewhere, no evaluation of text as code, no frame around it."""
 
@@ -43,11 +45,17 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
     listener = _listen(host, port)
     if not _is_loopback(host):
         print(f"aerial-gym: {host} is reachable from other machines; they can then control this view", file=sys.stderr)
-    with _guard_start(listener, allows(host)):
+    with _guard_start(listener, allows(host)), redirect_stdout(StringIO()):  # without viser's own table
         server = ViserServer(host=host, port=port, verbose=False)
     _close_tunnel(server)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_layout="collapsible")
     return server
+
+
+def close_server(server: "ViserServer") -> None:
+    """Stop a server at once, pages or not."""
+    with redirect_stdout(StringIO()):
+        server.stop()
 
 
 def _listen(host: str, port: int) -> socket.socket:

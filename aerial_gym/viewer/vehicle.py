@@ -4,7 +4,7 @@ Frames: world z up; poses are those of the body frame or of the link frames. Qua
 Letters: N vehicles, R rotors, L links (the base first).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import hypot
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
+from aerial_gym.assets.mesh_files import join_pieces
 from aerial_gym.config.joint import BASE
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import PartCfg, ShapeCfg
@@ -22,7 +23,7 @@ from aerial_gym.robots.looks import FRAME, arm_parts, rotor_parts
 from aerial_gym.viewer.meshes import part_mesh, rgb
 
 if TYPE_CHECKING:
-    from viser import ArrowsHandle, BatchedMeshHandle, ViserServer
+    from viser import ArrowsHandle, BatchedMeshHandle, LabelHandle, SceneNodeDragEvent, ViserServer
 
 Rgb = tuple[int, int, int]
 SLOWER = 0.02  # Share of its speed at which a rotor turns on the page, so that the eye can follow it
@@ -58,7 +59,8 @@ class VehicleView:
         """Distance of the outermost hub from the body origin [m]."""
         self._bodies = self._add_bodies(tint, opacity)
         self._discs, self._blades = self._add_rotors(discs, tint, opacity)
-        self._arrows: dict[str, ArrowsHandle] = {}
+        self._arrows: dict[str, tuple[ArrowsHandle, LabelHandle]] = {}
+        self._numbers: dict[str, int] = {}  # Of the effects, by which each keeps its colour
 
     def _add_bodies(self, tint: Rgb | None, opacity: float | None) -> list[tuple[int, "BatchedMeshHandle"]]:
         """Add one mesh for each link and colour, and return the link numbers with their meshes."""
@@ -67,14 +69,14 @@ class VehicleView:
             key = (self._links(part.link), tint or rgb(part.shape))
             groups.setdefault(key, []).append(part_mesh(part))
         return [
-            (link, self._add(f"body_{number}", trimesh.util.concatenate(pieces), self.count, color, opacity))
+            (link, self._add(f"body_{number}", join_pieces(pieces, scale=1.0), self.count, color, opacity))
             for number, ((link, color), pieces) in enumerate(groups.items())
         ]
 
     def _add_rotors(
         self, discs: tuple[PartCfg, ...], tint: Rgb | None, opacity: float | None
     ) -> tuple["BatchedMeshHandle", "BatchedMeshHandle"]:
-        radii = np.tile([part.shape.radius for part in discs], self.count).astype(np.float32)
+        radii = np.tile([part.shape.radius or 0.0 for part in discs], self.count).astype(np.float32)
         colors = np.tile([tint or rgb(part.shape) for part in discs], (self.count, 1)).astype(np.uint8)
         unit = ShapeCfg(kind="cylinder", radius=1.0, height=0.02)
         blade = ShapeCfg(kind="box", size=(1.9, 0.16, 0.06))
@@ -94,6 +96,15 @@ class VehicleView:
             batched_scales=scales, batched_colors=colors, lod="off", flat_shading=True,
             opacity=None if opacity in (None, 1.0) else opacity, side="double",
         )  # fmt: skip
+
+    def on_drag(self, pull: Callable[[NDArray[np.float64] | None], object]) -> None:
+        """Call ``pull`` with the pointer [m], world, (3,), while the user drags a vehicle, and with None at the end."""
+
+        def move(event: "SceneNodeDragEvent[BatchedMeshHandle]") -> None:
+            pull(None if event.phase == "end" else np.array(event.end_position))
+
+        for mesh in (*(mesh for _, mesh in self._bodies), self._discs):
+            mesh.on_drag(move)
 
     @property
     def visible(self) -> bool:
@@ -117,7 +128,7 @@ class VehicleView:
             rotor_state: Rotor speeds [rad/s], in force mode thrusts [N], (N, R); rotors stand still without it.
             links: Position and xyzw of the link frames, world, (N, L, >= 7); links keep the reference pose without it.
             elapsed: Flight time since the last update [s], by which rotors turn on.
-            forces: Force of each effect [N], world, (N, 3); an arrow each, of the colour ``arrow_color``.
+            forces: As of ``update_forces``; the arrows stay as they are without it.
         """
         place, turn = _tensor(position), _tensor(attitude)
         poses = torch.cat((place, turn), dim=-1).unsqueeze(1) if links is None else _tensor(links)[..., :7]
@@ -127,8 +138,15 @@ class VehicleView:
             speed = self._spins * self._per_state * _tensor(rotor_state)
             self._angles = torch.remainder(self._angles + SLOWER * elapsed * speed, 2.0 * torch.pi)
         self._move_rotors(poses)
-        for effect, force in (forces or {}).items():
-            self._draw_arrows(effect, place, _tensor(force))
+        if forces is not None:
+            self.update_forces(position, forces)
+
+    def update_forces(self, position: NDArray[np.floating], forces: Mapping[str, NDArray[np.floating]]) -> None:
+        """Draw an arrow for the force of each effect [N], world, (N, 3), at positions (N, 3); remove those of other effects."""
+        for effect in self._arrows.keys() - forces.keys():
+            self._arrows.pop(effect)[0].remove()  # and its label, a child
+        for effect, force in forces.items():
+            self._draw_arrows(effect, _tensor(position), _tensor(force))
 
     def _move_rotors(self, poses: Tensor) -> None:
         carriers = [link if poses.shape[1] > 1 else 0 for link in self._rotor_links]
@@ -141,15 +159,20 @@ class VehicleView:
         _move(self._blades, hub.flatten(0, 1), quat_multiply(axis, spin).flatten(0, 1))
 
     def _draw_arrows(self, effect: str, place: Tensor, force: Tensor) -> None:
+        """Draw the arrows of one effect, with its name at the tip of the first."""
         length = ARROW_M * self.size / (self._robot.body.mass * GRAVITY)
-        points = torch.stack((place, place + length * force), dim=1).numpy()
+        tip = place + length * force
+        points = torch.stack((place, tip), dim=1).numpy()
         if effect not in self._arrows:
-            color, thick = arrow_color(len(self._arrows)), 0.04 * self.size
-            self._arrows[effect] = self._server.scene.add_arrows(
-                f"{self.name}/force_{effect}", points, color, shaft_radius=thick, head_radius=2.5 * thick,
-                head_length=5.0 * thick,
-            )  # fmt: skip
-        self._arrows[effect].points = points
+            color = ARROW_COLORS[self._numbers.setdefault(effect, len(self._numbers)) % len(ARROW_COLORS)]
+            thick, scene, name = 0.04 * self.size, self._server.scene, f"{self.name}/force_{effect}"
+            arrows = scene.add_arrows(
+                name, points, color, shaft_radius=thick, head_radius=2.5 * thick, head_length=5.0 * thick
+            )
+            self._arrows[effect] = arrows, scene.add_label(f"{name}/name", effect)
+        arrows, label = self._arrows[effect]
+        way = force[0] / force[0].norm().clamp(min=1e-9)
+        arrows.points, label.position = points, (tip[0] + 0.4 * self.size * way).numpy()
 
     def remove(self) -> None:
         """Remove the vehicles from the page."""
@@ -164,11 +187,6 @@ def body_parts(robot: RobotCfg) -> tuple[PartCfg, ...]:
     edge = 0.45 * max((part.shape.size[0] for part in arms if part.shape.size and part.link == BASE), default=0.1)
     body = ShapeCfg(kind="box", size=(edge, 0.7 * edge, 0.35 * edge), color=FRAME)
     return (PartCfg(shape=body), *arms)
-
-
-def arrow_color(number: int) -> Rgb:
-    """Return the colour of the arrows of the effect with this number."""
-    return ARROW_COLORS[number % len(ARROW_COLORS)]
 
 
 def _tensor(values: NDArray[np.floating]) -> Tensor:

@@ -74,7 +74,7 @@ def test_page_loads_nothing_from_elsewhere(port: int) -> None:
     connection.request("GET", "/")
     rules = connection.getresponse().getheader("Content-Security-Policy") or ""
     connection.close()
-    assert "default-src 'self'" in rules
+    assert "default-src 'none'" in rules
     assert "frame-ancestors 'none'" in rules
     assert "unsafe-eval" not in rules.replace("wasm-unsafe-eval", "")
     assert "http" not in rules

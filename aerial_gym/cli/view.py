@@ -1,0 +1,113 @@
+"""``aerial-gym view``: a flight in the browser."""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from aerial_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.settings import TrainingCfg
+    from aerial_gym.task import Task
+    from aerial_gym.viewer.simulation import FlightInView, Pilot
+
+ROBOT, CONTROLLER, ENVIRONMENT = "base_quadrotor", "lee_position_control", "empty_env"
+PILOTS = ("zero", "random")  # Words in place of a run folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewCmd:
+    """Show a flight in the browser: a policy in its task, or a controller that holds a goal which you drag."""
+
+    task: str | None = (
+        None  # Registered task, task file (.yaml), or module:Name; else the policy's, or a controller alone
+    )
+    policy: str | None = None  # Run folder or checkpoint of a training, or zero or random; zero with --task alone
+    env: str | None = None  # Registered environment, or an environment file; empty_env without a task
+    robot: str | None = None  # Registered robot, or a robot file; base_quadrotor without a task
+    controller: str | None = None  # Registered controller; lee_position_control without a task
+    backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
+
+    effects: tuple[str, ...] | None = None
+    """Effects to switch on in flight besides those of the robot file (aerial-gym list effects); common ones if not given."""
+
+    num_envs: int = 1  # Environments side by side; the page chooses one, others are drawn faintly
+    device: str = "cpu"  # Torch device; auto takes the GPU if there is one
+    seed: int = 0  # Seed of the starts
+    host: str = "127.0.0.1"  # Address of the page; any other than this one can be reached from other machines
+    port: int = 8080  # Port of the page; 0 takes a free one
+    open: bool = False  # Open the page in the browser of this machine
+
+    def run(self) -> int:
+        """Fly until Ctrl-C."""
+        from aerial_gym.interop import one_thread
+        from aerial_gym.viewer.server import close_server, open_server
+
+        server = open_server(self.host, self.port)
+        try:
+            with TemporaryDirectory() as folder, one_thread():
+                from aerial_gym.viewer.live import LiveView
+
+                view = LiveView(server, self._build_flight(folder))
+                url = f"http://{self.host}:{server.get_port()}"
+                print(f"{url}  (Ctrl-C ends)", file=sys.stderr, flush=True)
+                if self.open:
+                    import webbrowser
+
+                    webbrowser.open(url)
+                view.run()
+        finally:
+            close_server(server)
+        return 0
+
+    def _build_flight(self, folder: str) -> "FlightInView":
+        from aerial_gym.viewer.simulation import FlightInView
+
+        if self.task is None and self.policy is None:
+            from aerial_gym.env_manager import SimBuilder
+
+            env = SimBuilder().build_env(
+                sim_name="base_sim", env_name=self.env or ENVIRONMENT, robot_name=self._robot_file(ROBOT, folder),
+                controller_name=self.controller or CONTROLLER, num_envs=self.num_envs, device=self.device,
+                seed=self.seed, backend=self.backend,
+            )  # fmt: skip
+            return FlightInView(env)
+        task, pilot = self._build_task(folder)
+        return FlightInView(task.env, task, pilot)
+
+    def _build_task(self, folder: str) -> "tuple[Task, Pilot]":
+        from aerial_gym.rl_training.policies.load import check_fits, load_policy
+        from aerial_gym.task import task_registry
+        from aerial_gym.viewer.simulation import constant_pilot, random_pilot
+
+        policy, cfg = None, None
+        if self.policy not in (None, *PILOTS):
+            if not Path(self.policy).exists():
+                raise ConfigError(f"--policy {self.policy}: no such run. Give a run folder, {' or '.join(PILOTS)}")
+            policy, cfg = load_policy(self.policy, device=self.device)
+        name = self.task or (cfg.task if cfg else "position_setpoint_task")
+        of_run: TrainingCfg | None = cfg
+        robot = self.robot or (of_run.robot if of_run else None) or task_registry.get(name).robot
+        task = task_registry.make_task(
+            name, num_envs=self.num_envs, device=self.device, seed=self.seed, env=self.env,
+            robot=self._robot_file(robot, folder), controller=self.controller or (of_run.controller if of_run else None),
+            backend=self.backend, encoder=of_run.encoder if of_run else None,
+        )  # fmt: skip
+        if policy is not None and cfg is not None:
+            check_fits(policy, task, cfg.task)
+            return task, policy
+        return task, random_pilot(task, self.seed) if self.policy == "random" else constant_pilot(task)
+
+    def _robot_file(self, default: str, folder: str) -> str:
+        """Write and return a robot file with the effects that the page switches."""
+        from aerial_gym.config import dump_yaml
+        from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.viewer.effects import OFFERED, add_neutral_effects
+
+        robot = robot_by_name(self.robot or default)
+        wider = add_neutral_effects(robot, OFFERED if self.effects is None else self.effects)
+        file = Path(folder) / "robot.yaml"
+        file.write_text(dump_yaml(replace(wider)), encoding="utf-8", errors="surrogateescape")
+        return str(file)
