@@ -2,6 +2,7 @@
 Integers of a trace that unsigned arithmetic in 32 bits computes like int64.
 """
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +15,7 @@ from torch import Tensor
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.interop.rows.row_trace import trace
 from aerial_gym.interop.rows.source import dependencies
-from aerial_gym.interop.rows.warp_function import fits_32_bits
+from aerial_gym.interop.rows.warp_function import body_lines, fits_32_bits
 from aerial_gym.interop.warp_start import start_warp
 from aerial_gym.math.random import uniform_draws
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
@@ -146,3 +147,5 @@ def test_range_of_integers(case: str) -> None:
     traced = trace(function, inputs, constants={})
     needed = dependencies(traced, [n for numbers, _, _ in traced.outputs for n in numbers])
     assert fits_32_bits(traced, needed) is expected
+    constants = re.findall(r"wp\.uint32\((-?\d+)", "\n".join(body_lines(traced, needed, lambda k, _: f"input_{k}")))
+    assert all(-(2**31) <= int(value) < 2**31 for value in constants)
