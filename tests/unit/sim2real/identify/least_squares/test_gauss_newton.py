@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
+from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
@@ -80,6 +81,41 @@ def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_
     coverage = float(np.mean(inside))
     assert 0.92 < coverage < 0.98, coverage
     assert np.median(widths) < 0.5  # no better by being useless
+
+
+def spread_at_bound(bound: float, truth: float = 0.5) -> tuple[Uncertainty, ModelFit]:
+    """Return the uncertainty with the first parameter at most ``bound``, in columns that the second one nearly shares."""
+    fit = linear_fit(np.random.default_rng(3), np.array([truth, -0.2, 0.3]), colour=15.0, deviation=np.zeros(2))
+    mix = np.eye(NUM_PARAMS + NUM_TOLERANCES)
+    mix[0, 1] = 3.0  # the second column holds three times the first
+    sums = fit.moments
+    mixed = replace(sums, gradient=sums.gradient @ mix, product=mix.T @ sums.product @ mix)
+    high = np.append(bound, fit.high[1:])
+    fit = replace(fit, moments=mixed, high=high)
+    return uncertainty(fit, np.ones(CHANNELS)), fit
+
+
+def test_a_parameter_far_beyond_its_bound_widens_no_interval() -> None:
+    """Where the flights ask for much more than the bound allows, the others have the interval of a parameter fixed there."""
+    free, fit = spread_at_bound(np.inf)
+    place = free.step[0] - 20.0 * free.std[0]
+    held, at_bound = spread_at_bound(place)
+    assert held.step[0] == place
+    gradient = at_bound.moments.gradient - place * at_bound.moments.product[..., 0]
+    there = replace(at_bound.moments, gradient=gradient)
+    fixed = uncertainty(replace(fit, moments=there, frozen=frozenset({(EFFECT, 0)})), np.ones(CHANNELS))
+    np.testing.assert_allclose(held.step[1:], fixed.step[1:], atol=1e-9)
+    np.testing.assert_allclose(held.half_width[1:], fixed.half_width, rtol=0.05)
+    assert held.half_width[1] < 0.5 * free.half_width[1]
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1.0, 3.0])
+def test_the_interval_at_a_bound_is_that_of_the_truncated_normal(beyond: float) -> None:
+    """95 % of a normal variable that lies below the bound is above the interval's end; its mode is ``beyond`` the bound."""
+    free, _ = spread_at_bound(np.inf)
+    held, _ = spread_at_bound(free.step[0] - (beyond + 1e-9) * free.std[0])
+    below = 0.05 * stats.norm.cdf(-beyond)
+    assert held.half_width[0] / free.std[0] == pytest.approx(-beyond - stats.norm.ppf(below), rel=0.01)
 
 
 def test_the_best_step_solves_least_squares_and_respects_bounds() -> None:
