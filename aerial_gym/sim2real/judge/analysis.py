@@ -302,7 +302,10 @@ def tolerances_of_absent_parts(declared: LoopSetup, params: ModelParams) -> set[
 
 def notes_on_surrogates_and_offsets(selection: SelectionResult) -> list[Finding]:
     """Return notes on effects that follow a structure, and on offsets of flights: neither belongs to the vehicle."""
-    results = [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
+    flights = {"flights": selection.spread.num_flights}
+    results = [
+        Finding("stands_in", name, {"structure": kind, **flights}) for name, kind in selection.surrogates.items()
+    ]
     offsets = selection.best.flight_offsets
     sizes = [{"channel": o.channel, f"rms_{unit_suffix(UNITS[o.channel.split('.')[0]])}": o.size} for o in offsets]
     return [*results, *([Finding("offsets_sizes", "", {"offsets": sizes})] if sizes else [])]

@@ -130,7 +130,8 @@ def rejection_rows(selection: SelectionResult) -> list[dict[str, str]]:
     for name, rises in selection.immaterial.items():
         reasons[name] = Finding("trifle", name, {"rise": max(rise.high for rise in rises.values())})
     for name, kind in selection.surrogates.items():
-        reasons[name] = Finding("follows_structure", name, {"structure": kind})
+        values = {"structure": kind, "flights": selection.spread.num_flights}
+        reasons[name] = Finding("follows_structure", name, values)
     reasons |= selection.refused
     shown = {name: reason for name, reason in reasons.items() if name not in selection.effect_names}
     order = sorted(shown, key=lambda name: (name in selection.not_testable, -selection.adds.get(name, np.inf)))

@@ -41,6 +41,13 @@ def _implausible_deviation_sentence(finding: Finding) -> str:
     return f"{start} {f'{way}, or give' if way else 'Give'} its real tolerance (--tolerances)."
 
 
+def _sentence_on_structure(finding: Finding) -> str:
+    kind = finding.values["structure"]
+    if int(finding.values["flights"]) > 1:
+        return f"It only replaces a residual that follows the {kind}."
+    return f"Its size varies with the {kind} in the only training flight, and one flight cannot show the cause. Add another."
+
+
 def _sentence_on_redeclared_values(finding: Finding) -> str:
     rows: Sequence[Mapping[str, float]] = finding.values["values"]
     parts = [f"{row['value']} ({float(row['deviation_std']):+.1f} standard deviations)" for row in rows]
@@ -153,7 +160,7 @@ NOTES: dict[str, Template] = {
         "{subject} ends at a physical bound of {parameters:names}: its law does not fit exactly, or another cause "
         "acts beside it."
     ),
-    "stands_in": "{subject} is not named: it only replaces a residual that follows the {structure}.",
+    "stands_in": lambda f: f"{f.subject} is not named. {_sentence_on_structure(f)}",
     "offsets_sizes": _sentence_on_offsets_of_flights,
     "values_redeclared": _sentence_on_redeclared_values,
     "tolerance_strained": _implausible_deviation_sentence,
@@ -261,7 +268,7 @@ REASONS: dict[str, Template] = {
     "only_linear": "Its linear model predicts a gain that the full fit does not reach.",
     "less_probable": "Less probable than not.",
     "trifle": "Immaterial: without it no training error rises by more than {rise:percent}.",
-    "follows_structure": "It only replaces a residual that follows the {structure}.",
+    "follows_structure": _sentence_on_structure,
     "gusts_no_floor": "The logs are too slow to show a noise floor, above which gusts would stand.",
     "gusts_no_forces": "It needs specific force and velocity in the logs.",
     "gusts_no_drag": "This model has no drag along some axis. {subject:excitation}",

@@ -145,7 +145,7 @@ SAMPLES = [
         "replaced": ["payload_mass"], "others": [{"effect": "thrust_coefficient", "params": {"scale": 0.87}}], "loss": 0.31,
     }),
     Finding("remainder_larger", "constant_wind", {"channels": XZ}),
-    Finding("stands_in", "thrust_coefficient", {"structure": "time"}),
+    Finding("stands_in", "thrust_coefficient", {"structure": "time", "flights": 4}),
     Finding("offsets_sizes", "", {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]}),
     Finding("values_redeclared", "", {"values": [{"value": "thrust_1", "deviation_std": 4.7}]}),
     *(Finding("tolerance_strained", name, {"deviation_std": 4.0}) for name in STRAINED),
@@ -198,7 +198,7 @@ SAMPLES = [
     Finding("not_told_from_nothing", "rotor_drag", {"log_odds": 1.2, "least_log_odds": 4.59512}),
     *map(Finding, ("told_beside_another", "only_linear", "less_probable", "gusts_no_floor", "gusts_no_forces")),
     Finding("gusts_no_drag", "gusts"), Finding("trifle", "rotor_drag", {"rise": 0.02}),
-    Finding("follows_structure", "rotor_drag", {"structure": "heading"}),
+    *(Finding("follows_structure", "rotor_drag", {"structure": "heading", "flights": n}) for n in (1, 2)),
     # logs
     Finding("flight_left_out", "", {"error": "f9.csv: ang_vel 2 is 0 in every row"}),
     Finding("topic_left_out", "all logs", {"topic": "esc_status", "error": "topic esc_status has 1 usable rows, needs 2"}),

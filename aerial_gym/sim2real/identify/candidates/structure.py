@@ -1,6 +1,6 @@
 """Detection of structure in a residual: dependence on place, heading and so on, or a spectral line.
 
-Only structure counts that repeats on a flight left out of its fit. Letters: T rows, C channels.
+Only structure counts that repeats on a flight left out of its fit. Letters: T rows, C channels, F flights.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
 LEAST_SHARE = 0.3  # Least explained share of the variance on left-out flights
+LEAST_FLIGHTS = 2  # Least number of flights that a fit of the others predicts better than their mean
 
 SEGMENT_S = 8.0
 OWN_MOTION = 0.5  # Largest share of a line in the motion, over that in the residual, not caused by motion
@@ -48,12 +49,13 @@ def find_structure(
     chosen: Sequence[int],
 ) -> Structure:
     """Return the strongest structure in the chosen channels; ``none`` for a single flight or a small share."""
-    if len(flights) < 2 or not chosen:
+    if len(flights) < LEAST_FLIGHTS or not chosen:
         return Structure()
     results = [Structure()]
     for kind, columns in structure_features(flights, times).items():
         left, total = _left_out_squares(columns, rotate_residuals(kind, flights, times, residuals, channels))
-        shares = 1.0 - left / np.maximum(total, 1e-300)
+        shares = 1.0 - left.sum(axis=0) / np.maximum(total.sum(axis=0), 1e-300)
+        shares[(left < total).sum(axis=0) < LEAST_FLIGHTS] = 0.0
         best = max(chosen, key=lambda index: shares[index])
         results.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
     lines = CommonLines(times, [motion_features(f, t) for f, t in zip(flights, times, strict=True)])
@@ -131,8 +133,8 @@ def _place_features(places: Sequence[Array]) -> list[Array]:
 
 
 def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the squared residuals on left-out flights with features, and about the other flights' mean, (C,) each."""
-    left = total = np.zeros(values[0].shape[1])
+    """Return the squared residuals of left-out flights with features, and about the other flights' mean, (F, C) each."""
+    left, total = list[Array](), list[Array]()
     for out in range(len(values)):
         kept = [i for i in range(len(values)) if i != out]
         x, y = np.concatenate([features[i] for i in kept]), np.concatenate([values[i] for i in kept])
@@ -141,9 +143,9 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tup
         gram = columns.T @ columns + 1e-3 * len(x) * np.diag([0.0, *np.ones(x.shape[1])])
         gains = np.linalg.solve(gram, columns.T @ y)
         test = np.column_stack((np.ones(len(values[out])), np.clip((features[out] - centre) / size, -3.0, 3.0)))
-        left = left + np.sum((values[out] - test @ gains) ** 2, axis=0)
-        total = total + np.sum((values[out] - y.mean(axis=0)) ** 2, axis=0)
-    return left, total
+        left.append(np.sum((values[out] - test @ gains) ** 2, axis=0))
+        total.append(np.sum((values[out] - y.mean(axis=0)) ** 2, axis=0))
+    return np.stack(left), np.stack(total)
 
 
 def motion_features(flight: Flight, time: Array) -> Array:

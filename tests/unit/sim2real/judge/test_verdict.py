@@ -209,7 +209,7 @@ def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[
 def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
     chosen = make_choice(make_fit(), surrogates={"thrust_coefficient": "time"})
     (note,) = notes_on_surrogates_and_offsets(make_selection(chosen))
-    assert note == Finding("stands_in", "thrust_coefficient", {"structure": "time"})
+    assert note == Finding("stands_in", "thrust_coefficient", {"structure": "time", "flights": 2})
     assert notes_on_surrogates_and_offsets(make_selection(make_choice(make_fit()))) == []
 
 

@@ -223,7 +223,7 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
         ("downwash", "–", "–"),
     ]
     expected = [
-        Finding("follows_structure", "weak_motor", {"structure": "time"}),
+        Finding("follows_structure", "weak_motor", {"structure": "time", "flights": 2}),
         Finding("trifle", "motor_tilt", {"rise": 0.02}), Finding("only_linear", "com_offset"),
         Finding("parameters_unknown", "imu_bias"), Finding("less_probable", "payload_mass"),
         Finding("acts_on_links", "downwash"),

@@ -187,6 +187,19 @@ def test_the_kind_of_a_remaining_structure(kind: str, flights: list[Flight]) -> 
         assert result.freq_hz == pytest.approx(7.0, abs=0.3)
 
 
+@pytest.mark.parametrize(("sizes", "kind"), [((0.1, 0.12), "heading"), ((0.1, 0.23), "none"), ((0.1, 0.0), "none")])
+def test_a_structure_needs_two_flights_that_agree(sizes: tuple[float, ...], kind: str, flights: list[Flight]) -> None:
+    """The fit of one flight must predict the other better than its mean: twice its size is no agreement."""
+    times, residuals = [one.time[20:-20:3] for one in flights[:2]], []
+    for one, size in zip(flights, sizes, strict=False):
+        ahead = Rotation.from_quat(one.attitude[20:-20:3]).apply([1.0, 0.0, 0.0])
+        left = 0.005 * np.random.default_rng(0).standard_normal((len(ahead), 3))
+        left[:, 2] += size * ahead[:, 0] / np.hypot(ahead[:, 0], ahead[:, 1])
+        residuals.append(left)
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    assert find_structure(flights[:2], times, residuals, channels, [2]).kind == kind
+
+
 def test_a_line_is_found_where_one_flight_lacks_the_velocity() -> None:
     time, rng = np.arange(1200) / 50.0, np.random.default_rng(0)
     motion, noise = rng.standard_normal((2, 1200, 6)), 0.1 * rng.standard_normal((2, 1200))
