@@ -104,7 +104,7 @@ class PlotLogCmd(LogCmd):
         from aerial_gym.sim2real.report.log_plot import write_log_page
         from aerial_gym.sim2real.wording import text
 
-        flights = list(open_log(self.log, self.find_mapping()).flights())
+        flights = list(open_log(self.log, self.find_mapping(), partial=True).flights())
         notes = dict.fromkeys(text(note) for flight in flights for note in flight.notes)
         write_log_page(self.out, self.log.name, flights, list(notes))
         print(self.out)

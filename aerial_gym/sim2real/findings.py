@@ -75,7 +75,7 @@ _BY_SEVERITY = {
         "rows_cut rows_lost steps_resampled velocity_derived velocity_unknown force_derived rates_derived one_command "
         "torques_not_logged on_ground commands_copied commands_scaled relative_commands_scaled "
         "commands_mixed rotor_order_of_firmware reset_undone stream_moved rotor_log_moved position_jump samples_slow "
-        "samples_repeated "
+        "samples_repeated quantities_absent "
         # test stand
         "rows_without_speed joint_driven joint_creeps links_as_declared thrust_scale_fitted intervals_of_flights "
         "published_law one_record thrust_from_gravity balance_assumptions mass_added battery_range other_cause"

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from aerial_gym.cli.main import main
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import flight
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
@@ -37,6 +39,22 @@ def test_convert_and_plot_write_files(log: Path, tmp_path: Path, capsys: pytest.
     page = tmp_path / "flight.html"
     assert main(["log", "plot", str(log), "--out", str(page)]) == 0
     assert page.read_text(encoding="utf-8").count("<svg") == 1
+
+
+@pytest.mark.parametrize("form", ["ulg", "csv"])
+def test_plot_draws_a_log_without_rotors_and_names_them(form: str, tmp_path: Path) -> None:
+    table = flight(5, seconds=6.0, rate=200.0)
+    results = {name: values for name, values in topics(table).items() if name != "esc_status"}
+    if form == "ulg":
+        write_ulog(tmp_path / "a.ulg", results)
+    else:
+        table.drop(columns=[f"rotor_{n}" for n in range(1, 5)]).to_csv(tmp_path / "a.csv", index=False)
+    assert main(["log", "plot", str(tmp_path / f"a.{form}"), "--out", str(tmp_path / "page.html")]) == 0
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 1
+    quantities = ["rotor_speed", "rotor_command", *(["battery"] if form == "csv" else [])]
+    assert text(Finding("quantities_absent", "", {"quantities": quantities})) in page
+    assert main(["log", "inspect", str(tmp_path / f"a.{form}"), "--json"]) != 0  # comparisons still need rotors
 
 
 def test_a_file_that_is_no_log_is_a_wrong_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

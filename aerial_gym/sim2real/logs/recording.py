@@ -5,7 +5,7 @@ Letters: T rows, R rotors.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TypeVar
@@ -105,6 +105,21 @@ HIGHEST_BAND = 0.2  # Largest comparison bandwidth as a share of the slowest com
 NORM_OFF = 0.05  # Largest deviation of a quaternion's norm from 1
 
 Some = TypeVar("Some", bound=Recording)
+
+
+def absent_pairs(known: Collection[str], *, hover: bool, partial: bool) -> list[tuple[str, str]]:
+    """Return the pairs of quantities of which a flight needs one and has none.
+
+    The attitude with position or velocity shows the motion without inertial sensors; ``hover`` needs none of them.
+    ``partial``: a flight needs nothing, as in a plot.
+    """
+    moves = hover or ("attitude" in known and not {"position", "lin_vel"}.isdisjoint(known))
+    needed = (
+        [("rotor_speed", "rotor_command")]
+        if moves
+        else [("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")]
+    )
+    return [] if partial else [pair for pair in needed if not set(pair) & set(known)]
 
 
 def split_flight_number(path: str | Path) -> tuple[str, int | None]:

@@ -3,10 +3,12 @@
 from html import escape
 from pathlib import Path
 
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.report.canvas import panels
 from aerial_gym.sim2real.report.plots import FLIGHTS
 from aerial_gym.sim2real.report.report import write_page
+from aerial_gym.sim2real.wording import text
 
 AXES = ("x", "y", "z", "w")
 SHOWN = {
@@ -23,7 +25,9 @@ SHOWN = {
 
 
 def write_log_page(path: Path, name: str, flights: list[FlightLog], notes: list[str]) -> None:
-    """Write an HTML file with one figure for each flight, and the notes on the log."""
+    """Write an HTML file with one figure for each flight, and notes on the log and its absent quantities."""
+    if absent := [name for name in SHOWN if all(getattr(log, name) is None for log in flights)]:
+        notes = [text(Finding("quantities_absent", "", {"quantities": absent})), *notes]
     context = {"name": escape(name), "figures": [(log.name, flight_figure(log)) for log in flights], "notes": notes}
     write_page(path, "log.html", context)
 

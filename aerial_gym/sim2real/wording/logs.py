@@ -132,6 +132,7 @@ LOGS: dict[str, Template] = {
         "reads 9.81 ± {offset_m_s2:number} m/s²: its scale, its axes or the attitude are wrong."
     ),
     "topic_left_out": "Topic left out: {error}.",
+    "quantities_absent": "Not in the log: {quantities:and}.",
     "topic_covers_part": "Topic {topic} is left out: it covers {covered_s:number} s of {log_s:number} s.",
     "stream_too_late": lambda f: f"{_stream_delay_text(f)}, more than is corrected, and is left out.",
     "stream_moved": lambda f: f"{_stream_delay_text(f)}; it is moved.",

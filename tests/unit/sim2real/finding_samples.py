@@ -201,6 +201,7 @@ SAMPLES = [
     *(Finding("follows_structure", "rotor_drag", {"structure": "heading", "flights": n}) for n in (1, 2)),
     # logs
     Finding("flight_left_out", "", {"error": "f9.csv: ang_vel 2 is 0 in every row"}),
+    Finding("quantities_absent", "", {"quantities": ["rotor_speed", "rotor_command", "battery"]}),
     Finding("topic_left_out", "all logs", {"topic": "esc_status", "error": "topic esc_status has 1 usable rows, needs 2"}),
     Finding("battery_left_out", "f1", {"error": "f1.csv, line 3: vbat is empty"}), Finding("file_damaged", "f1"),
     Finding("bytes_left_out", "f1", {"bytes": 700, "total": 90000}),

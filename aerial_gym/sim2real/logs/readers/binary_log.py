@@ -21,7 +21,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import apply_column_conversion
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, ColumnsCfg, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.readers.setpoints import setpoint_channels
 from aerial_gym.sim2real.logs.readers.stamps import SHOWN
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, absent_pairs
 from aerial_gym.sim2real.logs.row_grid import resample_streams, row_times, without_slow_rotor_data
 from aerial_gym.sim2real.logs.signals import integrate_rates
 from aerial_gym.sim2real.logs.stream_delays import (
@@ -117,6 +117,7 @@ def flight_of_streams(
     *,
     relative: bool = True,
     hover: bool = False,
+    partial: bool = False,
     fastest: float = inf,
 ) -> FlightLog:
     """Return a flight, with delays of its streams corrected where its motion shows them.
@@ -134,13 +135,13 @@ def flight_of_streams(
     part = replace(
         span, start=max(span.start, middle - 0.5 * DELAY_SPAN_S), end=min(span.end, middle + 0.5 * DELAY_SPAN_S)
     )
-    slow = _assemble_flight(streams, row_times(streams, part, DELAY_ROWS_HZ), path, notes, hover=hover)
+    slow = _assemble_flight(streams, row_times(streams, part, DELAY_ROWS_HZ), path, notes, hover=hover, partial=partial)
     delays = stream_delays(replace(slow, streams=timings))
     moved = _without_delays(streams, delays, path, notes)
     timings = {name: replace(timings[name], **_delay_fields(delays.get(name))) for name in moved}
     rows = row_times(moved, span, fastest)
     is_same = all(moved.get(name) is one for name, one in streams.items()) and np.array_equal(rows, slow.time)
-    log = slow if is_same else _assemble_flight(moved, rows, path, notes, hover=hover)
+    log = slow if is_same else _assemble_flight(moved, rows, path, notes, hover=hover, partial=partial)
     log = without_slow_rotor_data(replace(log, notes=tuple(notes)), {name: one.rate for name, one in timings.items()})
     log = with_motion_between_samples(replace(log, sample_times=_times_of_slow_motion(moved, log.time)))
     return replace(
@@ -186,19 +187,15 @@ def _without_delays(
 
 
 def _assemble_flight(
-    streams: dict[str, Stream], rows: Array, path: str, notes: list[Finding], *, hover: bool
+    streams: dict[str, Stream], rows: Array, path: str, notes: list[Finding], *, hover: bool, partial: bool
 ) -> FlightLog:
     """Return the flight with all streams at the rows [s]; a missing attitude is integrated from the gyro."""
     if rows.size < 2:
         raise DataError(f"{path}: the flight has {rows.size} samples of its fastest sensor, needs 2")
     values: dict[str, Any] = dict(resample_streams(streams, rows))
-    has_place = "attitude" in values and not {"position", "lin_vel"}.isdisjoint(
-        values
-    )  # whose derivatives show the motion
-    for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
-        if one not in values and other not in values and not (one == "ang_vel" and (hover or has_place)):
-            remedy = f"log one of them, or map its columns (--mapping).{_sentences_on_topics_left_out(notes)}"
-            raise DataError(f"{path}: holds neither {one} nor {other}; {remedy}")
+    for one, other in absent_pairs(values, hover=hover, partial=partial):
+        remedy = f"log one of them, or map its columns (--mapping).{_sentences_on_topics_left_out(notes)}"
+        raise DataError(f"{path}: holds neither {one} nor {other}; {remedy}")
     integrated = "attitude" not in values
     if integrated:
         values = {name: column for name, column in values.items() if name not in ("position", "lin_vel")}

@@ -30,7 +30,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
 )
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.readers.setpoints import setpoints_in_package_axes
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, absent_pairs
 from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 
 COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
@@ -83,7 +83,7 @@ def read_facts(path: Path) -> FlightFacts | None:
     return facts
 
 
-def read_csv_log(path: Path, layout: LogMapping, *, hover: bool = False) -> CsvLog:
+def read_csv_log(path: Path, layout: LogMapping, *, hover: bool = False, partial: bool = False) -> CsvLog:
     """Return the content of a CSV file; raise ``DataError`` if columns or fields are unusable."""
     notes = list[Finding]()
     table, time, clock_steps = read_csv_rows(path, layout, notes)
@@ -100,7 +100,7 @@ def read_csv_log(path: Path, layout: LogMapping, *, hover: bool = False) -> CsvL
     share, relative = values.pop("rotor_share", None), "rotor_command" not in values
     if share is not None and relative:
         values["rotor_command"] = share
-    _require_quantities(values, layout, list(table.columns), str(path), hover=hover)
+    _require_quantities(values, layout, list(table.columns), str(path), hover=hover, partial=partial)
     battery = _battery_voltage(values.pop("battery", None), time, notes)
     heights = {name: _surface_height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
     command, companion = layout.rotor_command, _companion_position(path, layout, time, notes)
@@ -198,7 +198,7 @@ def _companion_position(path: Path, layout: LogMapping, time: Array, notes: list
 
 
 def _require_quantities(
-    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool
+    values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool, partial: bool
 ) -> None:
     """Raise ``DataError`` if the log lacks a required quantity."""
     if "attitude" not in values and layout.attitude is not None:
@@ -209,13 +209,7 @@ def _require_quantities(
                 "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
             )
         raise DataError(message_on_missing_column(column, known, path))
-    for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
-        if (
-            one in values
-            or other in values
-            or (one == "ang_vel" and (hover or not {"position", "lin_vel"}.isdisjoint(values)))
-        ):
-            continue
+    for one, other in absent_pairs(values, hover=hover, partial=partial):
         options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
         wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"
         raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{mapping_hint(known)}")

@@ -41,6 +41,7 @@ class LogFlights:
     notes: Sequence[Finding]
     mapping: LogMapping | None = None
     hover: bool = False  # Whether only rotor states at hover are needed
+    partial: bool = False  # Whether flights may lack what comparisons need
     rows: FlightLog | None = None  # All rows of a CSV file; None for binary logs, whose streams have own rates
     chosen: int | None = None  # Number of the flight that ``FILE#2`` selects, from 1
 
@@ -66,8 +67,9 @@ class LogFlights:
             notes = [note for note in self.notes if span.start <= note.values.get("time_s", span.start) <= span.end]
             relative = self.mapping is None or self.mapping.rotor_command is None
             log = flight_of_streams(
-                self.streams, span, path, notes, relative=relative, hover=self.hover, fastest=fastest
-            )
+                self.streams, span, path, notes, relative=relative, hover=self.hover, partial=self.partial,
+                fastest=fastest,
+            )  # fmt: skip
             asked = {name: (one.time, one.values) for name, one in self.streams.items() if name in SETPOINTS}
             log = replace(
                 log, setpoints=asked, parameters=self.raw.parameters_in_force(span.start), log_format=self.raw.format
@@ -93,7 +95,9 @@ class LogFlights:
         raise DataError(f"{self.raw.path}: holds {len(self.spans)} flights; give one of them: {listed}")
 
 
-def open_log(path: str | Path, mapping: LogMapping | None = None, *, hover: bool = False) -> LogFlights:
+def open_log(
+    path: str | Path, mapping: LogMapping | None = None, *, hover: bool = False, partial: bool = False
+) -> LogFlights:
     """Return a log of any format, known by its content, with its flights.
 
     Args:
@@ -101,13 +105,14 @@ def open_log(path: str | Path, mapping: LogMapping | None = None, *, hover: bool
         mapping: Layout; None takes that of this package for CSV, and of the format itself for binary logs.
         hover: Whether only hover rotor states are needed: a missing attitude counts as level in CSV files, and neither
             gyro nor accelerometer is required.
+        partial: Whether flights may lack rotors and inertial sensors, as for a plot.
 
     Raise ``DataError`` if file, columns or fields are unusable, or if there is no such flight.
     """
     file, chosen = split_flight_number(path)
     raw = read_raw_log(Path(file))
-    opened = _open_csv(file, mapping, hover) if raw is None else open_raw_log(raw, mapping, hover=hover)
-    return opened.select(chosen)
+    opened = _open_csv(file, mapping, hover, partial) if raw is None else open_raw_log(raw, mapping, hover=hover)
+    return replace(opened, partial=partial).select(chosen)
 
 
 def open_raw_log(raw: RawLog, mapping: LogMapping | None = None, *, hover: bool = False) -> LogFlights:
@@ -120,9 +125,9 @@ def open_raw_log(raw: RawLog, mapping: LogMapping | None = None, *, hover: bool 
     return LogFlights(raw=raw, streams=streams, spans=spans, notes=notes, mapping=mapping, hover=hover)
 
 
-def _open_csv(file: str, mapping: LogMapping | None, hover: bool) -> LogFlights:
+def _open_csv(file: str, mapping: LogMapping | None, hover: bool, partial: bool) -> LogFlights:
     """Return the flights of a CSV file; without any of ``SHORTEST_S`` all rows are one."""
-    table = read_csv_log(Path(file), mapping or find_mapping("aerial_gym"), hover=hover)
+    table = read_csv_log(Path(file), mapping or find_mapping("aerial_gym"), hover=hover, partial=partial)
     rows, notes = table.rows, list(table.rows.notes)
     values = {name: getattr(rows, name, None) for name in QUANTITIES} | table.states
     streams = {name: _stream_of_rows(name, rows.time, one) for name, one in values.items() if one is not None}
