@@ -39,7 +39,7 @@ class DemoCmd:
         console, started = Console(stderr=True), time.perf_counter()
 
         def announce(stage: str) -> None:
-            console.print(f"{stage} ({time.perf_counter() - started:.0f} s)")
+            console.print(stage_line(stage, time.perf_counter() - started))
 
         _remove_earlier_demo(self.out)
         flights = find_or_simulate_flights(
@@ -50,7 +50,7 @@ class DemoCmd:
             seen = record_cameras(self.seed, self.backend)
             announce(f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s")
             learned = train_hover(self.out, self.seed, self.train_time_s, self.backend)
-            announce(f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights")
+            announce(f"[bold]3/3 measure[/]: {len(flights.train)} training and {len(flights.test)} test flights")
             measured = close_the_loop(flights, self.out / "loop")
         environment = jinja2.Environment(
             loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
@@ -64,6 +64,11 @@ class DemoCmd:
         announce("done")
         print(self.out / "index.html")
         return 0
+
+
+def stage_line(stage: str, since_start_s: float) -> str:
+    """Return the line that announces a stage, with the time of its begin since the start of the demo [s] ahead."""
+    return f"at {since_start_s:.0f} s: {stage}"
 
 
 def _remove_earlier_demo(out: Path) -> None:
