@@ -89,15 +89,15 @@ def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], s
         read: Function from position and entry of an input to its code.
     """
     lines = [line for n in needed for line in _lines(trace, n, read)]
-    return [INTEGER.sub(_unsigned_code, line) for line in lines] if fits_32_bits(trace, needed) else lines
+    return [INTEGER.sub(_uint32_code, line) for line in lines] if fits_32_bits(trace, needed) else lines
 
 
 INTEGER = re.compile(r"wp\.int64\((\d*)")  # A conversion to int64, with its constant
 
 
-def _unsigned_code(found: re.Match[str]) -> str:
+def _uint32_code(conversion: re.Match[str]) -> str:
     """Return the code of a conversion to uint32; Warp stores constants as int32, so those from 2^31 on become negative."""
-    value = found[1] and int(found[1])
+    value = conversion[1] and int(conversion[1])
     return f"wp.uint32({value - MODULUS if value and value >= MODULUS // 2 else value}"
 
 
