@@ -1,6 +1,9 @@
 """``aerial-gym train``: a policy from scratch, or on from where a run stopped."""
 
 import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +16,7 @@ from aerial_gym.interop.preload import import_without_torch
 from aerial_gym.lazy import pause_garbage_collection
 
 if TYPE_CHECKING:
+    from aerial_gym.rl_training.run.progress import TrainingObserver
     from aerial_gym.rl_training.settings import TrainingCfg
     from aerial_gym.rl_training.training import TrainingResult
 
@@ -59,6 +63,8 @@ class TrainCmd:
     """Keep the last 64 steps of rows that are NaN or infinite, and write them to non_finite.csv in --out; play --replay
     shows it."""
 
+    view: bool = False  # Show one environment in the browser (127.0.0.1, --port)
+    port: int = 8080  # Port of the page of --view
     wandb: str | None = None  # Project of Weights & Biases; WANDB_MODE=offline keeps its data in --out
     json: bool = False  # Print the result as one JSON object
 
@@ -90,10 +96,28 @@ class TrainCmd:
             if run is not None:
                 given[name] = str(run.resolve())
         more = {"resume": self.resume, "watch": self.watch, "wandb": self.wandb, "started": start_time()}
-        result = train(replace(cfg, **given), self.out, **more)
+        with self._make_observer() as observer:
+            result = train(replace(cfg, **given), self.out, observer=observer, **more)
         if torchrun_rank() == 0:
             self._print_result(result)
         return 1 if result.interrupted else 0
+
+    @contextmanager
+    def _make_observer(self) -> "Iterator[TrainingObserver | None]":
+        """Yield the page of ``--view``, in the first process; None without it."""
+        from aerial_gym.rl_training.ranks import torchrun_rank
+
+        if not self.view or torchrun_rank() != 0:
+            yield None
+            return
+        from aerial_gym.viewer.observer import TrainingView
+
+        page = TrainingView(port=self.port)
+        print(f"http://127.0.0.1:{self.port} shows one environment", file=sys.stderr)
+        try:
+            yield page
+        finally:
+            page.close()
 
     def _print_result(self, result: "TrainingResult") -> None:
         if self.json:

@@ -22,7 +22,7 @@ from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import find_checkpoint
 from aerial_gym.rl_training.ranks import Ranks, join_ranks, process_device
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, Interruption, checkpoint_steps, interruptible
-from aerial_gym.rl_training.run.progress import Progress
+from aerial_gym.rl_training.run.progress import Progress, TrainingObserver
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -53,7 +53,7 @@ class TrainingResult:
 @usual_settings
 def train(
     cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progress: bool = True, watch: bool = False,
-    wandb: str | None = None, started: float | None = None,
+    wandb: str | None = None, started: float | None = None, observer: TrainingObserver | None = None,
 ) -> TrainingResult:  # fmt: skip
     """Train a policy into a run folder. The global random generators are seeded meanwhile.
 
@@ -65,6 +65,7 @@ def train(
         watch: Whether to write the last steps of rows that were not finite to ``non_finite.csv``.
         wandb: Project of Weights & Biases that receives the scalars.
         started: Reading of ``time.perf_counter`` at which ``max_time_s`` begins to count [s]; this call's start if not given.
+        observer: Watches the task, such as a page that shows it; in rank 0 only.
 
     Raises:
         ConfigError: If the folder holds a run and ``resume`` is off, or no checkpoint of it can be read.
@@ -86,7 +87,7 @@ def train(
         with contextlib.nullcontext() if resume else _new_run_folder(cfg, folder, ranks):
             return _train_session(
                 cfg, folder, ranks, started=started, resume=resume, show_progress=show_progress, watch=watch,
-                wandb=wandb,
+                wandb=wandb, observer=observer if ranks.is_leader else None,
             )  # fmt: skip
 
 
@@ -116,7 +117,7 @@ def _leader_or_temporary_folder(ranks: Ranks, out: str | Path) -> Iterator[RunFo
 
 def _train_session(
     cfg: TrainingCfg, folder: RunFolder, ranks: Ranks, *, started: float, resume: bool, show_progress: bool,
-    watch: bool, wandb: str | None,
+    watch: bool, wandb: str | None, observer: TrainingObserver | None,
 ) -> TrainingResult:  # fmt: skip
     resumed = ranks.broadcast(folder.newest_readable_checkpoint() if resume and ranks.is_leader else None)
     if resume and resumed is None and ranks.is_leader:
@@ -127,12 +128,16 @@ def _train_session(
         storage_errors(folder.path, only_full=True),
         _restore_globals(cfg),
         interruptible(ranks) as interruption,
-        Progress(cfg, folder.curve_file, started=started, show=shown, resumed_steps=steps, ranks=ranks) as progress,
+        Progress(
+            cfg, folder.curve_file, started=started, show=shown, resumed_steps=steps, ranks=ranks, observer=observer
+        ) as progress,
         folder.redirect_output(),
         contextlib.nullcontext() if wandb is None or not ranks.is_leader else send_scalars(wandb, folder, cfg),
     ):
         try:
-            interrupted = _run_trainer(cfg, folder, progress, resumed, interruption, ranks, watch=watch)
+            interrupted = _run_trainer(
+                cfg, folder, progress, resumed, interruption, ranks, watch=watch, observer=observer
+            )
         except KeyboardInterrupt:
             interrupted = True
     last, checkpoints = progress.last, folder.checkpoints()
@@ -164,7 +169,7 @@ def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
 
 def _run_trainer(
     cfg: TrainingCfg, folder: RunFolder, progress: Progress, resumed: tuple[Path, dict[str, Any]] | None,
-    interruption: Interruption, ranks: Ranks, *, watch: bool,
+    interruption: Interruption, ranks: Ranks, *, watch: bool, observer: TrainingObserver | None,
 ) -> bool:  # fmt: skip
     trainer = TRAINERS.get(cfg.trainer)
     trainer.prepare(resolve_device(process_device(cfg.device)))
@@ -178,7 +183,7 @@ def _run_trainer(
         first_env=ranks.rank * cfg.num_envs, robot=cfg.robot, controller=cfg.controller, backend=cfg.backend,
         encoder=cfg.encoder, capture=trainer.captures_task, differentiable=trainer.differentiable,
     )  # fmt: skip
-    with made as task, on_device(task.device):
+    with made as task, on_device(task.device), contextlib.nullcontext() if observer is None else observer.follow(task):
         interruption.check()
         task.practise()
         folder.add_session(cfg, str(task.device))

@@ -89,7 +89,7 @@ def effect_switches(env: EnvManager) -> list[EffectSwitch]:
             continue
         if not switch.is_on:
             first = next((n for n, parameter in enumerate(effect.parameters) if parameter.kind == "number"), 0)
-            switch.values[first] = switch.limits(first)[1] * 0.3 + neutral[first] * 0.7
+            switch.values[first] = 0.1 * switch.limits(first)[1] + 0.9 * neutral[first]
         switches.append(switch)
     return switches
 

@@ -1,5 +1,6 @@
 """The loop of a live flight: steps at the speed that the page asks for, and scene updates."""
 
+import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,8 @@ class LiveView:
         self._server, self._flight = server, flight
         self.scene = SceneView(server, flight.content)
         self.panel = ControlPanel(server, flight, self.scene)
+        self.ends = threading.Event()
+        """Ends ``run`` from another thread."""
         self.num_updates = 0
         """Scene updates since the start."""
         first = flight.snapshot()
@@ -30,9 +33,9 @@ class LiveView:
         self._behind = 0.0
 
     def run(self, duration_s: float | None = None) -> None:
-        """Fly until an interrupt, or for a time [s]."""
+        """Fly until an interrupt or ``ends``, or for a time [s]."""
         start = last = time.perf_counter()
-        while duration_s is None or last - start < duration_s:
+        while not self.ends.is_set() and (duration_s is None or last - start < duration_s):
             due = last + 1.0 / UPDATES_PER_S
             self.advance(min(due - last, LONGEST_S))
             time.sleep(max(0.0, due - time.perf_counter()))

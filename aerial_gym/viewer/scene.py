@@ -35,12 +35,12 @@ GATE_M = 0.4  # Half edge of the frame that marks the next gate [m]
 class SceneView:
     """Everything on the page but the controls."""
 
-    def __init__(self, server: "ViserServer", content: SceneContent) -> None:
-        """Add the nodes; positions follow with the first ``update``."""
+    def __init__(self, server: "ViserServer", content: SceneContent, *, alone: bool = False) -> None:
+        """Add the nodes; positions follow with the first ``update``. ``alone`` leaves out other environments' vehicles."""
         self._server, self._scene, self.content = server, server.scene, content
         self.vehicle = VehicleView(server, "/vehicle", content.robot)
         self.others: VehicleView | None = None
-        if content.num_envs > 1:
+        if content.num_envs > 1 and not alone:
             self.others = VehicleView(
                 server, "/others", content.robot, count=content.num_envs - 1, opacity=OTHERS_OPACITY
             )

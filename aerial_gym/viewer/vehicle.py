@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Rgb = tuple[int, int, int]
 SLOWER = 0.02  # Share of its speed at which a rotor turns on the page, so that the eye can follow it
 FULL_SPEED = 800.0  # Speed on the page of a force-mode rotor at its highest thrust [rad/s]
-ARROW_M = 4.0  # Length of an arrow for a force equal to the weight, per distance of the outermost hub
+ARROW_M = 8.0  # Length of an arrow for a force equal to the weight, per distance of the outermost hub
 ARROW_COLORS: tuple[Rgb, ...] = (
     (230, 120, 20), (30, 140, 200), (160, 60, 180), (40, 160, 70), (200, 40, 90), (120, 120, 30),
 )  # fmt: skip

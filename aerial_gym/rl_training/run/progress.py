@@ -7,9 +7,11 @@ import csv
 import io
 import sys
 import time
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn
@@ -18,6 +20,9 @@ from rich.progress import Progress as Bar
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
+
+if TYPE_CHECKING:
+    from aerial_gym.task import Task
 
 CURVE_COLUMNS = ("time_s", "env_steps", "reward_per_step", "episode_return", "episode_length", "env_steps_per_s")
 """Columns of ``curve.csv``: time [s] in all sessions, steps in all sessions, means over the episodes that ended since."""
@@ -35,16 +40,28 @@ class Report:
     episode_length: float | None  # Mean length of them [steps]
 
 
+class TrainingObserver(Protocol):
+    """A part of the program that watches the task of a training; it must not wait for the device in the training's thread."""
+
+    def follow(self, task: "Task") -> AbstractContextManager[None]:
+        """Return the context in which the training uses the task."""
+        ...
+
+    def report(self) -> None:
+        """Take notice of a report; the first one comes after the CUDA graphs are recorded."""
+        ...
+
+
 class Progress:
     """Bar, curve and limits of one session; a context manager."""
 
     def __init__(
         self, cfg: TrainingCfg, curve_file: Path, *, started: float, show: bool, resumed_steps: int = 0,
-        ranks: Ranks = ALONE,
+        ranks: Ranks = ALONE, observer: TrainingObserver | None = None,
     ) -> None:  # fmt: skip
         """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start, all processes.
         Lines of the curve beyond ``resumed_steps`` environment steps, which no checkpoint holds, are dropped."""
-        self._cfg, self._started, self._ranks = cfg, started, ranks
+        self._cfg, self._started, self._ranks, self._observer = cfg, started, ranks, observer
         self._first_steps: int | None = None
         self._first_time = self._last_line = 0.0
         self.env_steps, self.steps_per_s, self.share = 0, 0.0, 0.0
@@ -75,6 +92,8 @@ class Progress:
     def update(self, report: Report) -> bool:
         """Show and record a report; return whether the training must end now."""
         now = self.session_time_s()
+        if self._observer is not None:
+            self._observer.report()
         if self._first_steps is None:
             self._first_steps, self._first_time = report.env_steps, now
         self.env_steps, self.last = report.env_steps, report

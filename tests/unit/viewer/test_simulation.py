@@ -41,7 +41,9 @@ def test_vehicle_follows_its_goal_and_no_other_does(flight: FlightInView) -> Non
         flight.step()
     assert np.linalg.norm(position(flight) - goal) < 0.05
     assert np.linalg.norm(position(flight, 1) - other) < 0.05
-    np.testing.assert_allclose(flight.snapshot().goal, goal, atol=1e-6)
+    shown = flight.snapshot().goal
+    assert shown is not None
+    np.testing.assert_allclose(shown, goal, atol=1e-6)
 
 
 def test_push_changes_the_velocity_of_the_chosen_vehicle(flight: FlightInView) -> None:

@@ -1,7 +1,7 @@
 """Vehicles on the page: meshes, rotors that turn, links that bend, arrows of forces."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from aerial_gym.robots.catalog import robot_by_name
 pytest.importorskip("viser", reason="viser is not installed")
 
 from aerial_gym.viewer.server import open_server
-from aerial_gym.viewer.vehicle import SLOWER, VehicleView
+from aerial_gym.viewer.vehicle import ARROW_M, SLOWER, VehicleView
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -24,7 +24,7 @@ def server() -> "Iterator[ViserServer]":
     server.stop()
 
 
-def handle(server: "ViserServer", name: str):
+def handle(server: "ViserServer", name: str) -> Any:
     node = server.scene.get_handle_by_name(name)
     assert node is not None
     return node
@@ -82,7 +82,7 @@ def test_arrow_of_a_force_begins_at_the_vehicle(server: "ViserServer") -> None:
         view.update(place, np.array([UPRIGHT, UPRIGHT]), forces={"drag": force})
         arrows = handle(server, "/pushed/force_drag").points
         np.testing.assert_allclose(arrows[:, 0], place)
-        np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], 4.0 * view.size * force / weight, atol=1e-6)
+        np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], ARROW_M * view.size * force / weight, atol=1e-6)
 
 
 def test_removed_vehicles_leave_nothing(server: "ViserServer") -> None:
