@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 TRAIL_S = 8.0  # Length of the trail [s]
 GOAL_COLOR, TRAIL_COLOR, BOUNDS_COLOR = (30, 160, 60), (40, 90, 200), (120, 120, 120)
-OTHERS_OPACITY = 0.3  # Of the vehicles of other environments
+OTHERS_OPACITY = 0.15  # Of the vehicles of other environments
 TO_CAMERA = torch.tensor(
     [-0.5, 0.5, -0.5, 0.5]
 )  # From viser's camera axes (z ahead, y down) to those of a sensor, xyzw
