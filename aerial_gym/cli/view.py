@@ -21,9 +21,9 @@ PILOTS = ("zero", "random")  # Words in place of a run folder
 class ViewCmd:
     """Show a flight in the browser: a policy in its task, or a controller that holds a goal which you drag."""
 
-    task: str | None = (
-        None  # Registered task, task file (.yaml), or module:Name; else the policy's, or a controller alone
-    )
+    task: str | None = None
+    """Registered task, task file (.yaml), or module:Name; that of the policy, or a controller alone, if not given."""
+
     policy: str | None = None  # Run folder or checkpoint of a training, or zero or random; zero with --task alone
     env: str | None = None  # Registered environment, or an environment file; empty_env without a task
     robot: str | None = None  # Registered robot, or a robot file; base_quadrotor without a task
