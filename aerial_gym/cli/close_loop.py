@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from aerial_gym.cli.terminal import print_table, progress_bar
+from aerial_gym.cli.terminal import open_in_browser, print_table, progress_bar
 from aerial_gym.config.console import json_line
 from aerial_gym.lazy import pause_garbage_collection
 
@@ -61,6 +61,7 @@ class CloseLoopCmd:
     """Let robot.yaml draw what was found from its intervals at every reset (``randomize:``), so that a policy trains on what is
     uncertain."""
 
+    open: bool = False  # Open report.html in the browser
     json: bool = False  # Print verdict.json on stdout instead of tables
 
     def run(self) -> int:
@@ -85,6 +86,8 @@ class CloseLoopCmd:
             print(json_line(verdict_json(verdict)))
         else:
             _print_verdict(verdict, self.out)
+        if self.open:
+            open_in_browser(self.out / "report.html")
         return 0
 
 

@@ -5,13 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aerial_gym.cli.terminal import progress_bar
+from aerial_gym.cli.terminal import open_in_browser, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
 
     from aerial_gym.config.sensor import RangeSensorCfg
     from aerial_gym.env_manager import EnvManager
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,13 +25,13 @@ class RenderGalleryCmd:
     sensors: tuple[str, ...] = ()  # Registered sensors; all of them if not given
     device: str = "cpu"  # Torch device; auto takes the GPU if there is one
     seed: int = 0  # Seed of the obstacles and of the start
+    open: bool = False  # Open the page in the browser
 
     def run(self) -> int:
         """Render everything and write the page; return the exit status."""
-        import jinja2
-
         from aerial_gym.assets import ENVIRONMENTS
         from aerial_gym.sensors import SENSORS
+        from aerial_gym.sim2real.report.page import write_page
 
         furnished = (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).num_assets)
         environments = self.environments or tuple(furnished)
@@ -43,12 +45,12 @@ class RenderGalleryCmd:
                     progress(f"{name}: {sensor}", (len(sections) * len(sensors) + len(entries)) / total)
                     entries.append({"name": sensor, "summary": cfg.summary, "pictures": _sensor_pictures(env, cfg)})
                 sections.append({"name": name, "summary": env.cfg.summary, "sensors": entries})
-        templates = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
-        page = jinja2.Environment(loader=templates, autoescape=True).get_template("gallery.html.j2")
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / "index.html"
-        path.write_text(page.render(sections=sections), encoding="utf-8", errors="surrogateescape")
+        write_page(path, "gallery.html", {"sections": sections}, TEMPLATES)
         print(path)
+        if self.open:
+            open_in_browser(path)
         return 0
 
     def _build_environment(self, name: str) -> "EnvManager":
@@ -82,24 +84,24 @@ def _sensor_pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str,
         return image[0, 0].cpu().numpy()
 
     def distance_url(distance: "np.ndarray") -> str:
-        return _share_url(np.where(distance < 0.0, np.nan, distance / (1.0 if cfg.normalize else cfg.max_range)))
+        return share_url(np.where(distance < 0.0, np.nan, distance / (1.0 if cfg.normalize else cfg.max_range)))
 
     def height_url(points: "np.ndarray") -> str:
         height = points[..., 2]
-        return _share_url((height - height.min()) / max(float(np.ptp(height)), 1e-6))
+        return share_url((height - height.min()) / max(float(np.ptp(height)), 1e-6))
 
     kinds: dict[str, tuple[torch.Tensor | None, Callable[[np.ndarray], str]]] = {
-        str(cfg.kind): (images.distance, distance_url), "segmentation": (images.segmentation, _id_url),
-        "faces": (images.face_ids, _id_url),
+        str(cfg.kind): (images.distance, distance_url), "segmentation": (images.segmentation, id_url),
+        "faces": (images.face_ids, id_url),
         f"normals, {cfg.normals}": (images.normals, lambda normals: _png_url(0.5 + 0.5 * normals)),
-        "disparity": (images.disparity, lambda shift: _share_url(1.0 - shift / max(float(shift.max()), 1e-6))),
+        "disparity": (images.disparity, lambda shift: share_url(1.0 - shift / max(float(shift.max()), 1e-6))),
         "optical flow at 1 m/s ahead": (images.optical_flow, _flow_url), "colour": (images.color, _png_url),
         f"height of the points, {cfg.points}": (images.points, height_url),
     }  # fmt: skip
     return [{"title": title, "url": url(first(image))} for title, (image, url) in kinds.items() if image is not None]
 
 
-def _share_url(share: "np.ndarray") -> str:
+def share_url(share: "np.ndarray") -> str:
     """Return shares of 1 in colour, NaN in grey."""
     import numpy as np
     from matplotlib import colormaps
@@ -121,7 +123,7 @@ def _flow_url(flow: "np.ndarray") -> str:
     return _png_url(hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1)))
 
 
-def _id_url(ids: "np.ndarray") -> str:
+def id_url(ids: "np.ndarray") -> str:
     """Return ids in colours of their own, negative ones in grey."""
     import numpy as np
 

@@ -6,15 +6,18 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from aerial_gym.cli.terminal import print_table, progress_bar
+from aerial_gym.cli.terminal import open_in_browser, print_table, progress_bar
 from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
     from aerial_gym.robots.check import RobotReport, StableStep
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,18 +28,21 @@ class CheckRobotCmd:
     controllers: tuple[str, ...] | None = None  # Registered controllers to fly it with; default: all that have gains
     fly: bool = True  # Find the largest stable time step of each controller by flying; --no-fly answers at once
     picture: Path | None = None  # Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot
+    page: Path | None = None  # Write the report with pictures of the rotors into this file (.html)
+    open: bool = False  # Open the page in the browser; a temporary file without --page
     json: bool = False  # Print one JSON object for each robot instead of tables
 
     def run(self) -> int:
         """Check and print; return 0, or 1 if a robot cannot fly as described."""
         from aerial_gym.errors import ConfigError
         from aerial_gym.robots.catalog import robot_by_name
-        from aerial_gym.robots.check import check_robot, draw_rotors
+        from aerial_gym.robots.check import check_robot, draw_rotors, rotor_views
 
         if self.picture is not None and len(self.robots) != 1:
             raise ConfigError(f"--picture takes one robot, and there are {len(self.robots)}. Draw each by itself")
         controllers = self.controllers if self.fly else ()
-        failed = False
+        page = self.page or (Path(mkdtemp()) / "check.html" if self.open else None)
+        sections, failed = [], False
         for name in self.robots:
             robot = robot_by_name(name)
             with progress_bar() as progress:
@@ -49,12 +55,23 @@ class CheckRobotCmd:
                 _print_report(report)
             if self.picture is not None:
                 draw_rotors(robot, self.picture, name=name)
+            if page is not None:
+                sections.append({"report": report, "rows": _report_rows(report), "views": rotor_views(robot)})
+        if page is not None:
+            self._write_page(page, sections)
         return int(failed)
 
+    def _write_page(self, page: Path, sections: list[dict[str, object]]) -> None:
+        from aerial_gym.sim2real.report.page import write_page
 
-def _print_report(report: "RobotReport") -> None:
-    from rich.console import Console
+        write_page(page, "check.html", {"sections": sections, "step_text": _stable_step_text}, TEMPLATES)
+        print(page, file=sys.stderr)
+        if self.open:
+            open_in_browser(page)
 
+
+def _report_rows(report: "RobotReport") -> list[tuple[str, str]]:
+    """Return the quantities of a report and their values as text."""
     hover = ", ".join(f"{thrust:.3g}" for thrust in report.hover_thrust_n)
     rows = [
         ("mass", f"{report.mass_kg:.4g} kg"),
@@ -69,7 +86,13 @@ def _print_report(report: "RobotReport") -> None:
         ("angular acceleration", report.angular_acceleration_rad_s2, "rad/s²", ["", "", ""]),
     ):
         rows.append((quantity, ", ".join(f"{v:.3g}{end}" for v, end in zip(values, ends, strict=True)) + f" {unit}"))
-    print_table(rows, title=f"{report.name}: {report.summary}")
+    return rows
+
+
+def _print_report(report: "RobotReport") -> None:
+    from rich.console import Console
+
+    print_table(_report_rows(report), title=f"{report.name}: {report.summary}")
     if report.stable_steps:
         steps = [(step.controller, _stable_step_text(step)) for step in report.stable_steps]
         print_table(steps, ("controller", "dt"), title="largest stable time step, flown")

@@ -1,7 +1,10 @@
-"""Output of commands on a terminal: tables on stdout, and a progress bar on stderr with an estimate of the time left."""
+"""Output of commands: tables on stdout, a progress bar on stderr with an estimate of the time left, and pages."""
 
+import sys
+import webbrowser
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -26,3 +29,9 @@ def print_table(rows: Iterable[Sequence[str]], head: Sequence[str] = (), *, titl
     for row in rows:
         table.add_row(*row)
     Console(markup=False).print(table)
+
+
+def open_in_browser(page: Path) -> None:
+    """Open a page in the user's browser; without one, say so on stderr."""
+    if not webbrowser.open(page.resolve().as_uri()):
+        print(f"--open: this machine has no browser. Open {page} in another one", file=sys.stderr)

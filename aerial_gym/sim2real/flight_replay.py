@@ -210,21 +210,19 @@ def round_trip_rows(trip: RoundTrip | None) -> list[dict[str, str]]:
 def _write_report(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report import plots
     from aerial_gym.sim2real.report.figures import figures_of_errors
+    from aerial_gym.sim2real.report.page import write_page
     from aerial_gym.sim2real.report.profiles import mean_residual_profiles, write_profiles
-    from aerial_gym.sim2real.report.report import write_page, write_residuals
+    from aerial_gym.sim2real.report.report import write_residuals
     from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
 
     write_json(folder / "replay.json", result.as_mapping())
     write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.params})
     channels, results = result.predictor.channels, mean_residual_profiles(result.predictor, {"declared": result.params})
     write_profiles(folder / "profiles.csv", results, channels)
-    figures = figures_of_errors(result.evaluation, None, "Residuals")
+    figures = figures_of_errors(result.evaluation, None)
     for kind in dict.fromkeys(channel.kind for channel in channels):
-        words = kind.replace("_", " ")
-        image = plots.trace_figure(result.predictor, {"declared": result.params}, kind)
-        figures.append({"title": f"The {words} over time", "image": image})
-        image = plots.profile_figure(results, channels, kind)
-        figures.append({"title": f"Mean residual of the {words} with its standard error", "image": image})
+        figures.append(plots.trace_figure(result.predictor, {"declared": result.params}, kind))
+        figures.append(plots.profile_figure(results, channels, kind))
     context = {
         "robot": result.robot,
         "flights": [flight.name for flight in result.flights],

@@ -45,6 +45,19 @@ def test_a_file_with_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
+def test_the_page_shows_every_robot_and_opens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """--open opens a temporary page without --page; on a machine without a browser that is no failure."""
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["robot", "check", "lmf1", "x500", "--no-fly", "--open"]) == 0
+    (path,) = tmp_path.rglob("check.html")
+    assert opened == [path.as_uri()]
+    text = path.read_text(encoding="utf-8")
+    assert text.count('<figure class="drawing" role="img"') == 4
+    assert "<h2>x500</h2>" in text
+
+
 def test_one_that_cannot_hover_ends_with_status_1(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     robot, path = ROBOTS.get("lmf1"), tmp_path / "heavy.yaml"
     path.write_text(dump_yaml(replace(robot, body=replace(robot.body, mass=9.0))), encoding="utf-8")

@@ -38,7 +38,7 @@ def test_convert_and_plot_write_files(log: Path, tmp_path: Path, capsys: pytest.
     assert Path(capsys.readouterr().out.strip()).exists()
     page = tmp_path / "flight.html"
     assert main(["log", "plot", str(log), "--out", str(page)]) == 0
-    assert page.read_text(encoding="utf-8").count("<svg") == 1
+    assert page.read_text(encoding="utf-8").count("<figure>") == 1
 
 
 @pytest.mark.parametrize("form", ["ulg", "csv"])
@@ -51,7 +51,7 @@ def test_plot_draws_a_log_without_rotors_and_names_them(form: str, tmp_path: Pat
         table.drop(columns=[f"rotor_{n}" for n in range(1, 5)]).to_csv(tmp_path / "a.csv", index=False)
     assert main(["log", "plot", str(tmp_path / f"a.{form}"), "--out", str(tmp_path / "page.html")]) == 0
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 1
+    assert page.count("<figure>") == 1
     quantities = ["rotor_speed", "rotor_command", *(["battery"] if form == "csv" else [])]
     assert text(Finding("quantities_absent", "", {"quantities": quantities})) in page
     assert main(["log", "inspect", str(tmp_path / f"a.{form}"), "--json"]) != 0  # comparisons still need rotors

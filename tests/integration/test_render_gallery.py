@@ -19,12 +19,18 @@ from aerial_gym.cli import film
 from aerial_gym.cli.main import main
 
 
-def test_the_page_holds_every_image_of_the_sensors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_holds_every_image_of_the_sensors(tmp_path: Path, capsys, monkeypatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: not opened.append(address))
     sensors = ["st_vl53l5cx", "base_normal_face_id_camera", "base_optical_flow_camera"]
     out = str(tmp_path / "gallery")
-    status = main(["render-gallery", "--out", out, "--environments", "env_with_obstacles", "--sensors", *sensors])
+    status = main(
+        ["render-gallery", "--out", out, "--environments", "env_with_obstacles", "--open", "--sensors", *sensors]
+    )
     assert status == 0
-    page = Path(capsys.readouterr().out.strip()).read_text(encoding="utf-8")
+    path = Path(capsys.readouterr().out.strip())
+    assert opened == [path.as_uri()]
+    page = path.read_text(encoding="utf-8")
     assert "env_with_obstacles" in page
     assert all(sensor in page for sensor in sensors)
     assert page.count('src="data:image/png') == 6  # the range matrix; depth, faces and normals; depth and flow

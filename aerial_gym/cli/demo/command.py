@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from aerial_gym.cli.terminal import open_in_browser
 from aerial_gym.errors import ConfigError
 
 IDSIA_FLIGHTS = Path("../shared/data/idsia_nanodrone")
@@ -28,13 +29,13 @@ class DemoCmd:
     train_time_s: float = 75.0  # Length of the training [s]
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
     seed: int = 1  # Seed of everything
+    open: bool = False  # Open the page in the browser
 
     def run(self) -> int:
         """Run the three parts and write the page; return the exit status."""
-        import jinja2
-
         from aerial_gym.cli.demo.parts import close_the_loop, find_or_simulate_flights, record_cameras, train_hover
         from aerial_gym.interop import one_thread
+        from aerial_gym.sim2real.report.page import write_page
 
         console, started = Console(stderr=True), time.perf_counter()
 
@@ -52,17 +53,14 @@ class DemoCmd:
             learned = train_hover(self.out, self.seed, self.train_time_s, self.backend)
             announce(f"[bold]3/3 measure[/]: {len(flights.train)} training and {len(flights.test)} test flights")
             measured = close_the_loop(flights, self.out / "loop")
-        environment = jinja2.Environment(
-            loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
-        )
-        page = environment.get_template("demo.html.j2").render(
-            seen=seen, learned=learned, measured=measured,
-            machine=f"{platform.platform()}, Python {platform.python_version()}, torch {metadata.version('torch')}",
-            time_s=time.perf_counter() - started,
-        )  # fmt: skip
-        (self.out / "index.html").write_text(page, encoding="utf-8", errors="surrogateescape")
+        path = self.out / "index.html"
+        machine = f"{platform.platform()}, Python {platform.python_version()}, torch {metadata.version('torch')}"
+        context = {"seen": seen, "learned": learned, "measured": measured, "machine": machine}
+        write_page(path, "demo.html", context | {"time_s": time.perf_counter() - started}, TEMPLATES)
         announce("done")
-        print(self.out / "index.html")
+        print(path)
+        if self.open:
+            open_in_browser(path)
         return 0
 
 

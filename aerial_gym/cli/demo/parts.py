@@ -1,8 +1,6 @@
 """Parts of the demo: cameras, training and closed loop. Each returns the content of its section of the page."""
 
-import base64
 import csv
-import io
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, replace
@@ -11,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from aerial_gym.cli.render_gallery import id_url, share_url
 from aerial_gym.cli.terminal import progress_bar
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import DataError
@@ -24,7 +21,9 @@ from aerial_gym.rl_training.settings import load_settings, settings_for
 from aerial_gym.rl_training.training import train
 from aerial_gym.sensors import SENSORS
 from aerial_gym.sim2real.loop import close_loop
-from aerial_gym.sim2real.report.plots import residual_bars, rollout_bars
+from aerial_gym.sim2real.report.canvas import panels
+from aerial_gym.sim2real.report.figures import figures_of_errors
+from aerial_gym.sim2real.report.plots import CORRECTED, FLIGHTS, MEASURED
 from aerial_gym.sim2real.report.tables import channel_rows
 from aerial_gym.sim2real.report.verdict_json import verdict_json
 from aerial_gym.task import task_registry
@@ -32,14 +31,15 @@ from aerial_gym.task import task_registry
 NUM_PICTURES = 4
 NUM_EVALUATION_STARTS = 512
 NUM_DRAWN_FLIGHTS = 24
+SUCCESS_M = 0.1  # Distance of the level in the figure of flights
 
 TRAIN_PATTERNS = ("square_*.csv", "random*.csv", "multisine_*.csv")
 TEST_PATTERN = "melon_*.csv"
 TRAIN_EVERY = 4  # Every so many of them is trained on: all take minutes
 
 
-def record_cameras(seed: int, backend: str | None = None) -> dict[str, str]:
-    """Simulate a few steps in the obstacle environment and return a picture of the camera images."""
+def record_cameras(seed: int, backend: str | None = None) -> dict[str, Any]:
+    """Simulate a few steps in the obstacle environment and return the camera images as ``data:`` addresses."""
     env = SimBuilder().build_env(
         sim_name="base_sim", env_name="env_with_obstacles", robot_name="base_quadrotor_with_camera",
         controller_name="lee_velocity_control", num_envs=NUM_PICTURES, device="cpu", seed=seed, backend=backend,
@@ -49,8 +49,12 @@ def record_cameras(seed: int, backend: str | None = None) -> dict[str, str]:
         env.step(torch.tensor([0.5, 0.0, 0.0, 0.0]).expand(NUM_PICTURES, 4))
     env.render()
     depth, ids = env.gtd["depth_range_pixels"][:, 0].numpy(), env.gtd["segmentation_pixels"][:, 0].numpy()
-    figure = camera_figure(depth, ids, SENSORS.get("base_depth_camera").max_range)
-    return {"picture": figure_as_data_url(figure), "tensors": str(env.gtd)}
+    far = SENSORS.get("base_depth_camera").max_range
+    pictures = [
+        {"depth": share_url(np.where(image < 0.0, np.nan, image / far)), "segmentation": id_url(labels)}
+        for image, labels in zip(depth, ids, strict=True)
+    ]
+    return {"pictures": pictures, "tensors": str(env.gtd)}
 
 
 def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None) -> dict[str, Any]:
@@ -66,8 +70,8 @@ def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None)
     return {
         "result": asdict(result),
         "evaluation": asdict(evaluation),
-        "curve": figure_as_data_url(learning_figure(out / "training" / "curve.csv")),
-        "flights": figure_as_data_url(figure),
+        "curve": learning_figure(out / "training" / "curve.csv"),
+        "flights": figure,
     }
 
 
@@ -145,70 +149,31 @@ def close_the_loop(flights: DemoFlights, out: Path) -> dict[str, Any]:
         "story": flights.story,
         "verdict": verdict_json(verdict),
         "rows": channel_rows(before, after, verdict.outcomes),
-        "figures": [residual_bars(before, after), *(rollout_bars(before, after, name) for name in before.rollout)],
+        "figures": figures_of_errors(before, after),
     }
 
 
-Array = NDArray[np.float64]
-
-
-def figure_as_data_url(figure: Figure) -> str:
-    """Return a figure as ``data:image/png;base64,...``."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def camera_figure(depth: NDArray[np.float32], segmentation: NDArray[np.int32], max_range: float) -> Figure:
-    """Return depth above segmentation for some environments, each (n, H, W)."""
-    count = len(depth)
-    figure = Figure(figsize=(3.2 * count, 4.2), layout="constrained")
-    axes = figure.subplots(2, count, squeeze=False)
-    ids = np.unique(segmentation)
-    colors = ListedColormap(np.random.default_rng(3).uniform(0.15, 0.95, (len(ids), 3)))
-    shown = np.where(depth < 0.0, np.nan, depth)
-    image = None
-    for i in range(count):
-        image = axes[0, i].imshow(shown[i], cmap="viridis_r", vmin=0.0, vmax=max_range)
-        axes[1, i].imshow(np.searchsorted(ids, segmentation[i]), cmap=colors, interpolation="nearest")
-        axes[0, i].set_title(f"environment {i}", fontsize=9)
-        for row in (0, 1):
-            axes[row, i].set_xticks([])
-            axes[row, i].set_yticks([])
-    axes[0, 0].set_ylabel("depth")
-    axes[1, 0].set_ylabel("segmentation")
-    if image is not None:
-        figure.colorbar(image, ax=axes[0, :].tolist(), label="depth [m]", shrink=0.9)
-    return figure
-
-
-def learning_figure(curve_file: Path) -> Figure:
-    """Return the mean return of an episode over training time."""
+def learning_figure(curve_file: Path) -> str:
+    """Return the mean return of an episode over training time as a figure."""
     with curve_file.open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["episode_return"]]
-    figure = Figure(figsize=(6.0, 3.2), layout="constrained")
-    axis = figure.subplots()
-    axis.plot([float(row["time_s"]) for row in rows], [float(row["episode_return"]) for row in rows])
-    axis.set_xlabel("training time [s]")
-    axis.set_ylabel("mean return of an episode")
-    axis.grid(alpha=0.3)
-    return figure
+    figure, ((panel,),) = panels(1, 1, width=8.0, height=2.4, title="Mean return of an episode", zooms=True)
+    time, returns = (np.array([float(row[name]) for row in rows]) for name in ("time_s", "episode_return"))
+    panel.line(time, returns, CORRECTED)
+    panel.x_label = "training time [s]"
+    return figure.html()
 
 
-def flights_figure(paths: Array, dt: float) -> Figure:
+def flights_figure(paths: NDArray[np.float64], dt: float) -> str:
     """Return distance to the target over time, and the paths from above; ``paths`` (T, n, 3) are errors [m]."""
-    figure = Figure(figsize=(10.0, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    time = dt * np.arange(len(paths))
-    left.semilogy(time, np.linalg.norm(paths, axis=-1), lw=0.8, alpha=0.8)
-    left.axhline(0.1, color="k", ls="--", lw=0.8)
-    left.set_xlabel("time [s]")
-    left.set_ylabel("distance to the target [m]")
-    left.grid(alpha=0.3)
-    right.plot(paths[..., 0], paths[..., 1], lw=0.8, alpha=0.8)
-    right.plot(0.0, 0.0, "k*", ms=10)
-    right.set_aspect("equal", adjustable="datalim")
-    right.set_xlabel("x [m]")
-    right.set_ylabel("y [m]")
-    right.grid(alpha=0.3)
-    return figure
+    figure, ((left, right),) = panels(1, 2, width=(5.0, 3.2), height=3.2, title=f"{paths.shape[1]} flights")
+    left.log, left.zooms, right.square = True, True, True
+    for number, path in enumerate(np.moveaxis(paths, 1, 0)):
+        colour = FLIGHTS[number % len(FLIGHTS)]
+        left.line(dt * np.arange(len(path)), np.linalg.norm(path, axis=-1), colour)
+        right.line(path[:, 0], path[:, 1], colour)
+    left.levels.append(SUCCESS_M)
+    right.dots(np.zeros(1), np.zeros(1), MEASURED, width=5.0)
+    left.title, left.x_label, left.y_label = "distance to the target", "t [s]", "[m]"
+    right.title, right.x_label, right.y_label = "from above", "x [m]", "y [m]"
+    return figure.html()

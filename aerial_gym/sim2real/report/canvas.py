@@ -1,6 +1,8 @@
-"""Inline SVG figures: grids of panels with lines, dots, bars and error bars.
+"""Figures of a page: plots with lines, dots, bars and error bars as inline SVG, and their labels as HTML.
 
-All marks are paths of straight segments, with coordinates in tenths of a pixel. Letters: N points of a mark.
+A plot stretches with the page and labels keep their size, so that both are legible on a telephone. All marks are paths
+of straight segments, with coordinates in tenths of a pixel. ``templates/zoom.js`` zooms time axes. Letters: N points of
+a mark.
 """
 
 from collections.abc import Sequence
@@ -12,12 +14,13 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array
 
 INCH = 900  # Drawing units per inch: tenths of a pixel
-POINT = INCH / 72  # Drawing units per point, the unit of text and line widths
-LEFT, RIGHT, TOP, BOTTOM = 0.62, 0.12, 0.3, 0.4  # Figure margins [in]
+PIXEL = 10.0  # Drawing units per pixel at the nominal width
+POINT = 1.25  # Width of a line of one point [pixel]
+LARGEST_STRETCH = 1.6  # Largest width of a figure relative to its nominal width
 MARGIN = 0.05  # Extension of an axis beyond its data on either side, as a share
 
 MOST_TICKS = 6
-LETTER = 0.6  # Mean letter width relative to the font size
+DETAIL = 2  # Pixel columns of a line on a time axis, which zooms, per pixel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +30,7 @@ class Mark:
     x: Array
     y: Array
     together: int  # Points per stroke: all for a line, four for a bar, two for an error bar, one for a dot
-    colour: str
+    colour: str  # CSS colour; a variable of `templates/page.css` is legible on dark and light pages
     width: float = 0.8  # [pt]
     alpha: float = 1.0
     dashed: bool = False
@@ -37,14 +40,16 @@ class Mark:
 
 @dataclass(kw_only=True)
 class Panel:
-    """A frame with axes and marks."""
+    """A plot with axes and marks."""
 
-    place: tuple[float, float, float, float]  # Left, top, width and height
+    size: tuple[float, float]  # Nominal width and height
     x_label: str = ""
     y_label: str = ""
     title: str = ""
     log: bool = False  # Whether the vertical axis is logarithmic
+    square: bool = False  # Whether the plot is square and both axes have the same limits
     numbered: bool = True  # Whether the horizontal axis has numbers
+    zooms: bool = False  # Whether the horizontal axis zooms
     names: Sequence[str] = ()  # Category names at 0, 1, 2 ... instead of numbers.
     boxed: bool = False  # Whether the panel has a legend
     levels: list[float] = field(default_factory=list)  # Heights of thin horizontal lines
@@ -78,67 +83,71 @@ class Panel:
             return np.array([-0.5, len(self.names) - 0.5])
         return np.concatenate([mark.x for mark in self.marks]) if self.marks else np.zeros(0)
 
-    def svg(self, x_values: Array) -> str:
-        """Return the panel as SVG, with a horizontal axis that covers ``x_values``."""
-        left, top, wide, high = self.place
+    def html(self, x_values: Array, subject: str = "") -> str:
+        """Return the panel as HTML, with a horizontal axis that covers ``x_values``; ``subject`` is the figure's title."""
         y_values = np.concatenate([np.array(self.levels), *(mark.y for mark in self.marks)])
-        x_low, x_high = _axis_limits(x_values)
+        if self.square:
+            x_values = y_values = np.concatenate((x_values, y_values))
+        x_axis = _Axis(*_axis_limits(x_values), self.size[0])
         y_low, y_high = _axis_limits(np.log10(y_values[y_values > 0.0]) if self.log else y_values)
         if any(mark.filled for mark in self.marks) and not self.log:
             y_low = max(y_low, min(0.0, float(y_values.min())))  # bars stand on the frame
+        y_axis = _Axis(y_low, y_high, self.size[1], log=self.log)
+        words = escape(" ".join(filter(None, (subject, self.title, self.y_label))))
+        return (
+            f'<div class="panel"><div class="head"><b>{escape(self.title)}</b> {escape(self.y_label)}</div>'
+            f"{_legend(self.marks) if self.boxed else ''}"
+            f'<div class="plot" role="img" aria-label="{words}" {self._plot_style(x_axis, y_axis)}>'
+            f'{self._plot(x_axis, y_axis)}</div><div class="foot">{escape(self.x_label)}</div></div>'
+        )
 
-        def to_horizontal_pixels(x: Array) -> Array:
-            return left + wide * (x - x_low) / (x_high - x_low)
+    def _plot_style(self, x_axis: "_Axis", y_axis: "_Axis") -> str:
+        """Return the height of a plot, and the limits of its axes if it zooms."""
+        height = "aspect-ratio:1" if self.square else f"height:{self.size[1] / 10:.0f}px"
+        limits = f' data-x="{x_axis.limits}"' + ("" if self.log else f' data-y="{y_axis.limits}"')
+        return f'style="{height}"{limits if self.zooms else ""}'
 
-        def to_vertical_pixels(y: Array) -> Array:
-            scaled = np.log10(np.maximum(y, 1e-300)) if self.log else y
-            return top + high * (1.0 - np.clip((scaled - y_low) / (y_high - y_low), 0.0, 1.0))
-
-        parts = [_mark_path(mark, to_horizontal_pixels(mark.x), to_vertical_pixels(mark.y)) for mark in self.marks]
-        ends = np.array([left, left + wide])
-        parts += [
-            _stroke_path(ends, to_vertical_pixels(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"')
-            for y in self.levels
+    def _plot(self, x_axis: "_Axis", y_axis: "_Axis") -> str:
+        """Return grid, marks and levels as SVG, and the numbers of the axes beside it."""
+        wide, high = self.size
+        x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_axis.low, x_axis.high)
+        y_ticks = _logarithmic_ticks(y_axis.low, y_axis.high) if self.log else ticks(y_axis.low, y_axis.high)
+        x_at, y_at = x_axis.place(x_ticks), high - y_axis.place(y_ticks)
+        column = PIXEL / DETAIL if self.zooms else PIXEL
+        marks = [_mark_path(mark, x_axis.place(mark.x), high - y_axis.place(mark.y), column) for mark in self.marks]
+        levels = "".join(f"M0 {y:.0f}h{wide:.0f}" for y in high - y_axis.place(np.array(self.levels)))
+        x_lines = () if self.names else x_at
+        grid = "".join([*(f"M{x:.0f} 0v{high:.0f}" for x in x_lines), *(f"M0 {y:.0f}h{wide:.0f}" for y in y_at)])
+        x_names = (self.names or [_tick_text(x) for x in x_ticks]) if self.numbered else ()
+        names = [_tick_label("x", f"left:{x / wide:.1%}", name) for x, name in zip(x_at, x_names, strict=False)]
+        names += [
+            _tick_label("y", f"top:{y / high:.1%}", _tick_text(tick)) for y, tick in zip(y_at, y_ticks, strict=True)
         ]
-        x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_low, x_high)
-        y_ticks = _logarithmic_ticks(y_low, y_high) if self.log else ticks(y_low, y_high)
-        bottom, out = top + high, 3 * POINT
-        x_at, y_at = to_horizontal_pixels(x_ticks), to_vertical_pixels(y_ticks)
-        x_ends = np.concatenate((np.repeat(x_at, 2), np.tile([left - out, left], y_at.size)))
-        y_ends = np.concatenate((np.tile([bottom, bottom + out], x_at.size), np.repeat(y_at, 2)))
-        parts.append(_stroke_path(x_ends, y_ends, 2, 'stroke="#000" stroke-width="8"'))
-        parts.append(
-            f'<rect x="{left:.0f}" y="{top:.0f}" width="{wide:.0f}" height="{high:.0f}" '
-            'fill="none" stroke="#000" stroke-width="8"/>'
+        return (
+            f'<svg viewBox="0 0 {wide:.0f} {high:.0f}" preserveAspectRatio="none"><path class="grid" d="{grid}"/>'
+            f'{"".join(marks)}<path class="level" d="{levels}"/></svg>{"".join(names)}'
         )
-        if self.numbered:
-            names = self.names or [_tick_text(x) for x in x_ticks]
-            parts += [
-                text_element(n, x, bottom + 11 * POINT, anchor="middle") for n, x in zip(names, x_at, strict=True)
-            ]
-        y_names = zip(map(_tick_text, y_ticks), y_at, strict=True)
-        parts += [text_element(name, left - 5 * POINT, y + 2.5 * POINT, anchor="end") for name, y in y_names]
-        parts.append(text_element(self.x_label, left + wide / 2, bottom + 21 * POINT, size=8, anchor="middle"))
-        parts.append(
-            text_element(self.y_label, left - 33 * POINT, top + high / 2, size=8, anchor="middle", turned=True)
-        )
-        parts.append(text_element(self.title, left, top - 4 * POINT, size=9))
-        return "".join([*parts, self._legend() if self.boxed else ""])
 
-    def _legend(self) -> str:
-        """Return the legend in the upper corner that the last line avoids."""
-        left, top, wide, _ = self.place
-        labelled, size = [mark for mark in self.marks if mark.label], 6.5
-        width = (max((len(mark.label) for mark in labelled), default=0) * LETTER * size + 16) * POINT
-        rising = labelled[-1].y[-1] >= labelled[-1].y[0] if labelled else True
-        start, step = left + 4 * POINT if rising else left + wide - width - 4 * POINT, (size + 2) * POINT
-        high = len(labelled) * step + 2 * POINT
-        parts = [f'<rect x="{start:.0f}" y="{top + 40:.0f}" width="{width:.0f}" height="{high:.0f}" fill="#fffc"/>']
-        for place, mark in enumerate(labelled, start=1):
-            y = top + 40 + place * step
-            parts.append(_legend_stroke(mark, start + 2 * POINT, y - 2 * POINT))
-            parts.append(text_element(mark.label, start + 14 * POINT, y, size=size))
-        return "".join(parts)
+
+@dataclass(frozen=True)
+class _Axis:
+    """Limits of an axis, in log10 if it is logarithmic, and its length in drawing units."""
+
+    low: float
+    high: float
+    size: float
+    log: bool = False
+
+    @property
+    def limits(self) -> str:
+        """Return the limits as text."""
+        return f"{self.low:.6g} {self.high:.6g}"
+
+    def place(self, values: Array) -> Array:
+        """Return the distances from the low end; those of a logarithmic axis end at its limits."""
+        if self.log:
+            values = np.clip(np.log10(np.maximum(values, 1e-300)), self.low, self.high)
+        return self.size * (values - self.low) / (self.high - self.low)
 
 
 @dataclass(kw_only=True)
@@ -146,60 +155,46 @@ class Figure:
     """Panels under a title."""
 
     title: str
-    size: tuple[float, float]  # Width and height
     columns: list[list[Panel]]
     shared: bool  # Whether the panels of a column share a horizontal axis
     legend: Sequence[Mark] = ()  # Marks in the legend above all panels
 
-    def svg(self) -> str:
-        """Return the figure as SVG; empty panels stay blank."""
-        wide, high = self.size
-        parts = [text_element(self.title, LEFT * INCH, 14 * POINT, size=9)]
-        at = wide - RIGHT * INCH
-        for mark in reversed(self.legend):
-            parts.append(text_element(mark.label, at, 10 * POINT, anchor="end"))
-            at -= (len(mark.label) * LETTER * 7 + 13) * POINT
-            parts.append(_legend_stroke(mark, at, 8 * POINT))
-            at -= 12 * POINT
+    def html(self) -> str:
+        """Return the figure as HTML; empty panels stay blank. On a narrow page the columns follow each other."""
+        parts = []
         for column in self.columns:
-            drawn = [panel for panel in column if panel.marks or panel.x_label]
-            together = [panel.x_values for panel in drawn]
-            for own, panel in zip(together, drawn, strict=True):
-                parts.append(panel.svg(np.concatenate(together) if self.shared else own))
+            together = np.concatenate([panel.x_values for panel in column])
+            for panel in column:
+                drawn = panel.html(together if self.shared else panel.x_values, self.title)
+                parts.append(drawn if panel.marks or panel.x_label else "<div></div>")
+        widths = [column[0].size[0] for column in self.columns]
+        columns, most = " ".join(f"{width:.0f}fr" for width in widths), LARGEST_STRETCH * sum(widths) / PIXEL
+        style = f"max-width:{most:.0f}px;grid-template:repeat({len(self.columns[0])},auto)/{columns}"
         return (
-            f'<svg role="img" aria-label="{escape(self.title)}" width="{wide / 10:.0f}" height="{high / 10:.0f}" '
-            f'viewBox="0 0 {wide:.0f} {high:.0f}" font-family="sans-serif" fill="none">{"".join(parts)}</svg>'
+            f'<figure><figcaption class="title"><b>{escape(self.title)}</b>{_legend(self.legend)}</figcaption>'
+            f'<div class="panels" style="{style}">{"".join(parts)}</div></figure>'
         )
 
 
 def panels(
-    rows: int,
-    columns: int,
-    *,
-    width: float | Sequence[float],
-    height: float,
-    title: str,
-    gap: tuple[float, float] = (0.55, 0.42),
-    sharex: bool = False,
-) -> tuple[Figure, list[list[Panel]]]:
+    rows: int, columns: int, *, width: float | Sequence[float], height: float, title: str, sharex: bool = False,
+    zooms: bool = False,
+) -> tuple[Figure, list[list[Panel]]]:  # fmt: skip
     """Return a figure of ``rows`` times ``columns`` panels, and the panels row by row.
 
     Args:
-        width: Width of every panel, or of those of each column [in].
+        width: Nominal width of every panel, or of those of each column [in]. Pages stretch them in this proportion.
         height: Height of each panel [in].
-        gap: Gaps between columns and rows [in].
         sharex: Whether the panels of a column share an axis, with numbers below the last one.
+        zooms: Whether the horizontal axes zoom.
     """
     widths = [float(width)] * columns if isinstance(width, float | int) else list(width)
-    lefts = LEFT + np.concatenate(([0.0], np.cumsum(np.array(widths) + gap[0])))
-    grid = []
-    for row in range(rows):
-        top, numbered = (TOP + row * (height + gap[1])) * INCH, not sharex or row == rows - 1
-        places = [(left * INCH, top, wide * INCH, height * INCH) for left, wide in zip(lefts, widths, strict=False)]
-        grid.append([Panel(place=place, numbered=numbered) for place in places])
-    size = (lefts[-1] - gap[0] + RIGHT) * INCH, (TOP + rows * (height + gap[1]) - gap[1] + BOTTOM) * INCH
+    grid = [
+        [Panel(size=(w * INCH, height * INCH), numbered=not sharex or row == rows - 1, zooms=zooms) for w in widths]
+        for row in range(rows)
+    ]
     by_column = [list(column) for column in zip(*grid, strict=True)]
-    return Figure(title=title, size=size, columns=by_column, shared=sharex), grid
+    return Figure(title=title, columns=by_column, shared=sharex), grid
 
 
 def ticks(low: float, high: float) -> Array:
@@ -227,27 +222,27 @@ def _axis_limits(values: Array) -> tuple[float, float]:
     return low - MARGIN * span, high + MARGIN * span
 
 
-def _extremes_of_pixel_columns(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the lowest and highest point in each pixel column, in drawing order; all points if they are few."""
-    if x.size <= 4 or x.size <= 2.0 * (x.max() - x.min()) / 10.0:
+def _extremes_of_columns(x: Array, y: Array, width: float) -> tuple[Array, Array]:
+    """Return the lowest and highest point in each column of a width, in drawing order; all points if they are few."""
+    if x.size <= 4 or x.size <= 2.0 * (x.max() - x.min()) / width:
         return x, y
-    column = x // 10.0
+    column = x // width
     order = np.lexsort((y, column))
     new = np.flatnonzero(np.diff(column[order], prepend=-1.0))
     keep = np.unique(np.concatenate((order[new], order[np.append(new[1:], x.size) - 1])))
     return x[keep], y[keep]
 
 
-def _mark_path(mark: Mark, x: Array, y: Array) -> str:
-    """Return a mark as SVG; non-finite points become gaps."""
+def _mark_path(mark: Mark, x: Array, y: Array, column: float) -> str:
+    """Return a mark as SVG; non-finite points become gaps, and long lines keep the extremes of each column."""
     known, style = np.isfinite(x) & np.isfinite(y), _stroke_style(mark)
     if mark.together == 1:
-        x, y = np.unique(np.stack((x[known], y[known]), axis=1) // 10.0 * 10.0, axis=0).T  # one dot per pixel
+        x, y = np.unique(np.stack((x[known], y[known]), axis=1) // PIXEL * PIXEL, axis=0).T  # one dot per pixel
     elif mark.together == x.size:
         gaps = np.flatnonzero(np.diff(known)) + 1
         pieces = zip(np.split(x, gaps), np.split(y, gaps), np.split(known, gaps), strict=True)
-        lines = (_extremes_of_pixel_columns(*line) for *line, drawn in pieces if drawn[0])
-        return "".join(_stroke_path(*line, line[0].size, style) for line in lines)
+        lines = [_extremes_of_columns(x_part, y_part, column) for x_part, y_part, drawn in pieces if drawn[0]]
+        return "".join(_stroke_path(x_part, y_part, x_part.size, style) for x_part, y_part in lines)
     else:
         whole = np.repeat(known.reshape(-1, mark.together).all(axis=1), mark.together)
         x, y = x[whole], y[whole]
@@ -256,38 +251,37 @@ def _mark_path(mark: Mark, x: Array, y: Array) -> str:
 
 def _stroke_style(mark: Mark) -> str:
     if mark.filled:
-        return f'fill="{mark.colour}"'
-    more = f' stroke-opacity="{mark.alpha:g}"' if mark.alpha < 1.0 else ""
-    more += ' stroke-dasharray="50 25"' if mark.dashed else ""
-    more += ' stroke-linecap="round"' if mark.together == 1 else ' stroke-linejoin="round"'
-    return f'stroke="{mark.colour}" stroke-width="{mark.width * POINT:.0f}"{more}'
+        return f'style="fill:{mark.colour};stroke:none"'
+    more = f";opacity:{mark.alpha:g}" if mark.alpha < 1.0 else ""
+    more += ";stroke-dasharray:5 3" if mark.dashed else ""
+    more += ";stroke-linecap:round" if mark.together == 1 else ""
+    return f'style="stroke:{mark.colour};stroke-width:{mark.width * POINT:.2g}{more}"'
 
 
 def _stroke_path(x: Array, y: Array, together: int, style: str) -> str:
-    """Return a path with strokes of ``together`` points each; a single point is a dot."""
-    points = np.rint(np.stack((x, y), axis=1)).astype(np.int64).reshape(-1, 2 * together).tolist()
-    end = "h0" if together == 1 else ""
-    strokes = [f"M{' '.join(map(str, one))}{end}" for one in points]
-    return f'<path {style} d="{"".join(strokes)}"/>'
+    """Return a path with strokes of ``together`` points each, the first absolute, the others relative; one is a dot."""
+    points = np.rint(np.stack((x, y), axis=1)).astype(np.int64).reshape(-1, together, 2)
+    points[:, 1:] = np.diff(points, axis=1)
+    strokes = (
+        f"M{x} {y}" + (f"l{' '.join(map(str, steps))}" if steps else "h0")
+        for x, y, *steps in points.reshape(-1, 2 * together).tolist()
+    )
+    return f'<path {style} d="{"".join(strokes).replace(" -", "-")}"/>'
 
 
-def _legend_stroke(mark: Mark, x: float, y: float) -> str:
-    """Return a short legend stroke in the style of a mark."""
-    wide = 5.0 if mark.filled or mark.together == 1 else max(mark.width, 1.0)
-    style = f'stroke="{mark.colour}" stroke-width="{wide * POINT:.0f}"'
-    return _stroke_path(np.array([x, x + 10 * POINT]), np.array([y, y]), 2, style)
+def _legend(marks: Sequence[Mark]) -> str:
+    """Return the labels of marks as HTML, each behind its colour."""
+    keys = (
+        f'<span class="key{" dashed" if mark.dashed else ""}" style="--key:{mark.colour}">{escape(mark.label)}</span>'
+        for mark in marks
+        if mark.label
+    )
+    return f'<div class="legend">{"".join(keys)}</div>'
 
 
 def _tick_text(value: float) -> str:
-    return f"{value + 0.0:.4g}"
+    return f"{value + 0.0:.6g}"
 
 
-def text_element(
-    words: str, x: float, y: float, *, size: float = 7, anchor: str = "start", turned: bool = False
-) -> str:
-    """Return words at a point, with font size [pt]."""
-    if not words:
-        return ""
-    turn = f' transform="rotate(-90 {x:.0f} {y:.0f})"' if turned else ""
-    place = f'x="{x:.0f}" y="{y:.0f}" font-size="{size * POINT:.0f}" text-anchor="{anchor}"'
-    return f'<text {place}{turn} fill="#000">{escape(words)}</text>'
+def _tick_label(axis: str, place: str, words: str) -> str:
+    return f'<i class="{axis}" style="{place}">{escape(words)}</i>'

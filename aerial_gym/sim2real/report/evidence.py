@@ -24,8 +24,8 @@ MOST_CHANNELS = 4  # Number of plotted channels per parameter, the most informat
 LEAST_TOLD = 0.02  # Least share of a parameter's information in a channel of the table
 MOST_POINTS = 1200  # Most points per channel
 
-COLOURS = ("#b0413e", "#d99036", "#4f8f5b", "#7a5ca8")
-LINE = "#1f4e79"
+COLOURS = ("var(--c3)", "var(--c0)", "var(--c2)", "var(--c4)")
+LINE = "var(--ink)"
 
 
 @dataclass(frozen=True)
@@ -104,13 +104,13 @@ def _slope_through_zero(x: Array, y: Array, group: Indices) -> tuple[float, floa
     return slope, float(np.sqrt(scores @ scores) / square)
 
 
-def evidence_figure(effect: str, clues: list[ParameterEvidence]) -> str:
-    """Return a figure with one panel per parameter."""
+def evidence_figure(clues: list[ParameterEvidence], title: str) -> str:
+    """Return a figure with one panel per parameter, as HTML."""
     shown = [clue for clue in clues if clue.channels_to_plot]
-    figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
+    figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=title)
     for panel, clue in zip(axes[0], shown, strict=False):
         _draw_evidence_of_parameter(panel, clue)
-    return figure.svg()
+    return figure.html()
 
 
 def write_evidence(path: Path, clues: Mapping[str, Sequence[ParameterEvidence]]) -> None:

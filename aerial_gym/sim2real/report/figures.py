@@ -54,37 +54,30 @@ def evidence_of_effects(judged: LoopResult) -> dict[str, list[ParameterEvidence]
 
 def report_figures(
     judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], profiles_list: Sequence[ResidualProfile]
-) -> dict[str, list[dict[str, str]]]:
-    """Return the figures of the page by section."""
+) -> dict[str, list[str]]:
+    """Return the figures of the page by section, as HTML."""
     verdict, test = judged.verdict, judged.declared.test
     before, after = verdict.before, verdict.after if verdict.corrects else None
-    clouds = []
-    for name, own in told.items():
-        rejected = "" if name in judged.selection.effect_names else ", which is not accepted"
-        clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence_figure(name, own)})
-    rest = [
-        {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.residual_figure(parts, channel)}
-        for channel, parts in residuals_to_plot(judged)
+    models, kinds, named = report_models(judged), kinds_to_plot(judged), judged.selection.effect_names
+    clouds = [
+        evidence_figure(own, f"Evidence for {name}{'' if name in named else ', which is not accepted'}")
+        for name, own in told.items()
     ]
-    models = report_models(judged)
-    titles = {kind: kind.replace("_", " ").capitalize() for kind in kinds_to_plot(judged)}
     return {
-        "traces": [{"title": title, "image": plots.trace_figure(test, models, kind)} for kind, title in titles.items()],
-        "profiles": [
-            {"title": title, "image": plots.profile_figure(profiles_list, test.channels, kind)}
-            for kind, title in titles.items()
-        ],
+        "traces": [plots.trace_figure(test, models, kind) for kind in kinds],
+        "profiles": [plots.profile_figure(profiles_list, test.channels, kind) for kind in kinds],
         "evidence": clouds,
-        "bars": figures_of_errors(before, after, "Residuals before and after"),
-        "rest": rest,
+        "bars": figures_of_errors(before, after),
+        "rest": [plots.residual_figure(parts, channel) for channel, parts in residuals_to_plot(judged)],
     }
 
 
-def figures_of_errors(before: ModelEvaluation, after: ModelEvaluation | None, title: str) -> list[dict[str, str]]:
-    """Return the figures of residuals and rollout errors of one or two models."""
-    figures = [{"title": title, "image": plots.residual_bars(before, after)}]
-    variants = {name: title for name, title in VARIANTS.items() if name in before.rollout}
-    return figures + [{"title": t, "image": plots.rollout_bars(before, after, name)} for name, t in variants.items()]
+def figures_of_errors(before: ModelEvaluation, after: ModelEvaluation | None) -> list[str]:
+    """Return the figures of residuals and rollout errors of one or two models, as HTML."""
+    variants = [
+        plots.rollout_bars(before, after, name, title) for name, title in VARIANTS.items() if name in before.rollout
+    ]
+    return [plots.residual_bars(before, after), *variants]
 
 
 def kinds_to_plot(judged: LoopResult) -> list[str]:

@@ -1,13 +1,12 @@
 """One page with the time courses of all flights of a log."""
 
-from html import escape
 from pathlib import Path
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.report.canvas import panels
+from aerial_gym.sim2real.report.page import write_page
 from aerial_gym.sim2real.report.plots import FLIGHTS
-from aerial_gym.sim2real.report.report import write_page
 from aerial_gym.sim2real.wording import text
 
 AXES = ("x", "y", "z", "w")
@@ -28,14 +27,14 @@ def write_log_page(path: Path, name: str, flights: list[FlightLog], notes: list[
     """Write an HTML file with one figure for each flight, and notes on the log and its absent quantities."""
     if absent := [name for name in SHOWN if all(getattr(log, name) is None for log in flights)]:
         notes = [text(Finding("quantities_absent", "", {"quantities": absent})), *notes]
-    context = {"name": escape(name), "figures": [(log.name, flight_figure(log)) for log in flights], "notes": notes}
+    context = {"name": name, "figures": [(log.name, flight_figure(log)) for log in flights], "notes": notes}
     write_page(path, "log.html", context)
 
 
 def flight_figure(log: FlightLog) -> str:
-    """Return the quantities of a flight over time as SVG."""
+    """Return the quantities of a flight over time as a figure."""
     known = [quantity for quantity in SHOWN if getattr(log, quantity) is not None]
-    figure, grid = panels(len(known), 1, width=9.0, height=1.4, title="", gap=(0.6, 0.3), sharex=True)
+    figure, grid = panels(len(known), 1, width=9.0, height=1.4, title="", sharex=True, zooms=True)
     for quantity, (panel,) in zip(known, grid, strict=True):
         columns = getattr(log, quantity).reshape(log.time.size, -1).T
         labels = [f"rotor {n + 1}" for n in range(len(columns))] if quantity.startswith("rotor") else AXES
@@ -43,4 +42,4 @@ def flight_figure(log: FlightLog) -> str:
             panel.line(log.time, column, colour, label=label if len(columns) > 1 else "")
         panel.title, panel.boxed = SHOWN[quantity], len(columns) > 1
     grid[-1][0].x_label = "t [s]"
-    return figure.svg()
+    return figure.html()

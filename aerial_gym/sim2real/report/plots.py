@@ -1,4 +1,4 @@
-"""Figures of a report as inline SVG."""
+"""Figures of a report as HTML with inline SVG."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from aerial_gym.sim2real.report.canvas import Panel, panels
 from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, ResidualProfile, bin_edges, bin_index
 from aerial_gym.sim2real.statistics import Rms
 
-DECLARED, CORRECTED, MEASURED, FLOOR = "#b0413e", "#2a6f97", "#222222", "#888888"
+DECLARED, CORRECTED, MEASURED, FLOOR = "var(--red)", "var(--blue)", "var(--ink)", "var(--amber)"
 COLOURS = {"declared": DECLARED, "corrected": CORRECTED}
 SHOWN_KINDS = ("specific_force", "angular_acceleration", "rotor_speed")
 
-FLIGHTS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf")
+FLIGHTS = tuple(f"var(--c{number})" for number in range(10))
 """Colours of flights, repeated in order."""
 
 SEGMENT_S = 8.0  # Segment length of a spectrum [s]
@@ -54,21 +54,21 @@ def trace_figure(predictor: Predictor, models: Mapping[str, ModelParams], kind: 
     index = int(np.argmax([part.mean() for part in telling]))
     time, measured = predictor.times[index], predictor.measured[index]
     window = _most_informative_rows(time, telling[index])
-    title = f"{kind.replace('_', ' ')}, {predictor.flights[index].name}: measured and predicted"
-    figure, axes = panels(len(places), 2, width=(4.6, 5.2), height=1.25, title=title, gap=(0.62, 0.12), sharex=True)
+    title = f"{kind.replace('_', ' ').capitalize()}, {predictor.flights[index].name}: measured and predicted"
+    figure, axes = panels(len(places), 2, width=(4.6, 5.2), height=1.25, title=title, sharex=True, zooms=True)
     for (left, right), place in zip(axes, places, strict=True):
         left.line(time[window], measured[window, place], MEASURED, width=1.2, label="measured")
         for model, flights in predicted.items():
             values, colour = flights[index][:, place], COLOURS[model]
             left.line(time[window], values[window], colour, label=model)
             right.line(time, measured[:, place] - values, colour, width=0.6)
-        left.y_label = _axis_label(predictor.channels[place])
+        left.y_label = right.y_label = _axis_label(predictor.channels[place])
         right.levels.append(0.0)
     axes[0][1].title = "measured minus predicted"
     figure.legend = axes[0][0].marks
     for panel in axes[-1]:
         panel.x_label = "t [s]"
-    return figure.svg()
+    return figure.html()
 
 
 def _axis_label(channel: Channel) -> str:
@@ -87,9 +87,8 @@ def _most_informative_rows(time: Array, size: Array) -> Flags:
 def profile_figure(profiles: Sequence[ResidualProfile], channels: Sequence[Channel], kind: str) -> str:
     """Return the mean residual of one kind of channel against each quantity, per model with standard errors."""
     places = [place for place, channel in enumerate(channels) if channel.kind == kind]
-    title = kind.replace("_", " ")
-    size = {"width": 2.35, "height": 1.25}
-    figure, axes = panels(len(places), len(profiles), **size, title=title, gap=(0.5, 0.12), sharex=True)
+    title = f"Mean residual of the {kind.replace('_', ' ')}"
+    figure, axes = panels(len(places), len(profiles), width=2.35, height=1.25, title=title, sharex=True)
     for row, place in zip(axes, places, strict=True):
         for panel, profile in zip(row, profiles, strict=True):
             for model, means in profile.residual.items():
@@ -99,11 +98,11 @@ def profile_figure(profiles: Sequence[ResidualProfile], channels: Sequence[Chann
                 panel.dots(at, mean, COLOURS[model], width=2.2)
                 panel.error_bars(at, mean - half, mean + half, COLOURS[model])
             panel.levels.append(0.0)
-        row[0].y_label = _axis_label(channels[place])
+            panel.y_label = _axis_label(channels[place])
     for panel, profile in zip(axes[-1], profiles, strict=True):
         panel.x_label = profile.against
     figure.legend = [mark for mark in axes[0][0].marks if mark.label]
-    return figure.svg()
+    return figure.html()
 
 
 def residual_figure(parts: Sequence[FlightResidual], channel: Channel) -> str:
@@ -114,7 +113,9 @@ def residual_figure(parts: Sequence[FlightResidual], channel: Channel) -> str:
     against = values_in_all_mappings([part.quantities for part in parts])
     columns = min(4, 1 + len(against))
     rows = -(-(1 + len(against)) // columns)
-    figure, grid = panels(rows, columns, width=2.35, height=1.5, title=channel.name, gap=(0.6, 0.5))
+    figure, grid = panels(
+        rows, columns, width=2.35, height=1.5, title=f"Residual of the {channel.name.replace('_', ' ')}"
+    )
     first, *rest = (panel for row in grid for panel in row)
     for place, part in enumerate(parts):
         rate = 1.0 / float(np.median(np.diff(part.time)))
@@ -126,7 +127,7 @@ def residual_figure(parts: Sequence[FlightResidual], channel: Channel) -> str:
         turned = title in PLACES and channel.kind == "specific_force"
         _draw_means_by_flight(panel, places, [part.world if turned else part.values for part in parts])
         panel.x_label, panel.y_label = title, f"{'world ' if turned else ''}[{channel.unit}]"
-    return figure.svg()
+    return figure.html()
 
 
 PLACES = ("x [m]", "y [m]", "height [m]")  # Quantities against which forces are plotted in world axes
@@ -152,7 +153,7 @@ def _draw_means_by_flight(panel: Panel, places: Sequence[Array], values: Sequenc
 def residual_bars(before: ModelEvaluation, after: ModelEvaluation | None) -> str:
     """Return the RMS residual of each channel before and after, with intervals and noise floor, one panel per unit."""
     kinds = [kind for kind in SHOWN_KINDS if any(channel.kind == kind for channel in before.channels)]
-    figure, axes = panels(1, len(kinds), width=2.9, height=2.1, title="residual (rms)", gap=(0.55, 0.0))
+    figure, axes = panels(1, len(kinds), width=2.9, height=2.1, title="Residuals (rms)")
     for panel, kind in zip(axes[0], kinds, strict=True):
         places = [place for place, channel in enumerate(before.channels) if channel.kind == kind]
         channels = [before.channels[place] for place in places]
@@ -160,23 +161,24 @@ def residual_bars(before: ModelEvaluation, after: ModelEvaluation | None) -> str
         if before.floor is not None:
             for at, place in enumerate(places):
                 ends = np.array([at - 0.4, at + 0.4])
-                panel.line(ends, np.full(2, before.floor[place]), FLOOR, width=1.2, dashed=True)
+                label = "" if at else "noise floor"
+                panel.line(ends, np.full(2, before.floor[place]), FLOOR, width=1.6, dashed=True, label=label)
         panel.x_label = f"{kind.replace('_', ' ')} [{channels[0].unit}]"
     figure.legend = [mark for mark in axes[0][0].marks if mark.label]
-    return figure.svg()
+    return figure.html()
 
 
-def rollout_bars(before: ModelEvaluation, after: ModelEvaluation | None, variant: str) -> str:
+def rollout_bars(before: ModelEvaluation, after: ModelEvaluation | None, variant: str, title: str) -> str:
     """Return rollout errors by horizon, before and after."""
     quantities = list(before.rollout[variant])
-    figure, axes = panels(1, len(quantities), width=2.9, height=2.1, title="open-loop error (rms)", gap=(0.55, 0.0))
+    figure, axes = panels(1, len(quantities), width=2.9, height=2.1, title=f"Open-loop errors (rms). {title}")
     for panel, quantity in zip(axes[0], quantities, strict=True):
         horizons = list(before.rollout[variant][quantity])
         rows = [list(e.rollout[variant][quantity].values()) for e in (before, after) if e]
         _draw_bars(panel, [f"{h:g} s" for h in horizons], rows)
         panel.log, panel.x_label = True, f"{quantity} [{QUANTITIES[quantity]}]"
     figure.legend = [mark for mark in axes[0][0].marks if mark.label]
-    return figure.svg()
+    return figure.html()
 
 
 def _draw_bars(panel: Panel, names: Sequence[str], rows: Sequence[Sequence[Rms]]) -> None:

@@ -20,17 +20,14 @@ from aerial_gym.sim2real.report.figures import (
     report_figures,
     report_models,
 )
+from aerial_gym.sim2real.report.page import write_page
 from aerial_gym.sim2real.report.profiles import LABELS, ResidualProfile, mean_residual_profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
     SHOWN_NOTES,
     channel_rows,
     channels_by_outcome,
     flight_table,
-    format_rise,
-    interval_text,
-    number_text,
     parameter_rows,
-    percent_text,
     reason_rows,
     rejection_rows,
     rollout_rows,
@@ -40,8 +37,6 @@ from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
 SHOWN_RIVALS = 3  # Number of rivals that are not folded
 MOST_SETS = 5  # Number of listed sets of effects, the most probable ones
-
-TEMPLATES = Path(__file__).parent / "templates"
 
 
 def write_report(folder: Path, judged: LoopResult) -> None:
@@ -55,20 +50,6 @@ def write_report(folder: Path, judged: LoopResult) -> None:
     write_evidence(folder / "evidence.csv", told)
     write_profiles(folder / "profiles.csv", residual_profiles, test.channels)
     write_residuals(folder / "residuals.csv", {"train": judged.declared.train, "test": test}, models)
-
-
-def write_page(path: Path, name: str, context: dict[str, object]) -> None:
-    """Write a page from a template of this package."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=name.endswith(".html"), undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
-    )  # fmt: skip
-    environment.filters |= {"num": number_text, "interval": interval_text, "percent": percent_text}
-    environment.filters |= {"risen": format_rise, "text": text, "joined": join_texts}
-    page = environment.get_template(f"{name}.j2").render(context)
-    path.write_text(page, encoding="utf-8", errors="surrogateescape")
 
 
 def report_context(

@@ -61,6 +61,7 @@ def run(folder: Path, call: list[str]) -> tuple[Path, str]:
     """Return the folder of results of the command, and what it printed. One more training flight cannot be used, and
     the folder of the flights is gone as soon as they are read."""
     out, known, printed = folder / "result", folder.parent / "tolerances.yaml", StringIO()
+    opened: list[str] = []
     known.write_text("mass: 0.002\n")
     gone = Path(shutil.copytree(folder, folder.parent / "gone"))
     write(pd.read_csv(gone / "f0.csv").assign(omega_y=0.0), gone / "f9.csv")
@@ -73,7 +74,9 @@ def run(folder: Path, call: list[str]) -> tuple[Path, str]:
 
     with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
         patch.setattr(import_module("aerial_gym.sim2real.loop"), "judge_flights", without_files)
-        assert main([*arguments, "--out", str(out), "--ranges", "--tolerances", str(known)]) == 0
+        patch.setattr("webbrowser.open", lambda address: not opened.append(address))
+        assert main([*arguments, "--out", str(out), "--ranges", "--tolerances", str(known), "--open"]) == 0
+    assert opened == [(out / "report.html").as_uri()]
     assert not gone.exists()
     return out, printed.getvalue()
 
