@@ -6,6 +6,7 @@ Frames: body is x forward, y left, z up; world is z up. Letters: E environments,
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isnan
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,6 +15,19 @@ from aerial_gym.math.quaternion import world_up
 from aerial_gym.math.rows import dot, sum_slices, times
 from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
+
+
+class _MotionProperty(cached_property):
+    """Quantity of the motion, computed once for all conditions that share the motion."""
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        """Return the quantity."""
+        if instance is None:
+            return self
+        shared = vars(instance).setdefault("_motion", {})
+        if self.attrname not in shared:
+            shared[self.attrname] = self.func(instance)
+        return shared[self.attrname]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,33 +46,33 @@ class Condition:
     other_position: Tensor  # Another vehicle, whose wake streams down [m], world, (E, 3)
     vehicle: Vehicle  # Gives the geometry
 
-    @cached_property
+    @_MotionProperty
     def lever(self) -> Tensor:
         """Hubs from the centre of mass [m], body, (E, R, 3); (1, R, 3) where all environments have the same."""
         return self.vehicle.rotor_lever
 
-    @cached_property
+    @_MotionProperty
     def axis(self) -> Tensor:
         """Directions of thrust, body, (E, R, 3); (1, R, 3) where all environments have the same."""
         axis = self.vehicle.rotor_axis
         return axis[:1] if is_shared(axis) else axis
 
-    @cached_property
+    @_MotionProperty
     def hub_velocity(self) -> Tensor:
         """Velocity of the hubs through the air [m/s], body, (E, R, 3): ``v + w x l``, in the wind at the centre of mass."""
         return self.air_velocity.unsqueeze(1) + velocity_of_turning(self.ang_vel, self.lever)
 
-    @cached_property
+    @_MotionProperty
     def up(self) -> Tensor:
         """World z in body axes, (E, 3)."""
         return world_up(self.attitude)
 
-    @cached_property
+    @_MotionProperty
     def hub_altitude(self) -> Tensor:
         """World z of the hubs [m], (E, R)."""
         return self.position[:, 2:] + dot(self.lever, self.up.unsqueeze(1))
 
-    @cached_property
+    @_MotionProperty
     def axis_height(self) -> Tensor:
         """World z of the directions of thrust, -1 to 1, (E, R)."""
         return dot(self.axis, self.up.unsqueeze(1))
@@ -77,11 +91,11 @@ class Condition:
     def _wake_goes_up(self) -> Tensor:
         return self.rotor_thrust * self.axis_height < 0.0
 
-    @cached_property
+    @_MotionProperty
     def _ground_clearance(self) -> Tensor:
         return self.hub_altitude - self.ground_height
 
-    @cached_property
+    @_MotionProperty
     def _ceiling_clearance(self) -> Tensor:
         ceiling = self.ceiling_height
         if isinstance(ceiling, Tensor):
@@ -95,12 +109,12 @@ class Condition:
         """Drag torques against the spin of the rotors [N m], (E, R); those of reversed rotors are negative."""
         return rotor_torque(self.vehicle, self.rotor_speed)
 
-    @cached_property
+    @_MotionProperty
     def axial_velocity(self) -> Tensor:
         """Velocity of the hubs through the air along their rotors' axes [m/s], (E, R)."""
         return dot(self.hub_velocity, self.axis)
 
-    @cached_property
+    @_MotionProperty
     def edgewise_velocity(self) -> Tensor:
         """Velocity of the hubs through the air in the planes of their rotors [m/s], body, (E, R, 3)."""
         return self.hub_velocity - self.axial_velocity.unsqueeze(-1) * self.axis
@@ -116,14 +130,9 @@ class Condition:
         return self._with_cached_motion(replace(self, vehicle=vehicle, rotor_thrust=thrust))
 
     def _with_cached_motion(self, other: "Condition") -> "Condition":
-        """Return another condition of the same motion, with the quantities of the motion that are cached here."""
-        for name in _FROM_MOTION & vars(self).keys():
-            vars(other)[name] = vars(self)[name]
+        """Return another condition of the same motion, which shares the cached quantities of the motion."""
+        vars(other)["_motion"] = vars(self).setdefault("_motion", {})
         return other
-
-
-_FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)}
-_FROM_MOTION.remove("rotor_drag_torque")
 
 
 def velocity_of_turning(ang_vel: Tensor, lever: Tensor) -> Tensor:

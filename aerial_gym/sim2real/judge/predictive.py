@@ -319,8 +319,8 @@ def residual_sums(test: Predictor, fitted: EffectSetFit, selection: SelectionRes
     owners = [(name, place) for name in fitted.effects for place in range(len(EFFECTS.get(name).parameters))]
     own = [k for k, owner in enumerate(owners) if is_continuous_parameter(*owner)]
     kept = np.array([*own, *range(len(owners), len(owners) + test.num_tolerances)])
-    jacobian = np.concatenate(offsets.remove_offsets([part[:, :, kept] for part in columns]))
-    left = np.concatenate(offsets.remove_offsets([m - p for m, p in zip(test.measured, predicted, strict=True)]))
+    jacobian = np.concatenate([*offsets.remove_offsets(part[:, :, kept] for part in columns)])
+    left = np.concatenate([*offsets.remove_offsets(m - p for m, p in zip(test.measured, predicted, strict=True))])
     gradient = np.einsum("rck,rc->ck", jacobian, left)
     product = np.stack([jacobian[:, c].T @ jacobian[:, c] for c in range(left.shape[1])])
     precision = np.linalg.inv(fitted.parameters.covariance[: kept.size, : kept.size])

@@ -31,9 +31,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 from aerial_gym.sim2real.identify.least_squares.moments import (
     FlightOffsets,
     Moments,
-    block_length,
     block_moments,
-    concatenate_moments,
 )
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -156,14 +154,12 @@ def linearise_at_params(
 ) -> ModelFit:
     """Return the linearised fit at a point, by derivatives (rows, C, N) of tolerances, without flight ``offsets``."""
     predicted = predictor.predict(params)
-    own, length = effect_jacobian(predictor, params, effects, predicted), block_length(predictor.times)
-    steps = []
-    for time, m, p, *parts in zip(predictor.times, predictor.measured, predicted, own, tolerance, strict=True):
-        residuals, jacobians = [m - p], [np.concatenate(parts, axis=2)]
-        if offsets is not None:
-            residuals, jacobians = offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians)
-        steps.append(block_moments([time], residuals, jacobians, length=length))
-    return fit_of_moments(predictor.robot, effects, params, concatenate_moments(steps))
+    own = effect_jacobian(predictor, params, effects, predicted)
+    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+    jacobians = (np.concatenate(parts, axis=2) for parts in zip(own, tolerance, strict=True))
+    if offsets is not None:
+        residuals, jacobians = offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians)
+    return fit_of_moments(predictor.robot, effects, params, block_moments(predictor.times, residuals, jacobians))
 
 
 def linearise_fit(

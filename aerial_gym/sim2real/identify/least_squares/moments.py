@@ -3,7 +3,7 @@
 Letters: B blocks, C channels, K parameters.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,27 +72,31 @@ def time_blocks(times: Sequence[Array], length: float) -> list[tuple[int, Indice
 
 
 def block_moments(
-    times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float | None = None
+    times: Sequence[Array], residuals: Iterable[Array], jacobians: Iterable[Array], *, length: float | None = None
 ) -> Moments:
     """Return the sums over blocks of ``length`` [s] (infinite: whole flights; None: ``block_length``) within flights.
 
-    ``times`` [s], (rows,); ``residuals``, (rows, C); ``jacobians``, (rows, C, K), of each flight.
+    ``times`` [s], (rows,); ``residuals``, (rows, C); ``jacobians``, (rows, C, K), of each flight, used one after another.
     """
     blocks = time_blocks(times, block_length(times) if length is None else length)
-    num_channels, width = residuals[0].shape[1], jacobians[0].shape[2]
-    moments = Moments(
-        count=np.array([float(rows.size) for _, rows in blocks]),
-        square=np.empty((len(blocks), num_channels)),
-        gradient=np.empty((len(blocks), num_channels, width)),
-        product=np.empty((len(blocks), num_channels, width, width)),
-        flight=np.array([flight for flight, _ in blocks]),
-    )
-    for block, (flight, rows) in enumerate(blocks):
-        r, j = residuals[flight][rows], jacobians[flight][rows].transpose(1, 2, 0)  # (C, K, rows)
-        moments.square[block] = (r**2).sum(axis=0)
-        moments.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
-        np.matmul(j, j.transpose(0, 2, 1), out=moments.product[block])
+    flight, moments, block = np.array([flight for flight, _ in blocks]), None, 0
+    for place, (residual, jacobian) in enumerate(zip(residuals, jacobians, strict=True)):
+        if moments is None:
+            moments = _empty_moments(flight, np.array([float(rows.size) for _, rows in blocks]), *jacobian.shape[1:])
+        for rows in (rows for own, rows in blocks if own == place):
+            r, j = residual[rows], jacobian[rows].transpose(1, 2, 0)  # (C, K, rows)
+            moments.square[block] = (r**2).sum(axis=0)
+            moments.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
+            np.matmul(j, j.transpose(0, 2, 1), out=moments.product[block])
+            block += 1
+    assert moments is not None
     return moments
+
+
+def _empty_moments(flight: Indices, count: Array, channels: int, width: int) -> Moments:
+    """Return moments of blocks (B,) for so many channels and columns, to be written."""
+    sums = (np.empty((count.size, channels, *(width,) * times)) for times in range(3))
+    return Moments(**dict(zip(SUMS, (count, *sums), strict=True)), flight=flight)
 
 
 def concatenate_moments(moments: Sequence[Moments]) -> Moments:
@@ -156,14 +160,14 @@ class FlightOffsets:
         """Return whether any channel has offsets."""
         return bool(self.size.any())
 
-    def remove_offsets(self, parts: Sequence[Array]) -> list[Array]:
-        """Return residuals (rows, C), or derivatives (rows, C, K), minus the share of their flight means."""
+    def remove_offsets(self, parts: Iterable[Array]) -> Iterable[Array]:
+        """Return residuals (rows, C), or derivatives (rows, C, K), minus the share of their flight means, one by one."""
         if not self.has_offsets:
-            return list(parts)
-        return [
+            return parts
+        return (
             part - self.share_of_mean(len(part)).reshape(-1, *(1,) * (part.ndim - 2)) * part.mean(axis=0)
             for part in parts
-        ]
+        )
 
     def share_of_mean(self, rows: int) -> Array:
         """Return the subtracted share of the mean in each channel for so many rows, (C,)."""

@@ -8,6 +8,7 @@ E rows, T rows kept, R rotors, K coefficients of a map.
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from weakref import ref
 
 import torch
 from torch import Tensor
@@ -40,7 +41,7 @@ class BandResponse:
 
     def __init__(self, data: Dataset) -> None:
         self._data = data
-        self._known: dict[str, list[tuple[Tensor, tuple[float, ...], Tensor]]] = {}
+        self._known: dict[str, list[tuple[ref[Tensor], tuple[float, ...], Tensor]]] = {}
         on_time = (0.0,) * len(data.times)
         self._on_time = SensorDelays(force=on_time, gyro=on_time)
         rates = data.state["ang_vel"]
@@ -125,21 +126,21 @@ class BandResponse:
     def _rows_in_band(
         self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]
     ) -> Tensor:
-        """Return a function of rows (E, ...) in the band, (..., T), cached by tensor and delay."""
-        kept = self._known.setdefault(name, [])
+        """Return a function of rows (E, ...) in the band, (..., T), cached by tensor, while that lives, and delay."""
+        kept = self._known[name] = [one for one in self._known.get(name, ()) if one[0]() is not None]
         for number, (before, delays, filtered) in enumerate(kept):
-            if rows is before and late == delays:
+            if rows is before() and late == delays:
                 kept.insert(0, kept.pop(number))
                 return filtered
         values = law(rows)
         filtered = self._lowpass_rows(values.flatten(1), late).unflatten(0, values.shape[1:])
-        kept.insert(1, (rows, late, filtered))
+        kept.insert(1, (ref(rows), late, filtered))
         del kept[2 * KEPT :]
         return filtered
 
     def _lowpass_rows(self, rows: Tensor, late: tuple[float, ...]) -> Tensor:
         """Return low-passed rows (E, K) as columns (K, T)."""
-        return torch.from_numpy(self._data.columns_in_band(rows.T.contiguous().numpy(), late))
+        return torch.from_numpy(self._data.columns_in_band(rows.T.numpy(), late))
 
 
 def _motion_selectors() -> tuple[Tensor, Tensor]:
@@ -221,9 +222,8 @@ class ImuReading:
         if turn is not None:  # a derived force has the axes of the logged attitude
             force = torch.where(felt, force, times(force, turn))
         *_, attitude, velocity = logged.delays.tolist()
-        if velocity != attitude:  # a derived force has the velocity's delay in those axes
-            _, jerk, _ = self.data.kinematic_readings()
-            force = torch.where(felt, force, force - (velocity - attitude) * jerk)
+        if velocity != attitude and not felt.all():  # a derived force has the velocity's delay in those axes
+            force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_force(0.0)[1])
         place = logged.imu_place - logged.velocity_place
         implied = self._read_kinematic_channels(model, logged, turn, lever(place) if place.any() else None)
         if logged.acc_scale.any():
@@ -252,7 +252,8 @@ class ImuReading:
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:
             _, acc, gyro, attitude, velocity = logged.delays.tolist()
-            force, jerk, rate = self.data.kinematic_readings(force_late=acc - attitude, rate_late=gyro - attitude)
+            force, jerk = self.data.kinematic_force(acc - attitude)
+            rate = self.data.kinematic_rate(gyro - attitude)
             if velocity != attitude:
                 force = force + (velocity - attitude) * jerk
             if turn is not None:

@@ -3,6 +3,7 @@
 Letters: E rows, C channels, R rotors.
 """
 
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
@@ -26,6 +27,7 @@ ROWS_PER_BAND = 5.0  # Rate of the evaluated rows in bandwidths
 THINNED_HZ = 50.0  # Least rate of the evaluated rows [Hz]: slow logs, often with derived forces, are not thinned
 PREFILTER = 0.4  # Cut-off before thinning, as a share of the new rate; removes 0.4 % at the bandwidth
 SAMPLES_PER_BAND = 3.0  # Approximate rate of the residuals in bandwidths
+KEPT_DELAYS = 2  # Number of cached delays: of the present model, and of a changed one
 FAR_ABOVE = np.array([0.0, 0.0, 1e3])  # Position if a log has none [m], world: far from the ground
 
 
@@ -42,6 +44,14 @@ def rows_at_times(flight: Flight, time: Array) -> Indices:
 def _slices_of_sizes(sizes: Sequence[int]) -> list[slice]:
     """Return the slices of parts of these sizes in sequence."""
     return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *sizes]))]
+
+
+def _slice_if_regular(places: Indices) -> slice | Indices:
+    """Return equidistant ascending indices as a slice, which makes no copy; others as they are."""
+    steps = np.diff(places)
+    if not steps.size or (steps != steps[0]).any():
+        return places
+    return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
 
 
 class Dataset:
@@ -61,6 +71,7 @@ class Dataset:
         self.stride = [1 if every_row else row_stride(f, bandwidth) for f in flights]
         pairs, places = list(zip(flights, self.stride, strict=True)), range(len(flights))
         self.kept = [self._residual_rows(flight, stride, every_row) for flight, stride in pairs]
+        self._kept_places = [_slice_if_regular(kept // own) for kept, own in zip(self.kept, self.stride, strict=True)]
         self.measured = [self._channels_in_band(place) for place in places]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
         self.row_times = [flight.time[::stride] for flight, stride in pairs]
@@ -92,6 +103,7 @@ class Dataset:
         self.spin_up, self.unsure_spin_up = self._rotor_motion(rotors, self.derivative_at_rows)
         implied = (self._kinematic_force, self._kinematic_jerk, self._kinematic_rate)
         self._implied = np.concatenate([join_flights(reading).numpy().T for reading in implied])
+        self._delayed = dict[int, OrderedDict[float, Tensor]]()
 
     @staticmethod
     def _rotor_motion(
@@ -109,27 +121,40 @@ class Dataset:
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
-    def kinematic_readings(self, *, force_late: float = 0.0, rate_late: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
-        """Return specific force, its derivative by the velocity's delay [m/s³] and angular velocity by kinematics, (T, 3)."""
-        flights = len(self.flights)
-        forces = self.columns_in_band(self._implied[:6], [force_late] * flights)
-        rates = self.columns_in_band(self._implied[6:], [rate_late] * flights)
-        force, jerk, rate = (torch.from_numpy(rows).T for rows in (forces[:3], forces[3:], rates))
-        return force, jerk, rate
+    def kinematic_force(self, late: float) -> tuple[Tensor, Tensor]:
+        """Return the delayed specific force by kinematics, and its derivative by the velocity's delay [m/s³], (T, 3)."""
+        force, jerk = self._kinematics_with_delay(slice(6), late).T.split(3, dim=1)
+        return force, jerk
+
+    def kinematic_rate(self, late: float) -> Tensor:
+        """Return the angular velocity by kinematics [rad/s], (T, 3), with a delay ``late`` [s]."""
+        return self._kinematics_with_delay(slice(6, 9), late).T
+
+    def _kinematics_with_delay(self, columns: slice, late: float) -> Tensor:
+        """Return low-passed columns of the implied readings with a delay [s], (K, T); the last two are cached."""
+        kept = self._delayed.setdefault(columns.stop, OrderedDict[float, Tensor]())
+        if late not in kept:
+            kept[late] = torch.from_numpy(self.columns_in_band(self._implied[columns], [late] * len(self.flights)))
+            if len(kept) > KEPT_DELAYS:
+                kept.popitem(last=False)
+        kept.move_to_end(late)
+        return kept[late]
 
     def columns_in_band(self, columns: Array, late: Sequence[float] | None = None) -> Array:
         """Return low-passed columns (K, E) at the kept rows, (K, T), with a delay per flight [s]; zeros stay exactly 0."""
-        moving = np.flatnonzero(has_nonzero(columns, axis=1))
+        nonzero = has_nonzero(columns, axis=1)
+        moving = slice(None) if nonzero.all() else np.flatnonzero(nonzero)  # a slice makes no copy
         matrix = np.zeros((len(columns), self.kept_spans[-1].stop))
         alike: dict[tuple[int, float, float], list[int]] = {}  # flights that one filter serves, which is faster
         for index, span in enumerate(self.spans):
             rate, seconds = self.flights[index].rate / self.stride[index], 0.0 if late is None else late[index]
             alike.setdefault((span.stop - span.start, rate, seconds), []).append(index)
         for (count, rate, seconds), places in alike.items():
-            rows = np.concatenate([columns[moving, self.spans[index]] for index in places])
+            parts = [columns[moving, self.spans[index]] for index in places]
+            rows = parts[0] if len(parts) == 1 else np.concatenate(parts)
             slow = lowpass_columns(rows, rate, self.bandwidth, late=seconds)
-            for own, index in zip(slow.reshape(len(places), moving.size, count), places, strict=True):
-                matrix[moving, self.kept_spans[index]] = own[:, self.kept[index] // self.stride[index]]
+            for own, index in zip(slow.reshape(len(places), -1, count), places, strict=True):
+                matrix[moving, self.kept_spans[index]] = own[:, self._kept_places[index]]
         return matrix
 
     def _channels_in_band(self, index: int) -> Array:

@@ -98,6 +98,7 @@ class FlightBatch:
         self._forces, self._memories = EffectCache[Condition](), EffectCache[RotorSpeedsOfFlight]()
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _LoadQuery | None = None
+        self._spinning: tuple[tuple[object, ...], list[Array | None] | None, tuple[Tensor, Tensor]] | None = None
         self._in_band.clear_cache()
 
     @torch.inference_mode()
@@ -269,7 +270,14 @@ class FlightBatch:
     def _rotor_speeds_and_accelerations(
         self, model: Model, speeds: list[Array | None] | None, motion: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return true rotor speeds [rad/s], [rad/s²], (E, R); ``motion`` (R,): deviation of each mode in its std."""
+        """Return true rotor speeds [rad/s], [rad/s²], (E, R); ``motion`` (R,): deviation of each mode in its std.
+
+        The last one is cached: equal tensors need no comparison.
+        """
+        sensors = model.effects[RotorSensorEffect]
+        key = (motion.numpy().tobytes(), *((effect.name, params[0].numpy().tobytes()) for effect, params in sensors))
+        if self._spinning is not None and self._spinning[0] == key and self._spinning[1] is speeds:
+            return self._spinning[2]
         data = self.data
         if data.speed is None or data.spin_up is None or data.unsure_speed is None or data.unsure_spin_up is None:
             assert speeds is not None
@@ -281,8 +289,9 @@ class FlightBatch:
             if motion.any():
                 speed = speed + torch.tensordot(motion, data.unsure_speed, dims=1)
                 spin_up = spin_up + torch.tensordot(motion, data.unsure_spin_up, dims=1)
-            for effect, params in model.effects[RotorSensorEffect]:
+            for effect, params in sensors:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
+        self._spinning = key, speeds, (speed, spin_up)
         return speed, spin_up
 
     def _rotor_speeds_in_band(self, speeds: list[Array | None], late: float) -> Columns:
