@@ -1,6 +1,6 @@
 """Nonlinear fits of sets of effects, and their evidence. Letters: N tolerances."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
@@ -10,6 +10,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import (
     Library,
+    Tangent,
     has_several_starts,
     is_of_one_rotor,
     law_relatives,
@@ -224,17 +225,21 @@ class Fitter:
         kept = [structure for structure in structures if structure.name in beside]
         effects = [k for k in model if not library.candidates[k].structure]
         names, results = [library.candidates[k].name for k in effects], []
+        tangents = [library.tangents[k] for k in effects]
         for start in self.start_models_of_fit(library, sets, model):
-            base = self.predictor.predict(start)
-            parts = [
-                effect_jacobian(self.predictor, start, (tangent.name,), base)
-                if has_several_starts(tangent.name, self.predictor.robot) and not tangent.named
-                else tangent.dense_derivatives(len(self.predictor.channels))
-                for tangent in (library.tangents[k] for k in effects)
-            ]
-            derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
-            results.append(self.fit(names, kept, start, derivatives, rule=rule))
+            results.append(self.fit(names, kept, start, self._derivatives_at_start(tangents, start), rule=rule))
         return max(results, key=_log_posterior)
+
+    def _derivatives_at_start(self, tangents: Sequence[Tangent], start: ModelParams) -> Derivatives | None:
+        """Return the derivatives of effects near a start, (rows, C, P) each, new ones where effects have several starts."""
+        base, channels = self.predictor.predict(start), len(self.predictor.channels)
+        parts = [
+            effect_jacobian(self.predictor, start, (tangent.name,), base)
+            if has_several_starts(tangent.name, self.predictor.robot) and not tangent.named
+            else tangent.dense_derivatives(channels)
+            for tangent in tangents
+        ]
+        return [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
 
     def start_models_of_fit(self, library: Library, sets: SetPosterior, model: Model) -> list[ModelParams]:
         """Return the starts of a set's fit: old effects as present, new ones by a linear step, or far from it unmoved."""
@@ -264,9 +269,7 @@ class Fitter:
         self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE
     ) -> EffectSetFit:
         """Return a set refitted without some of its effects, which return to their declared values."""
-        kept = {name: values for name, values in fitted.params.effects.items() if name not in names}
-        kept |= {name: self.declared.effects[name] for name in names if name in self.declared.effects}
-        start = ModelParams(effects=kept, learned=self.declared.learned)
+        start = replace(params_without_effects(fitted.params, names, self.declared), learned=self.declared.learned)
         effects = [name for name in fitted.effects if name not in names]
         known = self._derivatives.get(fitted.label)
         derivatives = None
@@ -351,6 +354,12 @@ class Fitter:
             known = own.start_in_place(by_name)
             start = np.array([known.get(p.name, value) for p, value in zip(own.parameters, start, strict=True)])
         return start
+
+
+def params_without_effects(params: ModelParams, names: Collection[str], declared: ModelParams) -> ModelParams:
+    """Return model parameters without some effects, which return to their declared values."""
+    kept = {name: values for name, values in params.effects.items() if name not in names}
+    return replace(params, effects=kept | {name: declared.effects[name] for name in names if name in declared.effects})
 
 
 def laws_in_place(old: str) -> tuple[str, ...]:

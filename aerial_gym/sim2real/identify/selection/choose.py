@@ -12,7 +12,6 @@ from scipy import special
 from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import law_relatives, neutral_params, observable_candidates
@@ -30,10 +29,10 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_momen
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView, occam_window
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_NAMING_ODDS, Criteria
+from aerial_gym.sim2real.identify.selection.kinematics import effects_against_kinematics
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.rotor_search import PossibleEffect, RotorSearch, effect_odds, is_proven
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
-from aerial_gym.sim2real.predict.channels import KINEMATIC
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
@@ -109,39 +108,16 @@ def choose_effects(
     predictor: Predictor, declared: ModelParams, names: Sequence[str], *, material: float, progress: Progress = silent
 ) -> MostProbableSet:
     """Return the most probable set, whose effects are named if a residual (rms) rises by ``material`` without them."""
-    climber = SetSearch(predictor, declared, names, progress)
-    results = _Chooser(climber, material).make_result(climber.find_best_set())
-    against = effects_against_kinematics(predictor, results, declared)
-    if not against:
-        return results
-    rest = choose_effects(
-        predictor, declared, [name for name in names if name not in against], material=material, progress=progress
-    )
-    return replace(rest, refused=rest.refused | against)
-
-
-def effects_against_kinematics(
-    predictor: Predictor, chosen: MostProbableSet, declared: ModelParams
-) -> dict[str, Finding]:
-    """Return the probable effects on inertial sensors that worsen a channel of the sensors alone, on the training flights.
-
-    These channels need no dynamics, so such an effect stands in for an error of the dynamics, also where it has no name. A
-    channel is worse if the 95 % interval of its rise by the effect is above zero.
-    """
-    places = [k for k, channel in enumerate(predictor.channels) if channel.kind in KINEMATIC]
-    results, group, flight = dict[str, Finding](), time_block_of_rows(predictor.times), flight_of_rows(predictor.times)
-    for name in dict.fromkeys((*chosen.effect_names, *chosen.best.effects)):
-        if not places or not isinstance(EFFECTS.get(name), ImuEffect):
-            continue
-        params = chosen.named.params if name in chosen.effect_names else chosen.best.params
-        neutral = params.with_effect(name, neutral_params(name, declared, predictor.robot))
-        residual, without = (np.concatenate(predictor.residuals(one))[:, places] for one in (params, neutral))
-        rises = rise_with_interval(residual, without, group, flight)
-        worst = max(range(len(places)), key=lambda k: rises[k].low)
-        if rises[worst].low > 0.0:
-            channel = predictor.channels[places[worst]].name
-            results[name] = Finding("kinematics_disagree", name, {"channel": channel, "rise": rises[worst].value})
-    return results
+    search, view = SetSearch(predictor, declared, names, progress), None
+    while True:
+        view = search.find_best_set(view)
+        chosen = _Chooser(search, material).make_result(view)
+        hidden = [name for name in chosen.best.effects if name not in chosen.effect_names]
+        against = effects_against_kinematics(predictor, chosen.named.params, chosen.effect_names, declared)
+        against |= effects_against_kinematics(predictor, chosen.best.params, hidden, declared)
+        if not against:
+            return replace(chosen, refused=chosen.refused | search.refused)
+        search.refuse_effects(against)
 
 
 class _Chooser:

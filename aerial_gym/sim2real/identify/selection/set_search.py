@@ -4,13 +4,14 @@ Candidates are linearised about the present set, and the posterior over sets ran
 with the full model; the best becomes the present set, until no fit is better.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import (
     Tangent,
     build_library,
@@ -23,7 +24,13 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
     limits_of_flight_offsets,
     residuals_beyond_structures,
 )
-from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, Label, label_of_candidate_set
+from aerial_gym.sim2real.identify.evidence.fitting import (
+    EffectSetFit,
+    Fitter,
+    Label,
+    label_of_candidate_set,
+    params_without_effects,
+)
 from aerial_gym.sim2real.identify.evidence.guard import (
     Guard,
     make_candidates,
@@ -53,6 +60,7 @@ from aerial_gym.sim2real.identify.selection.candidate_view import (
     free_other_fitters,
     occam_window,
 )
+from aerial_gym.sim2real.identify.selection.kinematics import effects_against_kinematics
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -75,36 +83,68 @@ class SetSearch:
     _weighed: tuple[ModelParams, Weighting]  # The last model whose channel weights were computed, with these weights
 
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
-        self.predictor, self.declared, self.progress, self.allowed = predictor, declared, progress, tuple(names)
-        self.names = tuple(name for name in names if not EFFECTS.get(name).in_place)
+        self.predictor, self.declared, self.progress = predictor, declared, progress
+        self.refused = dict[str, Finding]()  # Effects that were left out during the search, with the reason
+        self.allow_effects(names)
         tolerance = tolerance_jacobian(predictor, declared)
         self.tolerated = rms_caused_by_tolerances(tolerance, predictor.robot.num_rotors)
         self._tolerance = to_single_precision(tolerance)
         self.missed, most = predictor.residuals(declared), limits_of_flight_offsets(predictor, self.tolerated)
         self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
+
+    def allow_effects(self, names: Iterable[str]) -> None:
+        """Consider these effects from now on; laws in place of others among them are no candidates by themselves."""
+        self.allowed = tuple(names)
+        self.names = tuple(name for name in self.allowed if not EFFECTS.get(name).in_place)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
-    def find_best_set(self) -> CandidateView:
-        """Return the last view after searches and new channel weights in turn; rivals are fitted once weights settle."""
+    def refuse_effects(self, reasons: Mapping[str, Finding]) -> None:
+        """Consider some effects no longer."""
+        self.refused |= reasons
+        self.allow_effects(name for name in self.allowed if name not in reasons)
+
+    def find_best_set(self, last: CandidateView | None = None) -> CandidateView:
+        """Return the last view after searches and new channel weights in turn; rivals are fitted once weights settle.
+
+        The search begins at the declared model, or at the set of a ``last`` view without the effects refused since.
+        """
         likely = (self.fit_probable_sets, self.fit_smaller_sets)
-        self.view = self.view_of_declared_model()
+        if last is None:
+            self.view = self.view_of_declared_model()
+        else:
+            self.view = last
+            self.move_to_allowed_set(last.fitter.weights)
         for ways in (likely, (*likely, self.fit_rival_sets, self.fit_nearest_rivals)):
             for left in reversed(range(MOST_WEIGHINGS)):
-                self.climb_to_best_set(ways)
+                self.climb_to_allowed_set(ways)
                 weights = self.residual_weights(self.view)
                 change = np.log(weights.weight / self.view.fitter.weights.weight)
                 if not left or np.all(np.abs(change) < SETTLED):
                     break
-                self.view.free_memory()
-                present = self.view.present
-                del self.view
-                self.view = self.view_of_supported_set(
-                    present.model_with_deviations, present.effects, present.structures, weights
-                )
+                self.move_to_allowed_set(weights)
         last = self.view
         last.free_memory()
         del self.view  # its strategies are methods of this object: the cycle would keep both in memory
         return last
+
+    def climb_to_allowed_set(self, ways: Sequence[Way]) -> None:
+        """Move to the best set, and on from it while the kinematic channels contradict effects in it, which are refused."""
+        self.climb_to_best_set(ways)
+        present = self.view.present
+        against = effects_against_kinematics(self.predictor, present.params, present.effects, self.declared)
+        if against:
+            self.refuse_effects(against)
+            self.move_to_allowed_set(self.view.fitter.weights)
+            self.climb_to_allowed_set(ways)
+
+    def move_to_allowed_set(self, weights: Weighting) -> None:
+        """Move to the present set without refused effects, under new channel weights."""
+        self.view.free_memory()
+        present = self.view.present
+        del self.view
+        effects = tuple(name for name in present.effects if name not in self.refused)
+        params = params_without_effects(present.model_with_deviations, self.refused, self.declared)
+        self.view = self.view_of_supported_set(params, effects, present.structures, weights)
 
     def view_of_declared_model(self) -> CandidateView:
         """Return the candidates about the declared model, with the channel weights from its residuals."""

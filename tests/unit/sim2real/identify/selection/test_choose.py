@@ -16,16 +16,15 @@ from aerial_gym.sim2real.identify.selection.choose import (
     _Chooser,
     best_special_case,
     choose_effects,
-    effects_against_kinematics,
 )
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import silent
 from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub, flight, load_tables, make_predictor
-from tests.unit.sim2real.set_fits import PLACE, FitStub, make_choice, make_fit
+from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
 NAMES = (
     "rotor_drag", "quadratic_drag", "thrust_coefficient", "payload_mass", "constant_wind", "com_offset", "weak_motor",
@@ -203,25 +202,6 @@ def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
     assert results is drag
     assert blind == ["com_offset"]
     assert object.__new__(_Chooser).drop_unidentified(both, FitStub(drag)) == (both, [])
-
-
-@pytest.mark.parametrize("named", [True, False])
-@pytest.mark.parametrize(("true", "against"), [(0.0, True), (0.05, False)])
-def test_an_imu_effect_that_worsens_the_sensors_channels_is_refused(true: float, against: bool, named: bool) -> None:
-    """Gyro readings of random turns, 0.05 rad off about y or not; the effect says 0.05 rad, with or without a name."""
-    rng = np.random.default_rng(0)
-    turns = [rng.standard_normal((900, 1)) for _ in range(3)]
-    measured = [true * turn + 0.02 * rng.standard_normal(turn.shape) for turn in turns]
-
-    def predict(params) -> list[np.ndarray]:
-        return [params.effects.get("imu_misalignment", np.zeros(3))[1] * turn for turn in turns]
-
-    channels = (Channel(kind="kinematic_rate", axis="z"),)
-    fitted = make_fit("imu_misalignment", params={"imu_misalignment": (0.0, 0.05, 0.0)})
-    chosen = make_choice(fitted, without={"imu_misalignment": make_fit()})
-    chosen = chosen if named else replace(chosen, named=make_fit())
-    results = effects_against_kinematics(PredictorStub(predict, measured, channels=channels), chosen, ModelParams())
-    assert [finding.code for finding in results.values()] == (["kinematics_disagree"] if against else [])
 
 
 def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
