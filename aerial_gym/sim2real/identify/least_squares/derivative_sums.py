@@ -45,6 +45,9 @@ def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[SparseDe
 Part = NDArray[np.floating] | SparseDerivatives  # Derivatives of a flight by some parameters, (T, C, P)
 
 
+IndexedColumns = tuple[Indices, Array]  # Indices among all columns, and their values (T, k)
+
+
 def num_columns(parts: Sequence[Part]) -> int:
     """Return the total number K of parameters."""
     return sum(part.width if isinstance(part, SparseDerivatives) else part.shape[2] for part in parts)
@@ -66,7 +69,7 @@ class DerivativesWithWeights:
                     columns -= offsets.share_of_mean(len(columns))[channel] * columns.mean(axis=0)
 
 
-def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
+def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array) -> list[IndexedColumns]:
     """Return the nonzero columns of each channel: their indices, and their values times ``root``, (T, k)."""
     sums: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
     start = 0
@@ -113,14 +116,20 @@ class TimeBlocks:
 
     def block_products(self, one: DerivativesWithWeights, other: DerivativesWithWeights) -> Array:
         """Return ``sum w J_one J_other^T`` of each block, (B, K, K')."""
-        sums = np.zeros((len(self.rows), one.width * other.width))
-        for flight, blocks in enumerate(self.of_flight):
-            for (here, a), (there, b) in zip(one.columns[flight], other.columns[flight], strict=True):
-                place = (here[:, None] * other.width + there).ravel()
-                for block in blocks if place.size else ():
-                    rows = self.rows[block]
-                    sums[block][place] += (a[rows].T @ b[rows]).ravel()
-        return sums.reshape(len(self.rows), one.width, other.width)
+        sums = np.zeros((len(self.rows), one.width, other.width))
+        for flight, (left, right) in enumerate(zip(one.columns, other.columns, strict=True)):
+            self.add_products_of_flight(sums, flight, left, right)
+        return sums
+
+    def add_products_of_flight(
+        self, sums: Array, flight: int, one: Sequence[IndexedColumns], other: Sequence[IndexedColumns]
+    ) -> None:
+        """Add a flight's products to the sums of its blocks, (B, K, K'); ``one`` and ``other`` are columns by channel."""
+        for (here, a), (there, b) in zip(one, other, strict=True):
+            place = (here[:, None] * sums.shape[2] + there).ravel()
+            for block in self.of_flight[flight] if place.size else ():
+                rows = self.rows[block]
+                sums[block].reshape(-1)[place] += (a[rows].T @ b[rows]).ravel()
 
 
 class NuisanceSums:
@@ -156,9 +165,12 @@ class NuisanceSums:
 
     def moments_with_effects(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
         """Return block sums over all channels: effects, by residuals (T, C) and derivatives (T, C, P), then nuisances."""
-        width = own[0].shape[2]
-        front = DerivativesWithWeights([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
-        inner, across = self.blocks.block_products(front, front), self.blocks.block_products(front, self.columns)
+        width, blocks = own[0].shape[2], len(self.blocks.rows)
+        inner, across = (np.zeros((blocks, width + 1, count)) for count in (width + 1, self.width))
+        for flight, (j, r, beside) in enumerate(zip(own, residuals, self.columns.columns, strict=True)):
+            (front,) = DerivativesWithWeights([(j, r[:, :, None])], self.offsets).columns  # large, so one at a time
+            self.blocks.add_products_of_flight(inner, flight, front, front)
+            self.blocks.add_products_of_flight(across, flight, front, beside)
         product = np.block(
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
         )

@@ -248,6 +248,7 @@ def fit_effects(
                 return fit, own, more
             if off <= rule.enough and promised < NOTHING_LEFT:
                 return fit, own, (MOST_TO_PROMISE - 1.0) * (promised + off)
+            del own  # large, so free it before the next one
             own, fresh = effect_jacobian(predictor, params, effects, predictor.predict(params)), True
 
 
