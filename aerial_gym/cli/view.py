@@ -1,7 +1,7 @@
 """``aerial-gym view``: a flight in the browser."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
-    from aerial_gym.rl_training.settings import TrainingCfg
     from aerial_gym.task import Task
     from aerial_gym.viewer.simulation import FlightInView, Pilot
 
@@ -43,7 +42,7 @@ class ViewCmd:
     def run(self) -> int:
         """Fly until Ctrl-C."""
         from aerial_gym.interop import one_thread
-        from aerial_gym.viewer.server import close_server, open_server
+        from aerial_gym.viewer.server import close_server, open_server, page_url
 
         server = open_server(self.host, self.port)
         try:
@@ -51,12 +50,11 @@ class ViewCmd:
                 from aerial_gym.viewer.live import LiveView
 
                 view = LiveView(server, self._build_flight(folder))
-                url = f"http://{self.host}:{server.get_port()}"
-                print(f"{url}  (Ctrl-C ends)", file=sys.stderr, flush=True)
+                print(f"{page_url(server)}  (Ctrl-C ends)", file=sys.stderr, flush=True)
                 if self.open:
                     import webbrowser
 
-                    webbrowser.open(url)
+                    webbrowser.open(page_url(server))
                 view.run()
         finally:
             close_server(server)
@@ -69,7 +67,7 @@ class ViewCmd:
             from aerial_gym.env_manager import SimBuilder
 
             env = SimBuilder().build_env(
-                sim_name="base_sim", env_name=self.env or ENVIRONMENT, robot_name=self._robot_file(ROBOT, folder),
+                sim_name="base_sim", env_name=self.env or ENVIRONMENT, robot_name=self._robot_file(self.robot or ROBOT, folder),
                 controller_name=self.controller or CONTROLLER, num_envs=self.num_envs, device=self.device,
                 seed=self.seed, backend=self.backend,
             )  # fmt: skip
@@ -82,32 +80,29 @@ class ViewCmd:
         from aerial_gym.task import task_registry
         from aerial_gym.viewer.simulation import constant_pilot, random_pilot
 
-        policy, cfg = None, None
+        policy = cfg = None
         if self.policy not in (None, *PILOTS):
             if not Path(self.policy).exists():
                 raise ConfigError(f"--policy {self.policy}: no such run. Give a run folder, {' or '.join(PILOTS)}")
             policy, cfg = load_policy(self.policy, device=self.device)
-        name = self.task or (cfg.task if cfg else "position_setpoint_task")
-        of_run: TrainingCfg | None = cfg
-        robot = self.robot or (of_run.robot if of_run else None) or task_registry.get(name).robot
+        name = self.task or getattr(cfg, "task", "position_setpoint_task")
+        robot = self.robot or getattr(cfg, "robot", None) or task_registry.get(name).robot
         task = task_registry.make_task(
             name, num_envs=self.num_envs, device=self.device, seed=self.seed, env=self.env,
-            robot=self._robot_file(robot, folder), controller=self.controller or (of_run.controller if of_run else None),
-            backend=self.backend, encoder=of_run.encoder if of_run else None,
+            robot=self._robot_file(robot, folder), controller=self.controller or getattr(cfg, "controller", None),
+            backend=self.backend, encoder=getattr(cfg, "encoder", None),
         )  # fmt: skip
         if policy is not None and cfg is not None:
             check_fits(policy, task, cfg.task)
             return task, policy
         return task, random_pilot(task, self.seed) if self.policy == "random" else constant_pilot(task)
 
-    def _robot_file(self, default: str, folder: str) -> str:
+    def _robot_file(self, name: str, folder: str) -> str:
         """Write and return a robot file with the effects that the page switches."""
         from aerial_gym.config import dump_yaml
         from aerial_gym.robots.catalog import robot_by_name
-        from aerial_gym.viewer.effects import OFFERED, add_neutral_effects
+        from aerial_gym.viewer.effects import add_neutral_effects
 
-        robot = robot_by_name(self.robot or default)
-        wider = add_neutral_effects(robot, OFFERED if self.effects is None else self.effects)
-        file = Path(folder) / "robot.yaml"
-        file.write_text(dump_yaml(replace(wider)), encoding="utf-8", errors="surrogateescape")
+        robot, file = add_neutral_effects(robot_by_name(name), self.effects), Path(folder) / "robot.yaml"
+        file.write_text(dump_yaml(robot), encoding="utf-8", errors="surrogateescape")
         return str(file)

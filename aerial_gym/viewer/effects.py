@@ -34,9 +34,13 @@ FORCEFUL = (RotorEffect, WrenchEffect, WindEffect, VehicleEffect)  # Kinds that 
 SOURCE = "neutral values, which change nothing until the page changes them"
 
 
-def add_neutral_effects(robot: RobotCfg, names: Iterable[str] = OFFERED) -> RobotCfg:
-    """Return the robot with further effects at their neutral values, as far as they suit it."""
-    for name in names:
+def add_neutral_effects(robot: RobotCfg, names: Iterable[str] | None = None) -> RobotCfg:
+    """Return the robot with further effects at their neutral values; without names those of ``OFFERED`` that suit it.
+
+    Raises:
+        ConfigError: If a named effect does not suit the robot.
+    """
+    for name in OFFERED if names is None else names:
         if name not in robot.effects:
             effect = EFFECTS.get(name).bind_robot(robot)
             values = dict(zip((p.name for p in effect.parameters), effect.starts(robot)[0], strict=True))
@@ -46,6 +50,8 @@ def add_neutral_effects(robot: RobotCfg, names: Iterable[str] = OFFERED) -> Robo
             try:
                 check_effects(wider)
             except ConfigError:
+                if names is not None:
+                    raise
                 continue
             robot = wider
     return robot
@@ -89,7 +95,8 @@ def effect_switches(env: EnvManager) -> list[EffectSwitch]:
             continue
         if not switch.is_on:
             first = next((n for n, parameter in enumerate(effect.parameters) if parameter.kind == "number"), 0)
-            switch.values[first] = 0.1 * switch.limits(first)[1] + 0.9 * neutral[first]
+            low, high = (end - neutral[first] for end in switch.limits(first))
+            switch.values[first] += 0.1 * (high or low)
         switches.append(switch)
     return switches
 

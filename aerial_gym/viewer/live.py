@@ -48,7 +48,6 @@ class LiveView:
         asked = bool(panel.requests)
         while panel.requests:
             panel.requests.popleft()()
-        panel.read_gamepad()
         self._behind += 0.0 if panel.paused else span * panel.speed
         steps = panel.single_steps if panel.paused else int(self._behind / dt)
         panel.single_steps, self._behind = 0, 0.0 if panel.paused else self._behind - steps * dt

@@ -81,7 +81,7 @@ class TrainingView:
             pickle.dump(reader.content, output)
             while not self._ends.wait(1.0 / COPIES_PER_S):
                 for wish in (wishes.read() or b"").splitlines():
-                    self._chosen = min(int(wish), task.num_envs - 1)
+                    self._chosen = min(max(int(wish), 0), task.num_envs - 1)
                 pickle.dump(reader.read(self._chosen, alone=True), output)
 
 

@@ -5,11 +5,10 @@ files reach the page as plain labels, never as HTML.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from aerial_gym.viewer.effects import EffectSwitch
-from aerial_gym.viewer.joystick import Joystick
 from aerial_gym.viewer.simulation import FlightInView
 
 if TYPE_CHECKING:
@@ -22,12 +21,24 @@ PUSH_M_S = 1.5  # Change of velocity by one push [m/s]
 KEY_STEP = 0.2  # Change of a stick by one press of a key
 DIRECTIONS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 AXES = {
-    "forward": (("vx ", "ax ", "x ", "pitch", "q "), 1.0), "left": (("vy ", "ay ", "y ", "roll", "p "), 1.0),
-    "up": (("vz ", "az ", "z ", "thrust - 1", "thrust (0"), 1.0), "turn": (("yaw", "r "), 1.0),
+    "forward": ("vx ", "ax ", "x ", "pitch", "q "), "left": ("vy ", "ay ", "y ", "roll", "p "),
+    "up": ("vz ", "az ", "z ", "thrust - 1", "thrust (0"), "turn": ("yaw", "r "),
 }  # fmt: skip
-"""Directions of keys and gamepad: beginnings of the entries of an action that they move."""
+"""Directions of keys: beginnings of the entries of an action that they move."""
+RIGHT = ("roll", "p ")  # Beginnings of entries that are positive to the right
 KEYS = {"I": ("forward", 1), "K": ("forward", -1), "J": ("left", 1), "L": ("left", -1), "Y": ("up", 1),
         "H": ("up", -1), "U": ("turn", 1), "O": ("turn", -1)}  # fmt: skip
+
+
+def axis_entry(axis: str, action_names: Sequence[str]) -> tuple[int, int] | None:
+    """Return the entry of an action that moves a vehicle along an axis of ``AXES``, and its sign; None without one.
+
+    A positive roll leads to the right, so it is negative for ``left``.
+    """
+    for number, name in enumerate(action_names):
+        if name.startswith(AXES[axis]):
+            return number, -1 if name.startswith(RIGHT) else 1
+    return None
 
 
 class ControlPanel:
@@ -38,14 +49,12 @@ class ControlPanel:
         self._gui, self._flight, self._scene = server.gui, flight, scene
         self.requests: deque[Callable[[], object]] = deque()
         """Calls that the loop makes between two steps."""
-        self.joystick = Joystick()
         self.paused, self.single_steps, self.speed = False, 0, 1.0
         self.shows_forces = True
         self._status = self._gui.add_text("state", "", disabled=True)
         self._add_time()
         self._add_view()
         self._add_disturbances(server)
-        self._axes = {name: self._axis_entry(name) for name in AXES}
         self._sticks = self._add_sticks()
         if flight.effects:
             with self._gui.add_folder("effects"):
@@ -81,7 +90,7 @@ class ControlPanel:
         flight, scene = self._flight, self._scene
         if flight.env.num_envs > 1:
             number = self._gui.add_number("environment", 0, min=0, max=flight.env.num_envs - 1, step=1)
-            number.on_update(lambda _: setattr(flight, "chosen", int(number.value)))
+            number.on_update(lambda _: flight.choose(int(number.value)))
             show = self._gui.add_checkbox("other vehicles", initial_value=True)
             show.on_update(lambda _: setattr(scene.others, "visible", show.value))
         forces = self._gui.add_checkbox("forces of effects", initial_value=True)
@@ -113,14 +122,10 @@ class ControlPanel:
 
         self._scene.goal.on_update(move_goal)
 
-    def _axis_entry(self, name: str) -> int | None:
-        starts, entries = AXES[name][0], enumerate(self._flight.action_names)
-        return next((number for number, entry in entries if entry.startswith(starts)), None)
-
     def _add_sticks(self) -> list:
         flight = self._flight
         with self._gui.add_folder("fly by hand", expand_by_default=False):
-            hand = self._gui.add_checkbox("by hand", initial_value=False, hint="sticks here, keys, or a gamepad")
+            hand = self._gui.add_checkbox("by hand", initial_value=False, hint="by the sticks here, or by keys")
             hand.on_update(lambda _: setattr(flight, "by_hand", hand.value))
             sticks = [self._gui.add_slider(name, -1.0, 1.0, 0.01, 0.0) for name in flight.action_names]
             centre = self._gui.add_button("centre the sticks", hint="key C")
@@ -135,10 +140,13 @@ class ControlPanel:
         centre.on_click(release)
         self._gui.add_command("centre the sticks", hotkey="C").on_trigger(release)
         for key, (axis, sign) in KEYS.items():
-            entry = self._axes[axis]
+            entry = axis_entry(axis, flight.action_names)
             if entry is not None:
-                command = self._gui.add_command(f"{'-' if sign < 0 else '+'} {flight.action_names[entry]}", hotkey=key)  # pyright: ignore[reportArgumentType]
-                command.on_trigger(lambda _, entry=entry, sign=sign: self._nudge(entry, sign * KEY_STEP))
+                number, turns = entry
+                name = f"{'-' if sign * turns < 0 else '+'} {flight.action_names[number]}"
+                command = self._gui.add_command(name, hotkey=key)  # pyright: ignore[reportArgumentType]
+                change = sign * turns * KEY_STEP
+                command.on_trigger(lambda _, number=number, change=change: self._nudge(number, change))
         return sticks
 
     def _set_stick(self, number: int, value: float) -> None:
@@ -149,14 +157,6 @@ class ControlPanel:
         self._hand.value = self._flight.by_hand = True
         value = self._sticks[entry].value + change
         self._sticks[entry].value = min(max(round(value, 2), -1.0), 1.0)
-
-    def read_gamepad(self) -> None:
-        """Take the sticks of a gamepad where one is connected and the flight is by hand."""
-        if self.joystick.is_there and self._flight.by_hand:
-            for name, value in self.joystick.axes().items():
-                entry = self._axes[name]
-                if entry is not None:
-                    self._flight.sticks[entry] = value
 
     def _add_effect(self, switch: EffectSwitch) -> None:
         name = switch.effect.name

@@ -52,6 +52,13 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
     return server
 
 
+def page_url(server: "ViserServer") -> str:
+    """Return the address of the page for a browser of this machine."""
+    host = server.get_host()
+    name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{server.get_port()}"
+
+
 def close_server(server: "ViserServer") -> None:
     """Stop a server at once, pages or not."""
     with redirect_stdout(StringIO()):

@@ -80,9 +80,10 @@ class FlightInView:
     @torch.no_grad()
     def step(self) -> None:
         """Advance by an environment step; environments whose episode ends, or that crash, begin anew."""
-        if self.pull is not None:
+        pull = self.pull  # which another thread sets
+        if pull is not None:
             state = self.env.robot_manager.tensors.state
-            offset = state.position.new_tensor(self.pull) - state.position[self.chosen]
+            offset = state.position.new_tensor(pull) - state.position[self.chosen]
             state.lin_vel[self.chosen] += PULL * self.env.dt * offset
         actions = self._next_actions()
         if self._task is not None:
@@ -100,16 +101,19 @@ class FlightInView:
     def _next_actions(self) -> Tensor:
         if self._pilot is not None:
             self._actions.copy_(self._pilot(self._observation))
-        sticks = self.sticks.to(self.env.device)
         if self._goals is not None:
             if self.by_hand:
-                shift = GOAL_M_S * self.env.dt * sticks
+                shift = GOAL_M_S * self.env.dt * self.sticks.to(self.env.device)
                 self._goals[self.chosen] += shift[:3]
                 self._actions[self.chosen, 3:] += shift[3:]
             self._actions[:, :3] = self._goals
         elif self.by_hand:
-            self._actions[self.chosen] = self._scale * sticks
+            self._actions[self.chosen] = self._scale * self.sticks.to(self.env.device)
         return self._actions
+
+    def choose(self, number: int) -> None:
+        """Choose an environment; a number beyond the last takes that one."""
+        self.chosen = min(max(number, 0), self.env.num_envs - 1)
 
     def push(self, change: tuple[float, float, float]) -> None:
         """Change the velocity of the chosen vehicle at once [m/s], world."""

@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from aerial_gym.env_manager import SimBuilder
+from aerial_gym.errors import ConfigError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.task import task_registry
-from aerial_gym.viewer.effects import EffectSwitch, add_neutral_effects, effect_forces
+from aerial_gym.viewer.effects import OFFERED, EffectSwitch, add_neutral_effects, effect_forces
 from aerial_gym.viewer.simulation import FlightInView, constant_pilot
 
 
@@ -122,3 +123,27 @@ def test_task_shows_target_and_reads_every_vehicle() -> None:
     np.testing.assert_array_equal(snapshot.position, task.env.gtd["robot_position"].numpy())
     assert snapshot.time == pytest.approx(task.env.dt)
     assert flight.content.robot == task.env.robot_manager.cfg
+
+
+@pytest.mark.parametrize("name", ["morphy", "snakey5", "bluerov2_heavy", "tilt_tricopter"])
+def test_offered_effects_that_do_not_suit_are_left_out(name: str) -> None:
+    robot = robot_by_name(name)
+    added = add_neutral_effects(robot).effects.keys() - robot.effects.keys()
+    assert added <= set(OFFERED)
+
+
+def test_named_effect_that_does_not_suit_is_refused() -> None:
+    """Drag of links needs joints."""
+    with pytest.raises(ConfigError, match="link_drag"):
+        add_neutral_effects(robot_by_name("base_quadrotor"), ["link_drag"])
+
+
+def test_neutral_effects_change_nothing_and_switched_ones_do(flight: FlightInView) -> None:
+    for each in flight.effects:
+        assert not each.is_on
+        assert tuple(each.values) != each.neutral
+        rows = flight.env.gtd[f"effect_{each.effect.name}"]
+        assert rows.tolist() == [pytest.approx(each.neutral)] * 2
+        for number, parameter in enumerate(each.effect.parameters):
+            low, high = each.limits(number)
+            assert parameter.low <= low <= each.values[number] <= high <= parameter.high
