@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.env_manager import EnvManager
+from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.viewer.effects import effect_forces, effect_switches
 from aerial_gym.viewer.snapshot import Array, Snapshot, SnapshotReader
@@ -41,6 +42,7 @@ class FlightInView:
         scales = [1.0 if task is not None else FULL_STICK.get(unit, 1.0) for unit in units]
         self._scale = torch.tensor(scales, device=env.device)
         self._actions = torch.zeros(env.num_envs, width, device=env.device)
+        self._rest = torch.zeros_like(self._actions)  # Commands without sticks
         self.sticks = torch.zeros(width)
         """Sticks of the page, -1 to 1, (V,)."""
         self.by_hand = False
@@ -51,11 +53,26 @@ class FlightInView:
         """Point towards which the pointer pulls the chosen vehicle [m], world, (3,)."""
         self._observation: Mapping[str, Tensor] = {}
         self.reset()
+        if task is None:
+            self._set_hover()
         self.effects = effect_switches(env)
         """Effects that can be changed in flight."""
         values = {} if self._goals is None else {TARGET: self._goals}
         self._reader = SnapshotReader(env, values if task is None else task.values.own)
         self.content = self._reader.content
+
+    def _set_hover(self) -> None:
+        """Let commands of single rotors rest at hover, and half of it be a full stick."""
+        manager = self.env.robot_manager
+        speed = manager.tensors.state.rotor_speed
+        for rows, start, unit in (
+            (speed, "speed", "[rad/s]"),
+            (rotor_thrust(manager.declared, speed), "thrust", "[N]"),
+        ):
+            for number, name in enumerate(self.action_names[: speed.shape[1]]):
+                if name.startswith(start) and name.endswith(unit):
+                    self._rest[:, number] = rows[:, number]
+                    self._scale[number] = 0.5 * rows[0, number]
 
     def reset(self) -> None:
         """Begin new episodes everywhere."""
@@ -79,7 +96,7 @@ class FlightInView:
 
     @torch.no_grad()
     def step(self) -> None:
-        """Advance by an environment step; environments whose episode ends, or that crash, begin anew."""
+        """Advance by an environment step; episodes begin anew where they end, without a task after a crash or far outside."""
         pull = self.pull  # which another thread sets
         if pull is not None:
             state = self.env.robot_manager.tensors.state
@@ -91,25 +108,31 @@ class FlightInView:
             self._reset_pilot(terminated | truncated)
             return
         self.env.step(actions)
-        crashed = self.env.gtd.plain("crashes")
-        if bool(crashed.any()):
-            crashed = crashed.clone()
-            self.env.reset(crashed)
-            self._hold_start(crashed)
+        ended = self.env.gtd.plain("crashes") | self._has_left()
+        if bool(ended.any()):
+            self.env.reset(ended)
+            self._hold_start(ended)
         self.env.render()
 
+    def _has_left(self) -> Tensor:
+        """Return whether a vehicle is further from its room than the room is long, bool (E,)."""
+        place, low, high = (self.env.gtd.plain(key) for key in ("robot_position", "env_bounds_min", "env_bounds_max"))
+        reach = (high - low).amax(dim=-1, keepdim=True)
+        return ((place < low - reach) | (place > high + reach)).any(dim=-1)
+
     def _next_actions(self) -> Tensor:
-        if self._pilot is not None:
-            self._actions.copy_(self._pilot(self._observation))
+        actions, sticks = self._actions, self.sticks.to(self.env.device) if self.by_hand else None
         if self._goals is not None:
-            if self.by_hand:
-                shift = GOAL_M_S * self.env.dt * self.sticks.to(self.env.device)
+            if sticks is not None:
+                shift = GOAL_M_S * self.env.dt * sticks
                 self._goals[self.chosen] += shift[:3]
-                self._actions[self.chosen, 3:] += shift[3:]
-            self._actions[:, :3] = self._goals
-        elif self.by_hand:
-            self._actions[self.chosen] = self._scale * self.sticks.to(self.env.device)
-        return self._actions
+                actions[self.chosen, 3:] += shift[3:]
+            actions[:, :3] = self._goals
+            return actions
+        actions.copy_(self._rest if self._pilot is None else self._pilot(self._observation))
+        if sticks is not None:
+            actions[self.chosen] = self._rest[self.chosen] + self._scale * sticks
+        return actions
 
     def choose(self, number: int) -> None:
         """Choose an environment; a number beyond the last takes that one."""

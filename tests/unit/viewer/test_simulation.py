@@ -77,6 +77,23 @@ def test_sticks_fly_the_chosen_vehicle_alone() -> None:
     assert np.linalg.norm(position(flight, 1) - start[1]) < 0.2
 
 
+@pytest.mark.parametrize("controller", ["rotor_speed_control", "no_control"])
+def test_commands_of_rotors_rest_at_hover(controller: str) -> None:
+    flight = make_flight(controller)
+    flight.env.robot_manager.tensors.state.lin_vel.zero_()
+    flight.env.robot_manager.tensors.state.ang_vel.zero_()
+    flight.step()
+    assert abs(float(flight.env.gtd["robot_linvel"][0, 2])) < 0.01
+
+
+def test_vehicle_far_outside_its_room_begins_anew(flight: FlightInView) -> None:
+    flight.reset()
+    flight.env.robot_manager.tensors.state.position[1, 0] += 100.0
+    flight.step()
+    assert position(flight, 1)[0] < 50.0
+    assert flight.env.gtd["episodes"].tolist()[1] == flight.env.gtd["episodes"].tolist()[0] + 1
+
+
 def test_switch_writes_its_parameters_and_the_neutral_ones(flight: FlightInView) -> None:
     wind = switch(flight, "constant_wind")
     wind.values, wind.is_on = [3.0, 0.0, -1.0], True
