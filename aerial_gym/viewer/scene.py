@@ -102,7 +102,7 @@ class SceneView:
     def aim(self, snapshot: Snapshot) -> None:
         """Let new pages begin with a view of the environment's vehicle from behind."""
         place, camera = snapshot.position[snapshot.chosen], self._server.initial_camera
-        back = max(6.0 * self.vehicle.size, 0.6)
+        back = 3.0 * self.vehicle.size + 0.5
         camera.look_at = tuple(place.tolist())
         camera.position = (float(place[0]) - back, float(place[1]) - 0.6 * back, float(place[2]) + 0.6 * back)
 

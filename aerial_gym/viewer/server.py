@@ -45,9 +45,11 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
     listener = _listen(host, port)
     if not _is_loopback(host):
         print(f"aerial-gym: {host} is reachable from other machines; they can then control this view", file=sys.stderr)
-    with _guard_start(listener, allows(host)), redirect_stdout(StringIO()):  # without viser's own table
+    with _guard_start(listener, allows(host)) as guarded, redirect_stdout(StringIO()):  # without viser's own table
         server = ViserServer(host=host, port=port, verbose=False)
-    _close_tunnel(server)
+    if not guarded or not _close_tunnel(server):
+        close_server(server)
+        raise MissingDependencyError("this viser starts its server in another way: pip install viser==1.1.1")
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_layout="collapsible")
     return server
 
@@ -118,11 +120,11 @@ def _is_address(name: str) -> bool:
 
 
 @contextmanager
-def _guard_start(listener: socket.socket, check: Callable[["Request"], bool]) -> Iterator[None]:
-    """Let the next server listen on ``listener`` and refuse requests that fail the check."""
+def _guard_start(listener: socket.socket, check: Callable[["Request"], bool]) -> Iterator[list[bool]]:
+    """Let the next server listen on ``listener`` and refuse requests that fail the check; yield a list that it fills."""
     from websockets.asyncio import server as websockets
 
-    original = websockets.serve
+    original, guarded = websockets.serve, list[bool]()
 
     def serve(handler: Any, *_: Any, process_request: Any, **options: Any) -> Any:
         def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
@@ -133,17 +135,18 @@ def _guard_start(listener: socket.socket, check: Callable[["Request"], bool]) ->
                 response.headers["Content-Security-Policy"] = PAGE_RULES
             return response
 
+        guarded.append(True)
         return original(handler, sock=listener, process_request=answer, **options)
 
     websockets.serve = serve  # type: ignore[assignment]
     try:
-        yield
+        yield guarded
     finally:
         websockets.serve = original
 
 
-def _close_tunnel(server: "ViserServer") -> None:
-    """Ignore requests of a page for viser's public tunnel, which would show the view to the internet."""
+def _close_tunnel(server: "ViserServer") -> bool:
+    """Ignore requests of a page for viser's public tunnel, which shows a view to the internet; return whether that is done."""
     from viser._messages import ShareUrlRequest
 
-    server._websock_server._incoming_handlers.pop(ShareUrlRequest, None)
+    return server._websock_server._incoming_handlers.pop(ShareUrlRequest, None) is not None

@@ -3,10 +3,11 @@
 import http.client
 import socket
 from collections.abc import Iterator
+from contextlib import nullcontext
 
 import pytest
 
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, MissingDependencyError
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
@@ -108,3 +109,10 @@ def test_page_cannot_ask_for_a_public_tunnel() -> None:
     server = open_server(port=0)
     server.stop()
     assert ShareUrlRequest not in server._websock_server._incoming_handlers
+
+
+def test_server_that_would_start_unguarded_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if another version of viser did not call the function that is wrapped."""
+    monkeypatch.setattr("aerial_gym.viewer.server._guard_start", lambda *_: nullcontext([]))
+    with pytest.raises(MissingDependencyError, match="viser"):
+        open_server(port=0)

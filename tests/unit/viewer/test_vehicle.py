@@ -88,3 +88,17 @@ def test_arrow_of_a_force_begins_at_the_vehicle(server: "ViserServer") -> None:
 def test_removed_vehicles_leave_nothing(server: "ViserServer") -> None:
     VehicleView(server, "/gone", robot_by_name("base_quadrotor")).remove()
     assert server.scene.get_handle_by_name("/gone/blades") is None
+
+
+def test_thousand_vehicles_are_instances_of_the_same_meshes(server: "ViserServer") -> None:
+    robot, count = robot_by_name("base_quadrotor"), 1000
+    one, many = VehicleView(server, "/one", robot), VehicleView(server, "/many", robot, count=count)
+    place = np.zeros((count, 3))
+    place[:, 0] = np.arange(count)
+    many.update(place, np.tile(UPRIGHT, (count, 1)))
+    nodes = [name for name in server.scene._handle_from_node_name if name.startswith(("/one", "/many"))]
+    assert sum(name.startswith("/one") for name in nodes) == sum(name.startswith("/many") for name in nodes)
+    np.testing.assert_allclose(handle(server, "/many/body_0").batched_positions, place)
+    assert handle(server, "/many/blades").batched_positions.shape == (4 * count, 3)
+    one.remove()
+    many.remove()
