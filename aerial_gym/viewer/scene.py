@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 TRAIL_S = 8.0  # Length of the trail [s]
 GOAL_COLOR, TRAIL_COLOR, BOUNDS_COLOR = (30, 160, 60), (40, 90, 200), (120, 120, 120)
 OTHERS_OPACITY = 0.15  # Of the vehicles of other environments
-TO_CAMERA = torch.tensor(
-    [-0.5, 0.5, -0.5, 0.5]
-)  # From viser's camera axes (z ahead, y down) to those of a sensor, xyzw
+TO_CAMERA = torch.tensor([-0.5, 0.5, -0.5, 0.5])  # From viser's camera axes to those of a sensor, xyzw
 EDGES = [(0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7)]  # Of a box
 GATE_M = 0.4  # Half edge of the frame that marks the next gate [m]
 
@@ -36,7 +34,10 @@ class SceneView:
     """Everything on the page but the controls."""
 
     def __init__(self, server: "ViserServer", content: SceneContent, *, alone: bool = False) -> None:
-        """Add the nodes; positions follow with the first ``update``. ``alone`` leaves out other environments' vehicles."""
+        """Add the nodes; positions follow with the first ``update``.
+
+        With ``alone`` there are no vehicles of other environments, and the goal has no arrows to drag it.
+        """
         self._server, self._scene, self.content = server, server.scene, content
         self.vehicle = VehicleView(server, "/vehicle", content.robot)
         self.others: VehicleView | None = None
@@ -46,20 +47,23 @@ class SceneView:
             )
         size = self.vehicle.size
         self.goal = self._scene.add_transform_controls(
-            "/goal", scale=2.2 * size, disable_rotations=True, disable_sliders=True, visible=False, opacity=0.7
+            "/goal",
+            scale=2.2 * size,
+            disable_axes=alone,
+            disable_rotations=True,
+            disable_sliders=True,
+            visible=False,
+            opacity=0.7,
         )
         self._scene.add_icosphere("/goal/marker", radius=0.2 * size, color=GOAL_COLOR, opacity=0.7)
-        self._gate = self._scene.add_line_segments(
-            "/gate", _square(), colors=GOAL_COLOR, thickness=5.0, thickness_units="screen", visible=False
-        )
-        self._trail = self._scene.add_line_segments(
-            "/trail", np.zeros((1, 2, 3)), colors=TRAIL_COLOR, thickness=2.0, thickness_units="screen"
-        )
+        self._gate = self._add_lines("/gate", _square(), GOAL_COLOR, 5.0)
+        self._trail = self._add_lines("/trail", np.zeros((1, 2, 3)), TRAIL_COLOR, 2.0)
         self._path: deque[Array] = deque(maxlen=max(2, round(TRAIL_S * 30)))
         self.last: Snapshot | None = None
         """The snapshot that the page shows."""
         self._rows: tuple[int, ...] = ()
         self._obstacles: dict[int, BatchedMeshHandle] = {}
+        self._part_place: NDArray[np.float32] = np.zeros((0, 7), dtype=np.float32)
         self._room: NDArray[np.float32] | None = None
         self._sensors = {name: _SensorView(server, name, cfg) for name, cfg in content.sensors.items()}
         self.shows_walls = False
@@ -86,7 +90,7 @@ class SceneView:
             self._sensors[name].update(reading)
 
     def _draw_room(self, bounds: Array) -> None:
-        """Draw ground and bounds, and aim the first view at the vehicle's room."""
+        """Draw ground and bounds."""
         self._room = bounds
         low, high = bounds
         middle, width = 0.5 * (low + high), float((high - low)[:2].max())
@@ -124,8 +128,9 @@ class SceneView:
         rows = tuple(snapshot.part_row.tolist())
         if rows != self._rows:
             self._add_obstacles(rows, snapshot.bounds)
-        if not rows:
+        elif np.array_equal(snapshot.part_place, self._part_place):
             return
+        self._part_place = snapshot.part_place
         place, turn = torch.from_numpy(snapshot.part_place).split((3, 4), dim=-1)
         for row, node in self._obstacles.items():
             at = np.flatnonzero(snapshot.part_row == row)

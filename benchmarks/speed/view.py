@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--training", action="store_true", help="measure the cost of train --view")
     parser.add_argument("--num-envs", type=int, default=64)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--time-s", type=float, default=10.0, help="length of a measurement or of a training [s]")
+    parser.add_argument("--time-s", type=float, default=20.0, help="length of a measurement or of a training [s]")
     parser.add_argument("--pairs", type=int, default=5)
     asked = parser.parse_args()
     if asked.training:
