@@ -106,6 +106,7 @@ def show_states(host: str, port: int, states: IO[bytes], wishes: IO[bytes]) -> N
             if scene is None:
                 scene = SceneView(server, content, alone=True)
                 scene.aim(snapshot)
+                scene.add_follow_switch(follows=True)
             with server.atomic():
                 scene.update(snapshot)
                 line.value = f"episode {snapshot.episode}, {snapshot.time:.1f} s"

@@ -93,6 +93,7 @@ class ControlPanel:
             number.on_update(lambda _: flight.choose(int(number.value)))
             show = self._gui.add_checkbox("other vehicles", initial_value=True)
             show.on_update(lambda _: setattr(scene.others, "visible", show.value))
+        scene.add_follow_switch(follows=flight.has_task)
         forces = self._gui.add_checkbox("forces of effects", initial_value=True)
         forces.on_update(lambda _: setattr(self, "shows_forces", forces.value))
         if scene.content.parts:

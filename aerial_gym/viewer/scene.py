@@ -66,6 +66,8 @@ class SceneView:
         self._part_place: NDArray[np.float32] = np.zeros((0, 7), dtype=np.float32)
         self._room: NDArray[np.float32] | None = None
         self._sensors = {name: _SensorView(server, name, cfg) for name, cfg in content.sensors.items()}
+        self.follows = False
+        """Whether the cameras of all pages move with the vehicle, each from behind it."""
         self.shows_walls = False
         """Whether obstacles that are larger than the room, such as its walls, are shown."""
         self._scene.set_up_direction("+z")
@@ -86,6 +88,8 @@ class SceneView:
         self._move_obstacles(snapshot)
         self._draw_trail(snapshot.position[snapshot.chosen])
         self._draw_goal(snapshot)
+        if self.follows:
+            self._follow(snapshot)
         for name, reading in snapshot.readings.items():
             self._sensors[name].update(reading)
 
@@ -105,10 +109,26 @@ class SceneView:
 
     def aim(self, snapshot: Snapshot) -> None:
         """Let new pages begin with a view of the environment's vehicle from behind."""
-        place, camera = snapshot.position[snapshot.chosen], self._server.initial_camera
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = self._rear_view(snapshot)
+
+    def _rear_view(self, snapshot: Snapshot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the position of a camera behind and above the vehicle, and the vehicle's."""
+        place = snapshot.position[snapshot.chosen].astype(np.float64)
         back = 3.0 * self.vehicle.size + 0.5
-        camera.look_at = tuple(place.tolist())
-        camera.position = (float(place[0]) - back, float(place[1]) - 0.6 * back, float(place[2]) + 0.6 * back)
+        return place + back * np.array([-1.0, -0.6, 0.6]), place
+
+    def add_follow_switch(self, *, follows: bool) -> None:
+        """Add the control with which the camera follows the vehicle; while it does, the mouse does not turn it."""
+        self.follows = follows
+        switch = self._server.gui.add_checkbox("follow the vehicle", follows)
+        switch.on_update(lambda _: setattr(self, "follows", switch.value))
+
+    def _follow(self, snapshot: Snapshot) -> None:
+        position, look_at = self._rear_view(snapshot)
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.position, client.camera.look_at = position, look_at
 
     def _move_vehicles(self, snapshot: Snapshot, elapsed: float) -> None:
         chosen = slice(snapshot.chosen, snapshot.chosen + 1)

@@ -61,6 +61,11 @@ class FlightInView:
         self._reader = SnapshotReader(env, values if task is None else task.values.own)
         self.content = self._reader.content
 
+    @property
+    def has_task(self) -> bool:
+        """Whether a task gives observations and ends episodes."""
+        return self._task is not None
+
     def _set_hover(self) -> None:
         """Let commands of single rotors rest at hover, and half of it be a full stick."""
         manager = self.env.robot_manager

@@ -18,7 +18,7 @@ from aerial_gym.assets.mesh_files import join_pieces
 from aerial_gym.config.joint import BASE
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import PartCfg, ShapeCfg
-from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
+from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.robots.looks import FRAME, arm_parts, rotor_parts
 from aerial_gym.viewer.meshes import part_mesh, rgb
 
@@ -33,6 +33,7 @@ ARROW_COLORS: tuple[Rgb, ...] = (
     (230, 120, 20), (30, 140, 200), (160, 60, 180), (40, 160, 70), (200, 40, 90), (120, 120, 30),
 )  # fmt: skip
 GRAVITY = 9.81
+WXYZ = [3, 0, 1, 2]  # Columns of xyzw in the order of viser
 
 
 class VehicleView:
@@ -45,6 +46,7 @@ class VehicleView:
         """Add the meshes under the scene node ``name``; ``tint`` replaces all colours."""
         self._server, self.name, self.count, self._robot = server, name, count, robot
         self._root = server.scene.add_frame(name, show_axes=False)
+        self._forces = server.scene.add_frame(f"{name}_forces", show_axes=False)
         discs = rotor_parts(robot)
         self._links = robot.link_names.index if robot.joints else lambda _: 0
         self._rotor_links = [self._links(part.link) for part in discs]
@@ -113,7 +115,7 @@ class VehicleView:
 
     @visible.setter
     def visible(self, shown: bool) -> None:
-        self._root.visible = shown
+        self._root.visible = self._forces.visible = shown
 
     def update(
         self, position: NDArray[np.floating], attitude: NDArray[np.floating], *,
@@ -132,7 +134,10 @@ class VehicleView:
         """
         place, turn = _tensor(position), _tensor(attitude)
         poses = torch.cat((place, turn), dim=-1).unsqueeze(1) if links is None else _tensor(links)[..., :7]
-        for link, mesh in self._bodies:
+        if self.count == 1:  # the pose of a node reaches the page sooner than that of an instance
+            self._root.position, self._root.wxyz = place[0].numpy(), turn[0, WXYZ].numpy()
+            poses = _relative_poses(poses, place.unsqueeze(1), turn.unsqueeze(1).expand(-1, poses.shape[1], -1))
+        for link, mesh in self._bodies if self.count > 1 or links is not None else ():
             _move(mesh, *poses[:, min(link, poses.shape[1] - 1)].split((3, 4), dim=-1))
         if rotor_state is not None:
             speed = self._spins * self._per_state * _tensor(rotor_state)
@@ -165,7 +170,7 @@ class VehicleView:
         points = torch.stack((place, tip), dim=1).numpy()
         if effect not in self._arrows:
             color = ARROW_COLORS[self._numbers.setdefault(effect, len(self._numbers)) % len(ARROW_COLORS)]
-            thick, scene, name = 0.04 * self.size, self._server.scene, f"{self.name}/force_{effect}"
+            thick, scene, name = 0.04 * self.size, self._server.scene, f"{self.name}_forces/{effect}"
             arrows = scene.add_arrows(
                 name, points, color, shaft_radius=thick, head_radius=2.5 * thick, head_length=5.0 * thick
             )
@@ -177,6 +182,7 @@ class VehicleView:
     def remove(self) -> None:
         """Remove the vehicles from the page."""
         self._root.remove()
+        self._forces.remove()
 
 
 def body_parts(robot: RobotCfg) -> tuple[PartCfg, ...]:
@@ -193,6 +199,12 @@ def _tensor(values: NDArray[np.floating]) -> Tensor:
     return torch.as_tensor(np.asarray(values, dtype=np.float32))
 
 
+def _relative_poses(poses: Tensor, place: Tensor, turn: Tensor) -> Tensor:
+    """Return world poses (N, L, 7) in the frames at ``place``, (N, 1, 3), with attitudes ``turn``, (N, L, 4)."""
+    position = quat_rotate_inverse(turn, poses[..., :3] - place)
+    return torch.cat((position, quat_multiply(quat_conjugate(turn), poses[..., 3:])), dim=-1)
+
+
 def _move(mesh: "BatchedMeshHandle", position: Tensor, attitude: Tensor) -> None:
     mesh.batched_positions = position.numpy()
-    mesh.batched_wxyzs = attitude[:, [3, 0, 1, 2]].numpy()
+    mesh.batched_wxyzs = attitude[:, WXYZ].numpy()

@@ -47,6 +47,19 @@ def test_hubs_follow_the_pose(server: "ViserServer") -> None:
     np.testing.assert_allclose(body.batched_wxyzs[0], (0.5**0.5, 0.0, 0.0, 0.5**0.5), atol=1e-7)
 
 
+def test_one_vehicle_moves_as_a_node(server: "ViserServer") -> None:
+    """Its meshes stay in the frame of the node, which has its pose."""
+    robot = robot_by_name("base_quadrotor")
+    view = VehicleView(server, "/alone", robot)
+    view.update(np.array([[1.0, 2.0, 3.0]]), np.array([QUARTER]))
+    node = handle(server, "/alone")
+    np.testing.assert_allclose(node.position, (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(node.wxyz, (0.5**0.5, 0.0, 0.0, 0.5**0.5), atol=1e-7)
+    hubs = [mount.position[:2] for mount in robot.mounts.layout]
+    np.testing.assert_allclose(handle(server, "/alone/discs").batched_positions[:, :2], hubs, atol=1e-6)
+    np.testing.assert_allclose(handle(server, "/alone/body_0").batched_positions, np.zeros((1, 3)))
+
+
 def test_rotors_turn_with_their_speed_and_sense(server: "ViserServer") -> None:
     """After ``elapsed`` a blade has turned by ``SLOWER spin speed elapsed`` about its axis: 2 atan2(z, w)."""
     robot = robot_by_name("base_quadrotor")
@@ -80,7 +93,7 @@ def test_arrow_of_a_force_begins_at_the_vehicle(server: "ViserServer") -> None:
     for share in (0.5, 1.0):
         force = np.array([[0.0, 0.0, -share * weight], [share * weight, 0.0, 0.0]])
         view.update(place, np.array([UPRIGHT, UPRIGHT]), forces={"drag": force})
-        arrows = handle(server, "/pushed/force_drag").points
+        arrows = handle(server, "/pushed_forces/drag").points
         np.testing.assert_allclose(arrows[:, 0], place)
         np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], ARROW_M * view.size * force / weight, atol=1e-6)
 
