@@ -6,7 +6,7 @@ BIN := .venv/bin
 # Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo docs test test-slow browser view-test golden golden-update kill-test fuzz undeclared lint format clean
+.PHONY: setup demo docs test test-slow browser view-test view-pictures golden golden-update kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -36,6 +36,10 @@ browser: setup
 # Pages and the viewer in a headless Chromium, which `make browser` installs; without it the tests skip.
 view-test: setup
 	$(BIN)/python -m pytest -m slow -rs tests/browser
+
+# Pictures of the viewer in docs/images, by the same browser.
+view-pictures: setup
+	$(BIN)/python -m tests.browser.pictures
 
 # Minutes: compares results of the whole package with tests/golden/reference. TOPICS: interface releases cases tasks.
 TOPICS ?=
