@@ -6,7 +6,7 @@ effects, and the intervals of effects include them. Two tolerances come from eac
 R rotors, N tolerances.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 
@@ -33,11 +33,12 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
     **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest", "command_clock"), ("",)),
     "products": ("xy", "xz", "yz"),
-    "velocity_place": "xyz",
+    **dict.fromkeys(("velocity_place", "gyro_scale", "attitude_scale", "velocity_scale"), "xyz"),
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
-OF_LOGS = ("sensor_delay", "acc_scale", "imu_place", "command_clock", "velocity_place")
+SCALES = ("acc_scale", "gyro_scale", "attitude_scale", "velocity_scale")
+OF_LOGS = ("sensor_delay", *SCALES, "imu_place", "command_clock", "velocity_place")
 """Tolerances of the logger, which hide no effect."""
 
 STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
@@ -63,6 +64,9 @@ class Tolerances:
     velocity_place: float = (
         0.005  # Point whose velocity is logged, per axis [m]; an estimator may take its accelerometer's
     )
+    gyro_scale: float = 0.015  # Relative, per axis; half the limit of InvenSense's MPU-6000 (rev. 3.4, section 6.1)
+    attitude_scale: float = 0.015  # Relative, of the attitude's turning per body axis: estimators integrate a gyro
+    velocity_scale: float = 0.01  # Relative scale of the logged velocity per world axis, as of a camera's depth
     nominal_voltage: float = 0.003  # Relative; battery voltage at which rotors reach the commanded speed
     command_hold: float = 0.3  # Shift of the command towards the next row, in rows: autopilots are faster than logs
     joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
@@ -101,6 +105,22 @@ def tolerances_after_move(tolerances: Tolerances, notes: Iterable[Finding]) -> T
         abs(float(n.values["lead_ms"])) for n in notes if n.code == "rotor_log_moved" and n.values["with_commands"]
     ]
     return replace(tolerances, command_clock=max([tolerances.command_clock, *(1e-3 * lead for lead in leads)]))
+
+
+def tolerances_after_gains(tolerances: Tolerances, flights: Sequence[Sequence[Finding]]) -> Tolerances:
+    """Return the tolerances with scales as unsure as the gains that half of the flights contradict (``sensor_gain``).
+
+    Kinematics then determine the scale, so that no effect stands in for it. Either sensor of a pair may be wrong.
+    """
+
+    def median_error(column: str) -> float:
+        gains = [[one.values for one in notes if one.code == "sensor_gain"] for notes in flights]
+        errors = [[abs(g["gain_ratio"] - 1.0) for g in own if g["column"].startswith(column)] for own in gains]
+        return float(np.median([max(own, default=0.0) for own in errors]))
+
+    turning, force = median_error("omega"), median_error("acc")
+    errors = dict(zip(SCALES, (force, turning, turning, force), strict=True))
+    return replace(tolerances, **{name: max(getattr(tolerances, name), error) for name, error in errors.items()})
 
 
 def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
@@ -153,6 +173,9 @@ class SensorErrors:
     gyro_bias: Tensor  # [rad/s], body, (3,)
     acc_scale: Tensor  # Relative, (3,)
     imu_place: Tensor  # Accelerometer position relative to the body origin [m], body, (3,)
+    gyro_scale: Tensor  # Relative, (3,)
+    attitude_scale: Tensor  # Relative, (3,)
+    velocity_scale: Tensor  # Relative, world axes, (3,)
     velocity_place: Tensor  # Point whose velocity is logged, relative to the body origin [m], body, (3,)
     rotor_motion: Tensor  # Deviation of the motion in each rotor mode, in its standard deviations, (R,)
     answered_noise: Tensor  # Deviation of noise correlated with torque, then a quarter period late, in its std, (6,)
@@ -174,7 +197,7 @@ class SensorErrors:
 def sensor_errors(tolerances: Tolerances, deviation: Tensor) -> SensorErrors:
     """Return the sensor errors of deviations (N,) in standard deviations."""
     off = split_deviations(deviation)
-    names = ("acc_bias", "gyro_bias", "acc_scale", "imu_place", "velocity_place", "attitude")
+    names = ("acc_bias", "gyro_bias", *SCALES, "imu_place", "velocity_place", "attitude")
     return SensorErrors(
         **{name: getattr(tolerances, name) * off[name] for name in names},
         rotor_motion=off["rotor_motion"],

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.wording.words import (
 REMEDIES_OF_DEVIATIONS = {
     "acc_bias": "Calibrate it",
     "gyro_bias": "Calibrate it",
-    "acc_scale": "Calibrate it",
+    **dict.fromkeys(("acc_scale", "gyro_scale", "attitude_scale", "velocity_scale"), "Calibrate it"),
     "sensor_delay": "Log on one clock",
     "command_clock": "Log on one clock",
     "imu_place": "Log its reading at the body origin",

@@ -13,7 +13,8 @@ from weakref import ref
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_to_matrix
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
 from aerial_gym.math.rows import times
 from aerial_gym.physics import Accelerations
 from aerial_gym.physics.effects import ImuEffect, WrenchEffect
@@ -30,10 +31,18 @@ KEPT = 2  # Number of cached results per effect and sensor, as in ``physics.answ
 
 @dataclass(frozen=True, kw_only=True)
 class SensorDelays:
-    """Delays of the sensors on the clock of the rows, by flight [s]."""
+    """Delays of the sensors on the clock of the rows, by flight [s], and the scale of the gyro."""
 
     force: tuple[float, ...]  # Delay of the accelerometer, or of the derived force
     gyro: tuple[float, ...]
+    gyro_scale: Tensor | None = None  # Relative, (3,); None: exact
+
+    def true_motion(self, motion: Tensor) -> Tensor:
+        """Return the true angular acceleration and products of angular velocities for measured ones, (12, T)."""
+        if self.gyro_scale is None:
+            return motion
+        share = 1.0 / (1.0 + self.gyro_scale)
+        return torch.cat((share, torch.outer(share, share).flatten()))[:, None] * motion
 
 
 class BandResponse:
@@ -79,7 +88,7 @@ class BandResponse:
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
         force = wrench[:3] / vehicle.mass[0] - self.lever_arm_acceleration(vehicle.com[0], late)
-        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ self._motion)
+        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ late.true_motion(self._motion))
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
     def _wrench_in_band(
@@ -118,10 +127,10 @@ class BandResponse:
         """Return the measured rotation, (12, T), with the delay of the force."""
         lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
         if not any(lead):
-            return self._motion
+            return late.true_motion(self._motion)
         if lead != self._lead:
             self._lead, self._late_motion = lead, self._lowpass_rows(self._motion_rows, lead)
-        return self._late_motion
+        return late.true_motion(self._late_motion)
 
     def _rows_in_band(
         self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]
@@ -158,6 +167,12 @@ Columns = list[Array]  # Channel columns, each (rows kept,); different predictio
 READINGS = 3  # Number of stored kinematic readings
 
 
+def add_to_columns(channels: dict[str, Columns], kind: str, rows: Tensor) -> dict[str, Columns]:
+    """Return the channels with rows (T, 3) added to one kind."""
+    pairs = zip(channels[kind], columns_of_rows(rows), strict=True)
+    return {**channels, kind: [one + other for one, other in pairs]}
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorReading:
     """Reading of a sensor for true vectors: ``turn^T v + offset``."""
@@ -182,6 +197,8 @@ class ImuReading:
 
     def __init__(self, data: Dataset, in_band: BandResponse) -> None:
         self.data, self._in_band = data, in_band
+        columns = data.columns_in_band(data.state["ang_vel"].T.contiguous().numpy())
+        self._rates = torch.from_numpy(columns).T  # Measured angular velocity, (T, 3)
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
     def delays_on_prediction_clock(self, logged: SensorErrors) -> list[float]:
@@ -194,7 +211,8 @@ class ImuReading:
         """Return the delays of force and rotation on that clock; a derived force has the delay of the attitude."""
         _, acc, gyro, attitude, _ = self.delays_on_prediction_clock(logged)
         force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
-        return SensorDelays(force=force, gyro=(gyro,) * len(force))
+        scale = logged.gyro_scale if logged.gyro_scale.any() else None
+        return SensorDelays(force=force, gyro=(gyro,) * len(force), gyro_scale=scale)
 
     def read_channels(
         self, model: Model, accelerations: Accelerations, logged: SensorErrors, seeming: Tensor | None
@@ -216,6 +234,7 @@ class ImuReading:
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_readings_of_model(model)
             force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)
+        torque = torque * (1.0 + logged.gyro_scale)
         if seeming is not None:
             torque = torque + seeming
         turn = quat_to_matrix(logged.attitude_turn) if logged.attitude.any() else None
@@ -226,17 +245,27 @@ class ImuReading:
             force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_force(0.0)[1])
         place = logged.imu_place - logged.velocity_place
         implied = self._read_kinematic_channels(model, logged, turn, lever(place) if place.any() else None)
+        # Scales act on the predicted force and the measured rate; on the implied ones, noise would bias them.
+        if logged.velocity_scale.any():
+            more = self._change_by_velocity_scale(force, logged.velocity_scale)
+            force = torch.where(felt, force, force + more)
+            implied = add_to_columns(implied, "kinematic_force", -more * felt)
         if logged.acc_scale.any():
-            # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
-            force = force + more
-            pairs = zip(implied["kinematic_force"], columns_of_rows(more), strict=True)
-            implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
+            force, implied = force + more, add_to_columns(implied, "kinematic_force", more)
+        if (scale := logged.gyro_scale - logged.attitude_scale).any():
+            implied = add_to_columns(implied, "kinematic_rate", self._rates * (scale / (1.0 + logged.gyro_scale)))
         return {
             "specific_force": columns_of_rows(force + logged.acc_bias * felt),
             "angular_acceleration": columns_of_rows(torque),  # a constant error has no derivative
             **implied,
         }
+
+    def _change_by_velocity_scale(self, force: Tensor, scale: Tensor) -> Tensor:
+        """Return the change of a force derived from the velocity by its relative scale, (3,) [m/s²], body, (T, 3)."""
+        rows = [torch.from_numpy(f.attitude[kept]) for f, kept in zip(self.data.flights, self.data.kept, strict=True)]
+        attitude, weight = torch.cat(rows), force.new_tensor((0.0, 0.0, STANDARD_GRAVITY))
+        return quat_rotate_inverse(attitude, scale * (quat_rotate(attitude, force) - weight))
 
     def _read_kinematic_channels(
         self, model: Model, logged: SensorErrors, turn: Tensor | None, lever: Tensor | None

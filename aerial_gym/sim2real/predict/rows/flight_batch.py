@@ -237,6 +237,8 @@ class FlightBatch:
         """Return the motion in every row on the rotor speeds' clock, corrected for misalignment and delays of the pose."""
         results, logged = dict(self.data.state), asked.logged
         *_, attitude, velocity = self._imu.delays_on_prediction_clock(logged)
+        if logged.velocity_scale.any():
+            results["lin_vel"] = results["lin_vel"] / (1.0 + logged.velocity_scale)
         if velocity:
             results["lin_vel"] = results["lin_vel"] + velocity * self.data.acceleration
         if attitude:
@@ -252,7 +254,7 @@ class FlightBatch:
         motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
         pose_late = motion.new_tensor(self._imu.delays_on_prediction_clock(asked.logged)[3:])
-        numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
+        numbers = torch.cat((motion, asked.logged.attitude, asked.logged.velocity_scale, pose_late)).numpy().tobytes()
         key = (at_origin, *_condition_key(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)
         if known is not None and known[0] is speeds:

@@ -478,6 +478,25 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])
+@pytest.mark.parametrize(("letters", "axis", "name"), [("omega", "y", "gyro_scale"), ("v", "x", "velocity_scale")])
+def test_a_scale_of_gyro_or_velocity_within_its_tolerance_is_put_back(
+    letters: str, axis: str, name: str, accelerometer: bool, tmp_path: Path
+) -> None:
+    """Two deviations along one axis leave what an exact scale does, but 10 %; with drag in a wind."""
+    table, size = flight(3, drag=0.6, wind=(2.0, -1.0, 0.5)), 2.0 * getattr(Tolerances(), name)
+    if not accelerometer:
+        table = table.drop(columns=["acc_x", "acc_y", "acc_z"])
+    params = ModelParams(effects={"rotor_drag": np.full(3, 0.6), "constant_wind": np.array([2.0, -1.0, 0.5])})
+    scaled = table.assign(**{f"{letters}_{axis}": (1.0 + size) * table[f"{letters}_{axis}"]})
+    on_scale, off_scale = uniform_flight(table, tmp_path, "on"), uniform_flight(scaled, tmp_path, "off")
+    as_was, moved = residual(on_scale, params), residual(off_scale, params)
+    back = residual(off_scale, replace(params, deviation=draw_deviations(**{f"{name}_{axis}": 2.0})))
+    left, off = (np.sqrt(np.mean((one - as_was) ** 2, axis=0)) for one in (back, moved))
+    assert off.max() > 0.01
+    np.testing.assert_array_less(left, 2e-3 + 0.1 * off)
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
 def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: Path, accelerometer: bool) -> None:
     """A log whose attitude is turned against the body by 2 and -1 tolerances leaves what the aligned one does, in its axes."""
     table = flight(3) if accelerometer else flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
