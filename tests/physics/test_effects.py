@@ -469,6 +469,20 @@ def test_a_rotor_speed_scale_is_undone() -> None:
     assert_wrench(effect.true_speed(effect.measure(speed, params), params)[0], [100.0, 200.0], size=1e3)
 
 
+def test_a_tachometer_scale_is_undone_on_its_rotor_alone() -> None:
+    effect, speed = EFFECTS.get("tachometer_scale"), torch.tensor([[100.0, 200.0, 300.0]], dtype=F64).expand(2, 3)
+    params = torch.tensor([[2.0, 1.1], [3.0, 0.5]], dtype=F64)
+    read = effect.measure(speed, params)
+    torch.testing.assert_close(read, torch.tensor([[100.0, 220.0, 300.0], [100.0, 200.0, 150.0]], dtype=F64))
+    torch.testing.assert_close(effect.true_speed(read, params), speed)
+
+
+def test_a_motor_gain_scales_the_command_of_its_rotor_alone() -> None:
+    params, command = torch.tensor([[3.0, 0.9, 0.0]], dtype=F64), torch.full((1, 4), 1000.0, dtype=F64)
+    speed = EFFECTS.get("motor_gain").command(command, make_model({}, 1).vehicle, params)
+    assert_wrench(speed[0], [1000.0, 1000.0, 900.0, 1000.0], size=1e3)
+
+
 def test_a_motor_tilt_is_a_rotation_of_any_axis() -> None:
     """R = R_y(pitch) R_x(roll), as the quaternion of these Euler angles turns it."""
     vehicle = vehicle_from_config(asymmetric_robot(), num_envs=1, dtype=F64)

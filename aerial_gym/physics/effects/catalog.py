@@ -21,6 +21,7 @@ for _name, _place in (
     ("thrust_curve", "rotor_flow:ThrustCurve"),
     ("thrust_coefficient", "vehicle_errors:ThrustCoefficient"),
     ("weak_motor", "rotor_failures:WeakMotor"),
+    ("motor_gain", "rotor_failures:MotorGain"),
     ("torque_ratio", "vehicle_errors:TorqueRatio"),
     ("arm_length", "vehicle_errors:ArmLength"),
     ("torque_gain", "vehicle_errors:TorqueGain"),
@@ -65,6 +66,7 @@ for _name, _place in (
     ("imu_misalignment", "sensor_errors:ImuMisalignment"),
     ("attitude_bias", "sensor_errors:AttitudeBias"),
     ("rotor_speed_scale", "sensor_errors:RotorSpeedScale"),
+    ("tachometer_scale", "sensor_errors:TachometerScale"),
     ("blade_element", "blade_element:BladeElement"),
     ("vortex_ring", "rotor_flow:VortexRing"),
 ):

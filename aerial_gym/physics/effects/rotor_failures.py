@@ -54,13 +54,34 @@ class WeakMotor(VehicleEffect):
     acts_on = "rotor"
     parameters = (ROTOR, Parameter("scale", "-", 0.1, 2.0, 0.05, "true thrust per declared thrust", neutral=1.0))
     excitation = "thrust that varies, and yaw: in hover alone a shifted centre of mass looks the same"
-    confused_with = ("com_offset", "thrust_coefficient", "motor_tilt", "payload_mass")
+    confused_with = ("com_offset", "thrust_coefficient", "motor_tilt", "payload_mass", "tachometer_scale")
     rotors = ANY_ROTOR
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the maps of one rotor scaled."""
         factor = 1.0 + rotor_mask(vehicle, params[:, 0]) * (params[:, 1:] - 1.0)
         return vehicle.with_scaled_maps(thrust=factor, torque=factor)
+
+
+class MotorGain(CommandEffect):
+    """Motor gain: one rotor reaches another speed than its command, as with a speed controller of other calibration.
+
+    ``w_reached = k w_command`` for that rotor, with its own lag; in force mode its thrust.
+    Source: Derived: a proportional error between a command and the speed that it requests.
+    """
+
+    name = "motor_gain"
+    summary = "one rotor reaches another speed than commanded"
+    parameters = (ROTOR, Parameter("scale", "-", 0.1, 2.0, 0.03, "reached speed per command", neutral=1.0))
+    excitation = "commands beside measured rotor speeds; without these a weak motor looks the same"
+    confused_with = ("weak_motor", "tachometer_scale", "command_curve")
+    told_by_rotor_speeds = True
+    rotors = ANY_ROTOR
+    memory = (0.0,)  # Not used: backends apply effects on commands with the memory of a substep
+
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+        """Return the commands with that of one rotor times k."""
+        return command * (1.0 + rotor_mask(vehicle, params[:, 0]) * (params[:, 1:2] - 1.0))
 
 
 class MotorTilt(VehicleEffect):

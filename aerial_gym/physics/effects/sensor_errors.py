@@ -11,6 +11,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
 from aerial_gym.physics.effects.base import Parameter
 from aerial_gym.physics.effects.kinds import AttitudeSensorEffect, ImuEffect, RotorSensorEffect
+from aerial_gym.physics.effects.rotor_failures import ROTOR
 
 
 class ImuBias(ImuEffect):
@@ -137,3 +138,33 @@ class RotorSpeedScale(RotorSensorEffect):
     def true_speed(self, measured: Tensor, params: Tensor) -> Tensor:
         """Return ``w_measured / k``."""
         return measured / params[:, :1]
+
+
+class TachometerScale(RotorSensorEffect):
+    """Tachometer scale: a factor on the logged speed of one rotor, from a wrong number of its magnet poles or marks.
+
+    ``w_measured = k w`` for that rotor. Without commands, a thrust ``1 / k²`` times the declared one looks the same.
+    Source: Derived: a tachometer counts k times as many events per turn as assumed.
+    """
+
+    name = "tachometer_scale"
+    summary = "a measured speed of one rotor that is off by a factor"
+    parameters = (ROTOR, Parameter("scale", "-", 0.05, 20.0, 0.02, "measured per true speed", neutral=1.0))
+    excitation = "measured speeds beside commands; without commands a weak motor looks the same"
+    confused_with = ("weak_motor", "com_offset", "rotor_speed_scale")
+    told_by_torques = True
+    rotors = ("reversible", "slew", "dead_band")
+
+    def measure(self, rotor_speed: Tensor, params: Tensor) -> Tensor:
+        """Return ``k w`` for that rotor."""
+        return self._factors(rotor_speed, params) * rotor_speed
+
+    def true_speed(self, measured: Tensor, params: Tensor) -> Tensor:
+        """Return ``w_measured / k`` for that rotor."""
+        return measured / self._factors(measured, params)
+
+    @staticmethod
+    def _factors(speed: Tensor, params: Tensor) -> Tensor:
+        """Return k for one rotor and 1 for the others, (E, R)."""
+        numbers = torch.arange(1, speed.shape[-1] + 1, device=speed.device)
+        return torch.where(numbers == params[:, :1].round(), params[:, 1:2], 1.0)

@@ -293,6 +293,7 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "thrust_curve": _thrust_curve_sentence,
     "thrust_coefficient": _ratio_template("All rotors give", "more thrust", "less thrust"),
     "weak_motor": _ratio_template("ROTOR gives", "more thrust", "less thrust"),
+    "motor_gain": _ratio_template("ROTOR reaches", "more speed", "less speed", "than commanded"),
     "torque_ratio": _ratio_template("The drag torque of the rotors is", "higher", "lower"),
     "arm_length": _ratio_template("The arms are", "longer", "shorter"),
     "motor_time_constant": _motor_time_constant_sentence,
@@ -387,6 +388,7 @@ EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
     "rotor_speed_scale": _ratio_template(
         "The logged rotor speeds read", "too high", "too low", "against the true ones"
     ),
+    "tachometer_scale": _ratio_template("ROTOR is logged", "too fast", "too slow", "against its true speed"),
     "blade_element": _coefficient_template("Blade-element theory acts with a share of", {"share": "of 1"}, ""),
     "vortex_ring": _coefficient_template("Thrust is lost in fast descent, by a coefficient of", {"k": ""}, ""),
 }

@@ -22,7 +22,7 @@ FORCE = RotorCfg(
     source="invented",
 )  # fmt: skip
 FORCED: RobotCfg = replace(ROBOT, rotor=FORCE)
-NO_SPEED = {"axial_inflow", "battery_sag", "h_force_flapping", "rotor_inertia", "rotor_speed_scale"}
+NO_SPEED = {"axial_inflow", "battery_sag", "h_force_flapping", "rotor_inertia", "rotor_speed_scale", "tachometer_scale"}
 ROTORS = [f"rotor_{n}" for n in (1, 2, 3, 4)]
 COMMANDS = [f"cmd_{n}" for n in (1, 2, 3, 4)]
 
