@@ -55,18 +55,15 @@ class TrainingView:
             self._thread.start()
 
     def close(self) -> None:
-        """End the page."""
+        """End the page; a second call does nothing."""
         self._ends.set()
+        self._page.terminate()
         if self._thread is not None:
-            self._thread.join(timeout=5.0)
+            self._thread.join()
+        self._page.wait()
         for pipe in (self._page.stdin, self._page.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
-        try:
-            self._page.wait(timeout=5.0)
-        except subprocess.TimeoutExpired:
-            self._page.kill()
+            assert pipe is not None
+            pipe.close()
 
     @torch.no_grad()
     def _send_states(self) -> None:
