@@ -51,10 +51,10 @@ class ControlPanel:
         """Calls that the loop makes between two steps."""
         self.paused, self.single_steps, self.speed = False, 0, 1.0
         self.shows_forces = True
-        self._status = self._gui.add_text("state", "", disabled=True)
+        self._status = self._gui.add_text("state", "", disabled=True, hint="time of the episode, height, speed")
         self._add_time()
         self._add_view()
-        self._add_disturbances(server)
+        self._add_disturbances()
         self._sticks = self._add_sticks()
         if flight.effects:
             with self._gui.add_folder("effects"):
@@ -105,7 +105,7 @@ class ControlPanel:
 
             walls.on_update(show_walls)
 
-    def _add_disturbances(self, server: "ViserServer") -> None:
+    def _add_disturbances(self) -> None:
         flight = self._flight
         push = self._gui.add_button_group("push", tuple(DIRECTIONS), hint=f"{PUSH_M_S:g} m/s; or drag the vehicle")
 

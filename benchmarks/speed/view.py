@@ -57,7 +57,10 @@ def _steps_per_s(num_envs: int, device: str, time_s: float, *, view: bool) -> fl
             "--device", device, "--max-time-s", str(time_s), "--json", *(["--view", "--port", str(PORT)] if view else []),
         ]  # fmt: skip
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        return float(json.loads(done.stdout.splitlines()[-1])["env_steps_per_s"])
+        rate = float(json.loads(done.stdout.splitlines()[-1])["env_steps_per_s"])
+    if rate <= 0.0:
+        raise SystemExit(f"a training of {time_s:g} s made one report at most. Give more time: --time-s")
+    return rate
 
 
 def measure_training(num_envs: int, device: str, time_s: float, pairs: int) -> dict[str, object]:
