@@ -217,6 +217,11 @@ def initial_link_states(links: Sequence[LoadLink], flights: Sequence[Flight], wi
     return load
 
 
+def rows_per_step(rate: float) -> int:
+    """Return the number of log rows in one rollout step for a log's rate [Hz]."""
+    return max(1, int(STEP_S * rate + 1e-9))
+
+
 class WindowBatch:
     """Batch of windows of flights with one rate."""
 
@@ -241,7 +246,7 @@ class WindowBatch:
         self._tables: dict[str, tuple[Tensor, Indices, Indices]] = {}
         self._led_along: list[Array | None] | None = None  # rotor speeds from commands along all flights
         self._rate, self._commanded = flights[flight[0]].rate, has_commands(flights)
-        self._stride = max(1, int(STEP_S * self._rate + 1e-9))
+        self._stride = rows_per_step(self._rate)
         self._rotors = vehicle.num_rotors
         effects = [one for one in effects if self._commanded or one[0].acts_on != "actuation"]
         scene = surface_heights([flights[index] for index in flight], [1] * row.size)
