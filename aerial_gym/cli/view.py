@@ -1,4 +1,4 @@
-"""``aerial-gym view``: a flight in the browser."""
+"""``aerial-gym view``: a live or recorded flight in the browser."""
 
 import sys
 from dataclasses import dataclass
@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING
 from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
+    from viser import ViserServer
+
     from aerial_gym.task import Task
+    from aerial_gym.viewer.recording import RecordingPage
     from aerial_gym.viewer.simulation import FlightInView, Pilot
 
 ROBOT, CONTROLLER, ENVIRONMENT = "base_quadrotor", "lee_position_control", "empty_env"
@@ -18,7 +21,7 @@ PILOTS = ("zero", "random")  # Words in place of a run folder
 
 @dataclass(frozen=True, kw_only=True)
 class ViewCmd:
-    """Show a flight in the browser: a policy in its task, or a controller that holds a goal which you drag."""
+    """Show a flight in the browser: a policy in its task, a controller whose goal you drag, or a recording (--log)."""
 
     task: str | None = None
     """Registered task, task file (.yaml), or module:Name; that of the policy, or a controller alone, if not given."""
@@ -32,6 +35,10 @@ class ViewCmd:
     effects: tuple[str, ...] | None = None
     """Effects to switch on in flight besides those of the robot file (aerial-gym list effects); common ones if not given."""
 
+    log: tuple[str, ...] = ()  # Recorded flights of any log format; FILE#2 for one of several. --robot adds predictions
+    corrected: str | None = None  # Corrected robot beside that of --robot: a robot file, or the folder of close-loop
+    mapping: str | None = None  # Mapping of the logs' columns: a name or a file (.yaml)
+    restart_s: float = 0.5  # Time between two restarts of the predictions from the measured state [s]
     num_envs: int = 1  # Environments side by side; the page chooses one, others are drawn faintly
     device: str = "cpu"  # Torch device; auto takes the GPU if there is one
     seed: int = 0  # Seed of the starts
@@ -44,12 +51,13 @@ class ViewCmd:
         from aerial_gym.interop import one_thread
         from aerial_gym.viewer.server import close_server, open_server, page_url
 
+        self._check_sources()
         server = open_server(self.host, self.port)
         try:
             with TemporaryDirectory() as folder, one_thread():
                 from aerial_gym.viewer.live import LiveView
 
-                view = LiveView(server, self._build_flight(folder))
+                view = self._open_recording(server) if self.log else LiveView(server, self._build_flight(folder))
                 print(f"{page_url(server)}  (Ctrl-C ends)", file=sys.stderr, flush=True)
                 if self.open:
                     import webbrowser
@@ -59,6 +67,31 @@ class ViewCmd:
         finally:
             close_server(server)
         return 0
+
+    def _check_sources(self) -> None:
+        """Raise ``ConfigError`` if options of a recording and of a simulation are mixed."""
+        names = ("task", "policy", "env", "controller", "backend", "effects") if self.log else ("corrected", "mapping")
+        if mixed := [f"--{name}" for name in names if getattr(self, name) is not None]:
+            rule = (
+                "--log shows a recorded flight; leave it out"
+                if self.log
+                else "belongs to a recorded flight; give --log"
+            )
+            raise ConfigError(f"{mixed[0]}: {rule}")
+        if not 0.1 <= self.restart_s <= 10.0:
+            raise ConfigError(f"--restart-s {self.restart_s:g}: must be from 0.1 to 10 s")
+
+    def _open_recording(self, server: "ViserServer") -> "RecordingPage":
+        from aerial_gym.cli.terminal import progress_bar
+        from aerial_gym.viewer.flight_record import load_logs, load_vehicles
+        from aerial_gym.viewer.recording import RecordingPage
+
+        with progress_bar() as progress:
+            progress("reading the logs", 0.0)
+            robots = load_vehicles(self.robot, self.corrected)
+            flights, notes = load_logs(self.log, robots, self.mapping)
+            progress("predicting", 0.6)
+            return RecordingPage(server, flights, robots, notes=notes, restart_s=self.restart_s)
 
     def _build_flight(self, folder: str) -> "FlightInView":
         from aerial_gym.viewer.simulation import FlightInView
