@@ -103,6 +103,20 @@ class AssetManager:
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
 
+    def make_scene_for_pictures(
+        self, count: int, *, fixed: Sequence[PartCfg], robot: Sequence[PartCfg], robot_state: Tensor,
+        robot_links: Sequence[str],
+    ) -> Scene:  # fmt: skip
+        """Return a scene of the first ``count`` environments with other fixed parts and a visible robot.
+
+        It shares the poses. Neither physics nor sensors see it.
+        """
+        return Scene(
+            [shape for a in self._assets for shape in a.shapes], shape_index=self.scene.shape_index[:count],
+            semantic_id=self.scene.semantic_id[:count], asset_state=self._state[:count], fixed=fixed, robot=robot,
+            robot_state=robot_state[:count], robot_links=robot_links, lamps=self.cfg.lamps,
+        )  # fmt: skip
+
     def restart(self) -> None:
         """Draw the obstacles of each environment for a new seed, and park all of them until the next reset."""
         self.draw_kinds()

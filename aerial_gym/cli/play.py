@@ -1,15 +1,16 @@
-"""``aerial-gym play``: flights of a trained policy as a CSV table or a film, or the last steps of rows that were not finite."""
+"""``aerial-gym play``: flights of a policy as a table or a film, or the last steps of rows that were not finite."""
 
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import torch
+from torch import Tensor
 
-from aerial_gym.cli.film import Film, check_film, write_visible_robot
+from aerial_gym.cli.film import MOST_VIEWS, Film, check_film
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 
@@ -35,8 +36,10 @@ class PlayCmd:
     out: Path | None = None  # CSV file; stdout if not given
 
     video: Path | None = None
-    """Film of the first environment (.gif, .webp or .png), from a camera behind its robot. The robot is then visible, to its
-    own sensors too. Without --out no table is written."""
+    """Film (.gif, .webp, .png or .mp4): a camera behind the robot of each environment, and what its sensors see. Without
+    --out no table is written."""
+
+    video_envs: int | None = None  # Environments in the film; the first 4 if not given
 
     def run(self) -> int:
         """Fly, and write one row per step and environment: world frame, body rates, SI units; or show a dump of a watch."""
@@ -45,31 +48,36 @@ class PlayCmd:
         if self.replay is not None:
             return self._write_non_finite_steps(self.replay)
         assert self.policy is not None
-        if self.video is not None:
-            check_film(self.video)
+        views = self._check_outputs()
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy)
-        robot = self.robot or cfg.robot
-        with TemporaryDirectory() as folder:
+        made = task_registry.make_task(
+            cfg.task, num_envs=self.num_envs, device="cpu", seed=self.seed, robot=self.robot or cfg.robot,
+            controller=cfg.controller, backend=self.backend, encoder=cfg.encoder,
+        )  # fmt: skip
+        with made as task, one_thread(), ExitStack() as stack:
+            check_fits(policy, task, cfg.task)
+            rows, observers = list[list[float]](), list[Callable[[Tensor], None]]()
+            if self.out is not None or self.video is None:
+                stack.callback(self._write_rows, rows)
             if self.video is not None:
-                robot = write_visible_robot(robot or task_registry.get(cfg.task).robot, folder)
-            made = task_registry.make_task(
-                cfg.task, num_envs=self.num_envs, device="cpu", seed=self.seed, robot=robot,
-                controller=cfg.controller, backend=self.backend, encoder=cfg.encoder,
-            )  # fmt: skip
-            with made as task, one_thread():
-                check_fits(policy, task, cfg.task)
-                film = None if self.video is None else Film(task)
-                rows = _flight_rows(policy, task, self.num_steps, film)
-                if film is not None and self.video is not None:
-                    with storage_errors(self.video, only_full=True):
-                        film.save(self.video)
-        if film is None or self.out is not None:
-            self._write_rows([COLUMNS, *rows])
+                film = Film(task, views)
+                stack.callback(film.save, self.video)
+                observers.append(film.render_frame)
+            _fly(policy, task, self.num_steps, rows, observers)
         return 0
+
+    def _check_outputs(self) -> int:
+        """Return the number of environments in the film; raise an error if it, or a file, is impossible."""
+        views = min(MOST_VIEWS, self.num_envs) if self.video_envs is None else self.video_envs
+        if not 1 <= views <= self.num_envs:
+            raise ConfigError(f"--video-envs {views}: must be 1 to {self.num_envs}, the value of --num-envs")
+        if self.video is not None:
+            check_film(self.video)
+        return views
 
     def _write_non_finite_steps(self, dump: Path) -> int:
         """Print which numbers of each row were NaN or infinite on stderr, and write the last steps of the row."""
@@ -78,31 +86,33 @@ class PlayCmd:
         table, sentences = read_dump(dump)
         for sentence in sentences:
             print(sentence, file=sys.stderr)
-        self._write_rows(table)
+        self._write_rows(table[1:], table[0])
         return 0
 
-    def _write_rows(self, rows: Sequence[Sequence[object]]) -> None:
+    def _write_rows(self, rows: Sequence[Sequence[object]], head: Sequence[object] = COLUMNS) -> None:
         if self.out is None:
-            csv.writer(sys.stdout, lineterminator="\n").writerows(rows)
+            csv.writer(sys.stdout, lineterminator="\n").writerows([head, *rows])
             return
         with storage_errors(self.out, only_full=True), self.out.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows(rows)
+            csv.writer(file).writerows([head, *rows])
 
 
 @torch.no_grad()
-def _flight_rows(policy, task, num_steps: int, film: Film | None) -> list[list[float]]:
-    """Fly, and return the rows of ``COLUMNS``: one for each step and environment."""
-    gtd, rows, began = task.env.gtd, [], True
+def _fly(policy, task, num_steps: int, rows: list[list[float]], observers: Sequence[Callable[[Tensor], None]]) -> None:
+    """Fly, append the rows of ``COLUMNS``, one for each step and environment, and show each step to the observers.
+
+    An observer receives which environments begin an episode, bool (E,).
+    """
+    gtd, begins = task.env.gtd, torch.ones(task.num_envs, dtype=torch.bool)
     observation, _ = task.reset()
     policy.reset()
     for step in range(num_steps + 1):
         keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
         motion = torch.cat([gtd[key] for key in keys], dim=-1).tolist()
-        if film is not None:
-            film.render_frame(begins=began)
         rows += [[round(step * task.env.dt, 6), env, *values] for env, values in enumerate(motion)]
+        for show_step in observers:
+            show_step(begins)
         if step < num_steps:
             observation, _, terminated, truncated, _ = task.step(policy(observation))
-            policy.reset(terminated | truncated)
-            began = bool((terminated | truncated)[0])
-    return rows
+            begins = terminated | truncated
+            policy.reset(begins)

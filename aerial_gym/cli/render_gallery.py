@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from aerial_gym.config.sensor import RangeSensorCfg
     from aerial_gym.env_manager import EnvManager
+    from aerial_gym.sensors import SensorImages
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -65,8 +66,7 @@ class RenderGalleryCmd:
 
 
 def _sensor_pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
-    """Return every image that a sensor writes at the robot's start, as title and ``data:`` address."""
-    import numpy as np
+    """Return every image that a sensor writes at the robot's start, moving ahead at 1 m/s, as title and ``data:`` address."""
     import torch
 
     from aerial_gym.math.quaternion import quat_rotate
@@ -80,38 +80,43 @@ def _sensor_pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str,
     caster.reset(torch.ones(1, dtype=torch.bool, device=env.device))
     caster.cast()
 
-    def first(image: torch.Tensor) -> "np.ndarray":
-        return image[0, 0].cpu().numpy()
+    return [{"title": title, "url": png_url(colors)} for title, colors in image_colors(cfg, images).items()]
 
-    def distance_url(distance: "np.ndarray") -> str:
-        return share_url(np.where(distance < 0.0, np.nan, distance / (1.0 if cfg.normalize else cfg.max_range)))
 
-    def height_url(points: "np.ndarray") -> str:
+def image_colors(cfg: "RangeSensorCfg", images: "SensorImages", env: int = 0) -> "dict[str, np.ndarray]":
+    """Return the images of the first sensor of a kind in colours from 0 to 1, (H, W, 3), by title."""
+    import numpy as np
+
+    def distance_colors(distance: "np.ndarray") -> "np.ndarray":
+        return share_colors(np.where(distance < 0.0, np.nan, distance / (1.0 if cfg.normalize else cfg.max_range)))
+
+    def height_colors(points: "np.ndarray") -> "np.ndarray":
         height = points[..., 2]
-        return share_url((height - height.min()) / max(float(np.ptp(height)), 1e-6))
+        return share_colors((height - height.min()) / max(float(np.ptp(height)), 1e-6))
 
-    kinds: dict[str, tuple[torch.Tensor | None, Callable[[np.ndarray], str]]] = {
-        str(cfg.kind): (images.distance, distance_url), "segmentation": (images.segmentation, id_url),
-        "faces": (images.face_ids, id_url),
-        f"normals, {cfg.normals}": (images.normals, lambda normals: _png_url(0.5 + 0.5 * normals)),
-        "disparity": (images.disparity, lambda shift: share_url(1.0 - shift / max(float(shift.max()), 1e-6))),
-        "optical flow at 1 m/s ahead": (images.optical_flow, _flow_url), "colour": (images.color, _png_url),
-        f"height of the points, {cfg.points}": (images.points, height_url),
+    kinds: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+        "distance": (str(cfg.kind), distance_colors), "segmentation": ("segmentation", id_colors),
+        "face_ids": ("faces", id_colors), "normals": (f"normals, {cfg.normals}", lambda normals: 0.5 + 0.5 * normals),
+        "disparity": ("disparity", lambda shift: share_colors(1.0 - shift / max(float(shift.max()), 1e-6))),
+        "optical_flow": ("optical flow", _flow_colors), "color": ("colour", lambda color: color),
+        "points": (f"height of the points, {cfg.points}", height_colors),
     }  # fmt: skip
-    return [{"title": title, "url": url(first(image))} for title, (image, url) in kinds.items() if image is not None]
+    return {
+        title: colors(images[name][env, 0].cpu().numpy()) for name, (title, colors) in kinds.items() if name in images
+    }
 
 
-def share_url(share: "np.ndarray") -> str:
+def share_colors(share: "np.ndarray") -> "np.ndarray":
     """Return shares of 1 in colour, NaN in grey."""
     import numpy as np
     from matplotlib import colormaps
 
     colors = colormaps["viridis_r"](np.nan_to_num(np.clip(share, 0.0, 1.0)))[..., :3]
     colors[np.isnan(share)] = 0.85
-    return _png_url(colors)
+    return colors
 
 
-def _flow_url(flow: "np.ndarray") -> str:
+def _flow_colors(flow: "np.ndarray") -> "np.ndarray":
     """Return vectors in the hue of their direction (right is red, down is yellow-green), the fuller the longer; 0 is white.
     The 99th percentile has the full colour."""
     import numpy as np
@@ -120,21 +125,21 @@ def _flow_url(flow: "np.ndarray") -> str:
     length = np.hypot(flow[..., 0], flow[..., 1])
     hue = np.mod(np.arctan2(flow[..., 1], flow[..., 0]) / (2.0 * np.pi), 1.0)
     full = np.clip(length / max(float(np.quantile(length, 0.99)), 1e-6), 0.0, 1.0)
-    return _png_url(hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1)))
+    return hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1))
 
 
-def id_url(ids: "np.ndarray") -> str:
+def id_colors(ids: "np.ndarray") -> "np.ndarray":
     """Return ids in colours of their own, negative ones in grey."""
     import numpy as np
 
     palette = np.random.default_rng(3).uniform(0.15, 0.95, (997, 3))
     colors = palette[np.mod(ids, 997)]
     colors[ids < 0] = 0.85
-    return _png_url(colors)
+    return colors
 
 
-def _png_url(colors: "np.ndarray") -> str:
-    import base64
+def png_bytes(colors: "np.ndarray") -> bytes:
+    """Return an image in the format PNG; colours from 0 to 1, (H, W, 3)."""
     import io
 
     import numpy as np
@@ -142,4 +147,11 @@ def _png_url(colors: "np.ndarray") -> str:
 
     buffer = io.BytesIO()
     Image.fromarray((255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)).save(buffer, format="png")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return buffer.getvalue()
+
+
+def png_url(colors: "np.ndarray") -> str:
+    """Return an image as a ``data:`` address."""
+    import base64
+
+    return "data:image/png;base64," + base64.b64encode(png_bytes(colors)).decode()

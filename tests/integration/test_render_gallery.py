@@ -1,12 +1,13 @@
 """``aerial-gym render-gallery``: a page with the pictures that were asked for.
-Videos of flights: the robot stands in the middle of the picture, the ring where its target is.
+Videos of flights: robot and shadow, sky and ground, the ring at the goal, and images of sensors.
 """
 
 import base64
 import re
 import runpy
+import sys
 from io import BytesIO
-from math import cos, radians, sin, tan
+from math import cos, hypot, radians, sin, sqrt, tan
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from PIL import Image
 from aerial_gym import task_registry
 from aerial_gym.cli import film
 from aerial_gym.cli.main import main
+from aerial_gym.math.quaternion import yaw_from_quat
 
 
 def test_the_page_holds_every_image_of_the_sensors(tmp_path: Path, capsys, monkeypatch) -> None:
@@ -68,47 +70,130 @@ def test_the_example_shows_two_equal_cameras_apart(tmp_path: Path, monkeypatch: 
     assert len(np.unique(tilted.reshape(-1, 3) // 32, axis=0)) > 10
 
 
-def test_a_film_shows_the_robot_and_a_ring_about_its_target(tmp_path: Path) -> None:
-    """The target is put on the robot, then 0.5 m to its left: f 0.5 m / depth to the left in the picture."""
-    robot = film.write_visible_robot("base_quadrotor", str(tmp_path))
-    with task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", seed=1, robot=robot) as task:
+def picture(made: film.Film, begins: bool = True) -> np.ndarray:
+    """Return the next frame as numbers, (H, W, 3)."""
+    made._steps = 0
+    made.render_frame(torch.full((made._count,), begins))
+    return np.asarray(made._frames[-1]).astype(int)
+
+
+def test_a_film_shows_the_robot_its_shadow_and_a_ring_about_its_goal() -> None:
+    """The goal is on the robot, then a body length to its left: f length / depth to the left in the picture."""
+    with task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", seed=1) as task:
         made = film.Film(task)
         task.reset()
-        for shift in (0.0, 0.5):
-            task.target_position.copy_(task.env.gtd["robot_position"] + torch.tensor([0.0, shift, 0.0]))
-            made._steps = 0
-            made.render_frame(begins=True)
-        file = tmp_path / "film.gif"
-        made.save(file)
-    shown = Image.open(file)
-    assert shown.size == (film.WIDTH, film.HEIGHT)
-    depth = cos(film.DOWN) * film.BEHIND + sin(film.DOWN) * film.ABOVE
+        position = task.env.gtd["robot_position"]
+        yaw = float(yaw_from_quat(task.env.gtd["robot_orientation"])[0])
+        left = torch.tensor([-sin(yaw), cos(yaw), 0.0])
+        depth = made._size * (cos(film.DOWN) * film.BEHIND + sin(film.DOWN) * film.ABOVE)
+        focal = film.WIDTH / 2 / tan(radians(film.VIEW_DEG / 2))
+        drop = focal * made._size * (cos(film.DOWN) * film.ABOVE - sin(film.DOWN) * film.BEHIND) / depth
+        for shift in (0.0, 0.9 * made._size):
+            task.target_position.copy_(position + shift * left)
+            pixels = picture(made)
+            ring = (pixels[..., 1] > 90) & (pixels[..., 0] < 60) & (pixels[..., 2] < 90)
+            rows, columns = np.nonzero(ring)
+            top = rows < film.HEIGHT / 2 + drop + 8  # the line to the ground is below
+            spot = (film.WIDTH / 2 - focal * shift / depth, film.HEIGHT / 2 + drop)
+            assert (columns[top].mean(), rows[top].mean()) == pytest.approx(spot, abs=1.5)
+        red = (pixels[..., 0] > 120) & (pixels[..., 1] < 80)
+        rows, columns = np.nonzero(red)
+        assert len(rows) > 400  # the front rotors
+        assert columns.mean() == pytest.approx(film.WIDTH / 2, abs=25)
+        assert pixels.shape == (film.HEIGHT, film.WIDTH, 3)
+        sun = torch.tensor((-0.4, 0.3, 0.866))
+        floor = position[0] - sun * (position[0, 2] - made._floor()[0]) / sun[2]
+        column, row = (round(place) for place in made._project(0, floor.tolist()))
+        ground = np.median(pixels[-60:].mean(axis=-1))
+        assert (pixels[row - 1 : row + 2, column - 1 : column + 2].mean(axis=-1) < 0.6 * ground).all()  # the shadow
+
+
+def test_a_film_has_a_sky_a_horizon_and_lines_on_the_ground() -> None:
+    with task_registry.make_task("position_setpoint_task", num_envs=1, device="cpu", seed=1) as task:
+        made = film.Film(task)
+        task.reset()
+        pixels = picture(made)
     focal = film.WIDTH / 2 / tan(radians(film.VIEW_DEG / 2))
-    drop = focal * (cos(film.DOWN) * film.ABOVE - sin(film.DOWN) * film.BEHIND) / depth
-    for frame, column in enumerate((film.WIDTH / 2, film.WIDTH / 2 - focal * 0.5 / depth)):
-        shown.seek(frame)
-        pixels = np.asarray(shown.convert("RGB")).astype(int)
-        ring = (pixels[..., 1] > 90) & (pixels[..., 0] < 60) & (pixels[..., 2] < 90)
-        rows, columns = np.nonzero(ring)
-        assert (columns.mean(), rows.mean()) == pytest.approx((column, film.HEIGHT / 2 + drop), abs=1.5)
-        body = (abs(pixels - pixels[0, 0]).sum(-1) > 60) & ~ring
-        rows, columns = np.nonzero(body)
-        assert (columns.mean(), rows.mean()) == pytest.approx((film.WIDTH / 2, film.HEIGHT / 2 + drop), abs=8.0)
-        assert len(rows) > 2000  # a quadrotor 0.5 m wide at 1.7 m is 100 pixels wide
+    horizon = film.HEIGHT / 2 - focal * tan(film.DOWN)
+    edge = pixels[:, 5]  # beside the robot
+    blue = edge[:, 2] - edge[:, 0]
+    assert (blue[20 : int(horizon) - 10] > 5).all()
+    assert (blue[int(horizon) + 60 :] < 5).all()
+    ground = pixels[int(horizon) + 60 :, :100].mean(axis=-1)
+    assert 0.005 < (ground < 0.8 * np.median(ground)).mean() < 0.3  # lines
+
+
+def test_lines_cover_the_share_of_the_ground_that_they_have() -> None:
+    """Pixels of 1 cm resolve lines of 2 cm; a pixel of 4 cm on a line has the root of 2 / 4 of it; wide ones have none."""
+
+    def share(wide: float) -> torch.Tensor:
+        x, y = torch.broadcast_tensors(wide * torch.arange(400.0)[None], torch.tensor([[0.5]]))
+        return film._line_shares(torch.stack((x, y), dim=-1)[None])[0, 0, 1:, 0]
+
+    for wide, highest in ((0.01, 1.0), (0.04, sqrt(0.5) * 0.96), (2.0, 0.0)):
+        assert float(share(wide).max()) == pytest.approx(highest, abs=0.02)
+    assert float(share(0.01).mean()) == pytest.approx(film.LINE_M / film.GRID_M, rel=0.3)
+
+
+def test_a_film_shows_environments_and_what_their_sensors_see_side_by_side() -> None:
+    """Sensors see neither the robot nor the ground of the film."""
+    with task_registry.make_task(
+        "position_setpoint_task", num_envs=3, device="cpu", seed=1, robot="base_quadrotor_with_camera"
+    ) as task:
+        made = film.Film(task, 3)
+        task.reset()
+        pixels = picture(made)
+        assert (task.env.gtd["depth_range_pixels"] == -1.0).all()
+    assert pixels.shape == (2 * film.HEIGHT, 2 * (film.WIDTH + film.PANEL), 3)
+    column = pixels[60:120, film.WIDTH + 20 : film.WIDTH + film.PANEL - 20]
+    assert (abs(column - round(0.85 * 255)) <= 1).all()  # grey: nothing is measured
+
+
+def test_a_camera_stays_in_front_of_the_wall_behind_the_robot() -> None:
+    with task_registry.make_task(
+        "position_setpoint_task", num_envs=1, device="cpu", seed=1, robot="base_quadrotor"
+    ) as task:
+        made = film.Film(task)
+        task.reset()
+        picture(made)
+        free = (made._eye - made._robot).norm()
+        assert float(free) == pytest.approx(made._size * hypot(film.BEHIND, film.ABOVE), rel=1e-4)
+        made._probe.cast = lambda: None
+        made._probe.images.distance.fill_(0.8)
+        picture(made)
+        assert float((made._eye - made._robot).norm()) == pytest.approx(0.8 - film.WALL_MARGIN * made._size, rel=1e-4)
 
 
 def test_frames_are_taken_25_times_a_second_for_known_kinds_of_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = film.write_visible_robot("base_quadrotor", str(tmp_path))
-    with task_registry.make_task("position_setpoint_task", num_envs=1, device="cpu", seed=1, robot=robot) as task:
+    with task_registry.make_task("position_setpoint_task", num_envs=1, device="cpu", seed=1) as task:
         made = film.Film(task)
         task.reset()
         for _ in range(9):
-            made.render_frame(begins=False)
+            made.render_frame(torch.zeros(1, dtype=torch.bool))
             task.step(torch.zeros(1, task.num_actions))
         made.save(tmp_path / "film.gif")
         shown = Image.open(tmp_path / "film.gif")
         assert (shown.n_frames, shown.info["duration"]) == (1 + int(8 * task.env.dt * 25), pytest.approx(40))
-    assert main(["play", "--policy", str(tmp_path), "--video", "a.mp4"]) == 2
-    assert "--video a.mp4: must end in .gif, .webp, .png; ffmpeg -i FILE.gif FILE.mp4" in capsys.readouterr().err
+    play = ["play", "--policy", str(tmp_path)]
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    for options, message in (
+        (["--video", "a.avi"], "--video a.avi: must end in .gif, .webp, .png, .mp4"),
+        (["--video", "a.mp4"], "pip install imageio-ffmpeg"),
+        (["--video", "a.gif", "--video-envs", "9"], "--video-envs 9: must be 1 to 4"),
+    ):
+        assert main([*play, *options]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_film_can_be_an_mp4(tmp_path: Path) -> None:
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    with task_registry.make_task("position_setpoint_task", num_envs=1, device="cpu", seed=1) as task:
+        made = film.Film(task)
+        task.reset()
+        for _ in range(5):
+            picture(made)
+        made.save(tmp_path / "film.mp4")
+    facts, frames = next(reader := imageio_ffmpeg.read_frames(str(tmp_path / "film.mp4"))), len(list(reader))
+    assert (facts["size"], facts["fps"], frames) == ((film.WIDTH, film.HEIGHT), 25.0, 5)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from aerial_gym.cli.render_gallery import id_url, share_url
+from aerial_gym.cli.render_gallery import id_colors, png_url, share_colors
 from aerial_gym.cli.terminal import progress_bar
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import DataError
@@ -51,7 +51,10 @@ def record_cameras(seed: int, backend: str | None = None) -> dict[str, Any]:
     depth, ids = env.gtd["depth_range_pixels"][:, 0].numpy(), env.gtd["segmentation_pixels"][:, 0].numpy()
     far = SENSORS.get("base_depth_camera").max_range
     pictures = [
-        {"depth": share_url(np.where(image < 0.0, np.nan, image / far)), "segmentation": id_url(labels)}
+        {
+            "depth": png_url(share_colors(np.where(image < 0.0, np.nan, image / far))),
+            "segmentation": png_url(id_colors(labels)),
+        }
         for image, labels in zip(depth, ids, strict=True)
     ]
     return {"pictures": pictures, "tensors": str(env.gtd)}
