@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -78,18 +78,43 @@ class InspectLogCmd(LogCmd):
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertLogCmd(LogCmd):
-    """Write a log as CSV (one file for each flight), Parquet (lossless, one file for each topic) or MCAP."""
+    """Write a log as CSV (one file for each flight), Parquet (lossless, one file for each topic) or MCAP.
+
+    Foxglove and Lichtblick open the MCAP file: vehicle, poses and path, plots of states and commands.
+    """
 
     to: Literal["csv", "parquet", "mcap"]  # Form of the result
     out: Path  # Folder of the results; it is made if it does not exist
+    robot: str | None = None  # Robot, or robot file, for mcap: its shape, and the residuals of its predictions
 
     def run(self) -> int:
         """Write the files and print their names."""
         from aerial_gym.sim2real.logs.conversion import convert_log
 
-        for path in convert_log(self.log, self.to, self.out, self.find_mapping()):
+        if self.to != "mcap":
+            if self.robot is not None:
+                raise ConfigError(
+                    f"--robot {self.robot}: --to {self.to} holds no vehicle; leave it out, or give --to mcap"
+                )
+            shown: dict[str, Any] = {}
+        else:
+            shown = self._vehicle_and_residuals()
+        for path in convert_log(self.log, self.to, self.out, self.find_mapping(), **shown):
             print(path)
         return 0
+
+    def _vehicle_and_residuals(self) -> dict[str, Any]:
+        """Return the arguments of ``convert_log`` for the robot; a small quadrotor without residuals if none is given."""
+        from aerial_gym.cli.film import visible_parts
+        from aerial_gym.robots.catalog import robot_by_name
+
+        if self.robot is None:
+            return {"vehicle": visible_parts(robot_by_name("base_quadrotor"))}
+        from aerial_gym.sim2real import replay
+        from aerial_gym.sim2real.flight_replay import residual_tables
+
+        result = replay(self.robot, [self.log], mapping=self.mapping)
+        return {"vehicle": visible_parts(result.robot), "residuals": residual_tables(result)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""``aerial-gym play``: flights of a policy as a table or a film, or the last steps of rows that were not finite."""
+"""``aerial-gym play``: flights of a policy as table, film or recording, or the last steps of rows that were not finite."""
 
 import csv
 import sys
@@ -41,6 +41,10 @@ class PlayCmd:
 
     video_envs: int | None = None  # Environments in the film; the first 4 if not given
 
+    record: Path | None = None
+    """Recording (.mcap) of all environments for Foxglove or Lichtblick, with the sensors of the first one. What is written
+    when play is stopped stays readable. Without --out no table is written."""
+
     def run(self) -> int:
         """Fly, and write one row per step and environment: world frame, body rates, SI units; or show a dump of a watch."""
         if (self.policy is None) == (self.replay is None):
@@ -61,12 +65,18 @@ class PlayCmd:
         with made as task, one_thread(), ExitStack() as stack:
             check_fits(policy, task, cfg.task)
             rows, observers = list[list[float]](), list[Callable[[Tensor], None]]()
-            if self.out is not None or self.video is None:
+            if self.out is not None or self.video is self.record is None:
                 stack.callback(self._write_rows, rows)
             if self.video is not None:
                 film = Film(task, views)
                 stack.callback(film.save, self.video)
                 observers.append(film.render_frame)
+            if self.record is not None:
+                from aerial_gym.cli.record import FlightRecorder
+
+                recorder = FlightRecorder(task, self.record)
+                stack.callback(recorder.close)
+                observers.append(recorder.write_step)
             _fly(policy, task, self.num_steps, rows, observers)
         return 0
 
@@ -77,6 +87,8 @@ class PlayCmd:
             raise ConfigError(f"--video-envs {views}: must be 1 to {self.num_envs}, the value of --num-envs")
         if self.video is not None:
             check_film(self.video)
+        if self.record is not None and self.record.suffix != ".mcap":
+            raise ConfigError(f"--record {self.record}: must end in .mcap")
         return views
 
     def _write_non_finite_steps(self, dump: Path) -> int:

@@ -13,6 +13,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.evaluation import LEAST_GAP, ModelEvaluation, evaluate_models, reason_against_rollouts
+from aerial_gym.sim2real.logs.conversion import PlotTable
 from aerial_gym.sim2real.logs.flights import (
     Flight,
     check_bandwidth,
@@ -171,6 +172,17 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     floor = noise_floor(robot, flights, params, channels, bandwidth=band)
     (evaluation,) = evaluate_models(robot, predictor, [params], floor=floor, seed=seed)
     return Replay(robot, tuple(flights), predictor, params, band, evaluation)
+
+
+def residual_tables(result: Replay) -> dict[str, PlotTable]:
+    """Return the residuals of each flight by its path, at the rows that are compared."""
+    predictor, names = result.predictor, [channel.name.replace(".", "_") for channel in result.predictor.channels]
+    units = dict(zip(names, (channel.unit for channel in predictor.channels), strict=True))
+    residuals = predictor.residuals(result.params)
+    return {
+        flight.path: PlotTable(time=time, columns=dict(zip(names, rows.T, strict=True)), units=units)
+        for flight, time, rows in zip(predictor.flights, predictor.times, residuals, strict=True)
+    }
 
 
 def replay_rollout_rows(result: Replay) -> list[dict[str, str]]:

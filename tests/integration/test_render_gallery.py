@@ -181,6 +181,7 @@ def test_frames_are_taken_25_times_a_second_for_known_kinds_of_file(
     for options, message in (
         (["--video", "a.avi"], "--video a.avi: must end in .gif, .webp, .png, .mp4"),
         (["--video", "a.mp4"], "pip install imageio-ffmpeg"),
+        (["--record", "a.bag"], "--record a.bag: must end in .mcap"),
         (["--video", "a.gif", "--video-envs", "9"], "--video-envs 9: must be 1 to 4"),
     ):
         assert main([*play, *options]) == 2

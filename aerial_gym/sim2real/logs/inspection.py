@@ -18,9 +18,10 @@ from aerial_gym.sim2real.logs.checks.duration import check_duration_and_rate
 from aerial_gym.sim2real.logs.checks.kinematics import findings_on_sensors_at_rest
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
+from aerial_gym.sim2real.logs.readers.csv_log import FACTS, read_facts
 from aerial_gym.sim2real.logs.readers.csv_table import read_table, read_time_stamps
 from aerial_gym.sim2real.logs.readers.flight_log import LogFlights, open_log
-from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
+from aerial_gym.sim2real.logs.readers.log_readers import CSV, read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import (
     FlightLog,
@@ -235,10 +236,13 @@ def csv_raw_log(path: Path, mapping: LogMapping | None) -> RawLog:
     """Return a CSV file as a log with one topic ``table``; raise ``DataError`` if it holds no time or no rows."""
     layout, notes = mapping or find_mapping("aerial_gym"), list[Finding]()
     table = read_table(path, layout, notes)
-    columns = {name: np.asarray(values) for name, values in table.items() if np.asarray(values).dtype.kind in "fiu"}
-    columns = {str(name): values for name, values in columns.items()}
+    columns = {str(name): np.asarray(values) for name, values in table.items()}
+    columns = {name: values.astype("u1") if values.dtype == bool else values for name, values in columns.items()}
+    columns = {name: values for name, values in columns.items() if values.dtype.kind in "fiu"}
     topic = Topic(name="table", time=read_time_stamps(table, layout, str(path)), columns=columns)
-    return RawLog(path=str(path), format="csv", topics=(topic,), notes=tuple(notes))
+    facts = read_facts(path)
+    metadata = {} if facts is None else {FACTS: facts.line()}
+    return RawLog(path=str(path), format=CSV, topics=(topic,), metadata=metadata, notes=tuple(notes))
 
 
 def _raw_log(file: Path, mapping: LogMapping | None, error: DataError) -> RawLog:

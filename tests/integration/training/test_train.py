@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from aerial_gym.cli.main import main
+from aerial_gym.cli.record import FlightRecorder
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import TrainingError
@@ -20,6 +22,7 @@ from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.robots import ROBOTS
 from tests.repetitions import rare_values
+from tests.unit.sim2real.logs.foxglove_files import read_and_check
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
 pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
@@ -31,7 +34,7 @@ def train(out: Path, trainer: str, *more: str) -> int:
 
 
 @pytest.mark.parametrize("trainer", rare_values(["ppo", "apg", "rl_games", "sample_factory"], ("apg", "rl_games")))
-def test_a_training_leaves_a_run_that_resumes_and_evaluates(trainer, tmp_path, capsys) -> None:
+def test_a_training_leaves_a_run_that_resumes_and_evaluates(trainer, tmp_path, capsys, monkeypatch) -> None:
     """``rl_games`` trains, goes on and is evaluated always in the navigation below."""
     out = tmp_path / "run"
     assert train(out, trainer) == 0
@@ -62,6 +65,30 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(trainer, tmp_path, c
     table = tmp_path / "flights.csv"
     assert main(["play", "--policy", str(out), "--num-steps", "5", "--out", str(table)]) == 0
     assert len(table.read_text().splitlines()) == 1 + 6 * 4
+    stop_after_three_steps(monkeypatch)
+    film, recording = tmp_path / "film.webp", tmp_path / "flights.mcap"
+    outputs = ("--out", str(table), "--video", str(film), "--record", str(recording))
+    assert main(["play", "--policy", str(out), "--num-steps", "500", *outputs]) == 1
+    assert "interrupted" in capsys.readouterr().err
+    rows = list(csv.DictReader(table.open()))
+    assert len(rows) == 3 * 4
+    state = read_and_check(recording)["/env_2/state"]
+    assert [(at, one["p_x"]) for at, one in state] == [
+        (round(1e9 * float(row["t"])), float(row["p_x"])) for row in rows if row["env"] == "2"
+    ]
+    assert film.stat().st_size > 0
+
+
+def stop_after_three_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Press Ctrl-C when the third step of a recording is written."""
+    write_step = FlightRecorder.write_step
+
+    def write_and_stop(recorder: FlightRecorder, begins: torch.Tensor) -> None:
+        write_step(recorder, begins)
+        if recorder._step == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(FlightRecorder, "write_step", write_and_stop)
 
 
 def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how_flights_end(tmp_path, capsys) -> None:

@@ -28,6 +28,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
     read_csv_rows,
     read_numbers,
 )
+from aerial_gym.sim2real.logs.readers.log_readers import read_csv_export
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.readers.setpoints import setpoints_in_package_axes
 from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, absent_pairs
@@ -69,9 +70,13 @@ class CsvLog:
 
 
 def read_facts(path: Path) -> FlightFacts | None:
-    """Return the facts in the first line of a file; None if it holds none."""
-    with path.open("rb") as stream:
-        line = stream.readline(LONGEST_FACTS).decode("utf-8", errors="replace")
+    """Return the facts in the first line of a file, or of the CSV file that it was; None if it holds none."""
+    export = read_csv_export(path)
+    if export is not None:
+        line = export.metadata.get(FACTS, "")
+    else:
+        with path.open("rb") as stream:
+            line = stream.readline(LONGEST_FACTS).decode("utf-8", errors="replace")
     if not line.startswith(FACTS):
         return None
     try:

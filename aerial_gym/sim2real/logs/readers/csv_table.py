@@ -13,6 +13,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, true_spans
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
+from aerial_gym.sim2real.logs.readers.log_readers import read_csv_export
 from aerial_gym.sim2real.logs.readers.mapping import SCALARS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, correct_stamps, stamp_seconds
 
@@ -39,6 +40,20 @@ def read_csv_rows(
 
 def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
     """Return the table of a file by line number, NaN for empty fields; raise ``DataError`` if it is unusable."""
+    export = read_csv_export(path)
+    if export is None:
+        table = _read_text_table(path, layout, notes)
+    else:
+        table = pd.DataFrame(dict(export.topics[0].columns))
+        table.index = pd.RangeIndex(2, 2 + len(table))
+    wanted = {name: q for q in layout.quantities().values() for name in _column_names(q, list(table.columns))}
+    if twice := sorted(name for name in wanted if list(table.columns).count(name) > 1):
+        raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
+    return _drop_rows_without_numbers(table, wanted, layout.time.columns[0], str(path), notes)
+
+
+def _read_text_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
+    """Return the rows of a text file that fit its header, by line number."""
     lines = read_lines(path)
     source = iter(enumerate(lines, start=1))
     header = find_header((line for _, line in source), layout.time.columns[0])
@@ -53,9 +68,6 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
             f"{len(rows)} lines; correct the header"
         )
     _append_row_finding("rows_not_of_header", bad, len(rows), notes, fields=len(header.names))
-    wanted = {name: q for q in layout.quantities().values() for name in _column_names(q, header.names)}
-    if twice := sorted(name for name in wanted if header.names.count(name) > 1):
-        raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
     table = pd.read_csv(
         StringIO("\n".join(row for _, row in rows if row is not None)),
         header=None,
@@ -69,7 +81,7 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
     )
     table.columns = pd.Index(header.names)
     table.index = pd.Index([n for n, row in rows if row is not None])
-    return _drop_rows_without_numbers(table, wanted, layout.time.columns[0], str(path), notes)
+    return table
 
 
 def _drop_rows_without_numbers(

@@ -23,7 +23,7 @@ from aerial_gym.sim2real.logs.raw_log import (
     RawLog,
     Topic,
 )
-from aerial_gym.sim2real.logs.readers.log_readers import LogReader
+from aerial_gym.sim2real.logs.readers.log_readers import CSV, LogReader
 from aerial_gym.sim2real.logs.readers.ros_files import MCAP, json_columns, read_message_sources
 
 MARK = "aerial_gym_log"  # First key of ``metadata.json``
@@ -66,8 +66,8 @@ class LogExportReader(LogReader):
             raise DataError(
                 f"{path}: is no complete converted log ({type(error).__name__}); convert the log again"
             ) from None
-        if name not in LOG_READERS or name == self.name:
-            raise DataError(f"{path}: was converted from {name}, whose rows only the file itself tells; give that file")
+        if (name not in LOG_READERS and name != CSV) or name == self.name:
+            raise DataError(f"{path}: was converted from {name!r}, which no reader here knows; give the file itself")
         return RawLog(
             path=str(path),
             format=name,

@@ -10,6 +10,7 @@ from aerial_gym.registry.log_formats import LOG_READERS, reader_names
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, RawLog
 
+CSV = "csv"  # Format of a CSV file, which has no reader of a binary log
 HEAD_BYTES = 4096  # Length of the beginning by which a reader recognises its format
 
 
@@ -49,7 +50,19 @@ def find_reader(path: Path) -> LogReader | None:
 
 
 def read_raw_log(path: Path) -> RawLog | None:
-    """Return the content of a binary log; None for a text file. The last file that was read is kept in memory."""
+    """Return the content of a binary log; None for a CSV file, also a converted one."""
+    raw = _read_known_format(path)
+    return None if raw is None or raw.format == CSV else raw
+
+
+def read_csv_export(path: Path) -> RawLog | None:
+    """Return the content of a CSV file that was converted to Parquet or MCAP; None for other files."""
+    raw = _read_known_format(path)
+    return raw if raw is not None and raw.format == CSV else None
+
+
+def _read_known_format(path: Path) -> RawLog | None:
+    """Return the content of a file of a registered format, None for others. The last file that was read stays in memory."""
     reader = find_reader(path)
     if reader is None:
         return None

@@ -13,6 +13,7 @@ import pytest
 from scipy.signal import lfilter
 
 from aerial_gym.cli.main import main
+from aerial_gym.config import dump_yaml
 from aerial_gym.errors import DataError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.logs.conversion import _write_parquet, convert_log
@@ -24,7 +25,8 @@ from aerial_gym.sim2real.logs.readers.follow import file_lines
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.recording import FlightLog, row_arrays
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant, total_rotor_force
-from tests.unit.sim2real.flat_flights import flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.logs.foxglove_files import read_and_check
 from tests.unit.sim2real.logs.readers import dataflash_files
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
@@ -220,9 +222,9 @@ def test_shares_are_scaled_by_the_flight_without_the_ground_or_an_accelerometer(
 
 def assert_same_flights(originals: list[FlightLog], copies: list[FlightLog], tolerance: float = 0.0) -> None:
     for original, copy in zip(originals, copies, strict=True):
-        arrays = row_arrays(copy)
-        assert row_arrays(original).keys() == arrays.keys() - {"lines"}
-        for name, values in row_arrays(original).items():
+        arrays, expected = ({n: v for n, v in row_arrays(one).items() if n != "lines"} for one in (copy, original))
+        assert arrays.keys() == expected.keys()
+        for name, values in expected.items():
             np.testing.assert_allclose(arrays[name], values, rtol=0.0, atol=tolerance, err_msg=name)
         for name in ("streams", "torques", "relative_commands", "attitude_integrated"):
             assert getattr(copy, name) == getattr(original, name) or tolerance > 0.0
@@ -313,11 +315,45 @@ def test_a_damaged_folder_is_refused(text: str, tmp_path: Path) -> None:
         read_flights([tmp_path])
 
 
-def test_a_converted_csv_file_names_its_remedy(table: pd.DataFrame, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["parquet", "mcap"])
+@pytest.mark.parametrize("source", ["csv", "ulog"])
+def test_a_converted_csv_file_is_the_flight(source: str, kind: str, table: pd.DataFrame, tmp_path: Path) -> None:
+    """Also one that was converted from a ULog, with its facts; all values are the same bit for bit."""
     pytest.importorskip("pyarrow", exc_type=ImportError)
-    convert_log(write(table, tmp_path / "a.csv"), "parquet", tmp_path / "out")
-    with pytest.raises(DataError, match="give that file"):
-        read_flights([tmp_path / "out"])
+    log = write(table, tmp_path / "a.csv")
+    if source == "ulog":
+        (log,) = convert_log(write_ulog(tmp_path / "a.ulg", topics(table), {"A": 1.5}), "csv", tmp_path)
+    files = convert_log(log, kind, tmp_path / "out")
+    assert_same_flights(
+        read_flights([log]), read_flights([tmp_path / "out" if kind == "parquet" else files[0]]), tolerance=0.0
+    )
+    assert inspect_log(files[0].parent if kind == "parquet" else files[0]).flights[0].refusal is None
+
+
+@pytest.mark.parametrize("name", ["nothing", "log_export"])
+def test_a_log_of_an_unknown_format_is_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / "metadata.json").write_text(json.dumps(EMPTY_EXPORT | {"parameters": {}, "format": name}))
+    with pytest.raises(DataError, match=name):
+        read_flights([tmp_path])
+
+
+def test_mcap_shows_vehicle_path_states_and_residuals(table: pd.DataFrame, tmp_path: Path) -> None:
+    """The residual of a rotor speed is 0 within the rounding of the table, and lies on the flight's own time."""
+    pytest.importorskip("mcap")
+    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
+    shifted = table.assign(t=table["t"] + 100.0)
+    command = ["log", "convert", str(write(shifted, tmp_path / "a.csv")), "--to", "mcap", "--out", str(tmp_path)]
+    assert main([*command, "--robot", str(tmp_path / "robot.yaml")]) == 0
+    seen = read_and_check(tmp_path / "a.mcap")
+    assert len(seen["/flight_1/vehicle"][0][1]["entities"][0]["cylinders"]) == 4
+    assert [row["p_x"] for _, row in seen["/flight_1/state"]] == shifted["p_x"].tolist()
+    poses = {at: message["pose"]["position"] for at, message in seen["/flight_1/pose"]}
+    row = int(np.argmin(np.abs(shifted["t"] - 103.0)))
+    assert poses[103_000_000_000]["x"] == pytest.approx(shifted["p_x"][row], abs=1e-6)
+    times, residuals = zip(*seen["/flight_1/residual"], strict=True)
+    assert 1e9 * shifted["t"].iloc[0] <= times[0] < times[-1] <= 1e9 * shifted["t"].iloc[-1] + 1
+    assert max(abs(one["specific_force_z"]) for one in residuals) < 0.1
+    assert main([*command[:4], "csv", "--out", str(tmp_path / "b"), "--robot", str(tmp_path / "robot.yaml")]) == 2
 
 
 def test_bad_facts_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:
