@@ -109,10 +109,10 @@ def judge_flight(
 
 def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tmp_path) -> None:
     with one_thread():
-        result = judge_flight(tmp_path, 1.04, still=True)
+        result = judge_flight(tmp_path, 1.1, still=True)
         assert result.channels == ()
         assert set(result.left_open) & INERTIA
-        moved = judge_flight(tmp_path, 1.04, still=False)
+        moved = judge_flight(tmp_path, 1.1, still=False)
     assert (moved.channels, moved.left_open) == ((), ())
 
 
