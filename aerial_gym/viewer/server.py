@@ -50,7 +50,7 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
     if not guarded or not _close_tunnel(server):
         close_server(server)
         raise MissingDependencyError("this viser starts its server in another way: pip install viser==1.1.1")
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_layout="collapsible")
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
 
 
