@@ -51,6 +51,7 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
         close_server(server)
         raise MissingDependencyError("this viser starts its server in another way: pip install viser==1.1.1")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     return server
 
 
