@@ -48,19 +48,19 @@ class RecordingPage:
             show_logo=False, show_share_button=False, control_layout="collapsible", control_width="large"
         )
         self._legend = gui.add_html("")
-        self._flight = gui.add_dropdown("Flight", tuple(self._flights), visible=len(flights) > 1)
+        self._flight = gui.add_dropdown("flight", tuple(self._flights), visible=len(flights) > 1)
         self._slider: GuiSliderHandle[float] | None = None
-        self._button, self._presses, self.playing = gui.add_button("Pause"), 0, True
+        self._button, self._presses, self.playing = gui.add_button("pause"), 0, True
         self._button.on_click(self._count_press)
-        self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1 x")
-        self._event = gui.add_dropdown("Jump to", (NONE,))
+        self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
+        self._event = gui.add_dropdown("jump to", (NONE,))
         self._restart = gui.add_number(
-            "Restart every [s]", restart_s, min=0.1, max=10.0, step=0.1, visible=bool(robots),
+            "restart every [s]", restart_s, min=0.1, max=10.0, step=0.1,
             hint="The predictions start anew from the measured state after this time",
         )  # fmt: skip
-        self._follow = gui.add_checkbox("Camera follows", True)
-        self._quantity = gui.add_dropdown("Plot", (NONE,))
-        self._span = gui.add_dropdown("Time span", tuple(SPANS), initial_value="20 s")
+        self._follow = gui.add_checkbox("follow the vehicle", True)
+        self._quantity = gui.add_dropdown("plot", (NONE,))
+        self._span = gui.add_dropdown("time span", tuple(SPANS), initial_value="20 s")
         self._plots: TimePlots | None = None
         self._remarks = gui.add_html("", order=1e12)
         self._open_flight()
@@ -105,7 +105,7 @@ class RecordingPage:
         played = min(SPEEDS[self._speed.value] * elapsed, last - self.time) if self.playing else 0.0
         self.time += played
         self.playing &= self.time < last
-        label = "Pause" if self.playing else "Play"
+        label = "pause" if self.playing else "play"
         if self._button.label != label:
             self._button.label = label
         return played
@@ -133,7 +133,7 @@ class RecordingPage:
             self._slider.remove()
         last, marks = round(float(self.record.time[-1]), 2), list(self._events.values())[:MARKS]
         self._slider = self._server.gui.add_slider(
-            "Time [s]", 0.0, last, 0.01, 0.0, marks=((0.0, "0"), *((at, "") for at in marks), (last, f"{last:g}")),
+            "time [s]", 0.0, last, 0.01, 0.0, marks=((0.0, "0"), *((at, "") for at in marks), (last, f"{last:g}")),
             order=self._button.order - 0.5,
         )  # fmt: skip
         notes = "".join(f"<li>{escape(note)}</li>" for note in self.record.notes)
@@ -144,6 +144,7 @@ class RecordingPage:
         """Compute the predictions with the chosen time between restarts, and draw all that shows them."""
         self._restarted = float(self._restart.value)
         self.record = with_rollouts(self.record, self._restarted)
+        self._restart.visible = bool(self.record.tracks)
         self._legend.content = legend(self.record, self._restarted, bool(self._robots))
         self._scene.show(self.record)
         self._quantity.options = tuple(self.record.plots())
@@ -173,7 +174,9 @@ def legend(record: FlightRecord, restart_s: float, has_robot: bool) -> str:
     elif record.robots and isinstance(record.log, Flight):
         reason = reason_against_rollouts([record.log])
         remarks.append("Residuals only, no predicted vehicles. " + ("" if reason is None else text(reason)))
-    elif not has_robot:
+    elif has_robot:
+        remarks.append("No predictions: the log does not suit the robot. The notes below name the reason.")
+    else:
         remarks.append("Give --robot for the vehicle's shape, predictions and residuals; body axes are drawn here.")
     body = "".join(rows) + f"<p>{escape(' '.join(remarks))}</p>"
     return f'<div style="margin:0.5em 1em;font-size:0.85em">{body}</div>'

@@ -72,7 +72,8 @@ class RecordingScene:
         record = self._recorded
         place, attitude = record.position[row], record.attitude[row]
         if np.isfinite(place).all():
-            self._root.position = -place if follow else np.zeros(3)
+            if follow:
+                self._root.position = -place
             self._axes.position, self._axes.wxyz = place, attitude[[3, 0, 1, 2]]
             self._move("measured", place, attitude, record.rotor_state, row, elapsed)
         for name, track in record.tracks.items():

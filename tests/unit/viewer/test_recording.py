@@ -49,10 +49,10 @@ def vehicle_position(page: RecordingPage, name: str) -> np.ndarray:
 
 def test_playback_moves_the_vehicles_along_log_and_predictions(page: RecordingPage) -> None:
     page.time = 2.0
-    control(page, "Speed").value = "0.5 x"
+    control(page, "speed").value = "0.5 x"
     page.advance(1.0)
     assert page.time == pytest.approx(2.5)
-    assert control(page, "Time [s]").value == pytest.approx(2.5)
+    assert control(page, "time [s]").value == pytest.approx(2.5)
     row = page.record.row_of_time(2.5)
     np.testing.assert_allclose(vehicle_position(page, "measured"), page.record.position[row], rtol=1e-6)
     for name, track in page.record.tracks.items():
@@ -64,9 +64,9 @@ def test_playback_moves_the_vehicles_along_log_and_predictions(page: RecordingPa
 
 def test_slider_pause_and_end(page: RecordingPage) -> None:
     page._count_press(None)
-    control(page, "Time [s]").value = 7.25
+    control(page, "time [s]").value = 7.25
     page.advance(1.0)
-    assert (page.playing, page.time, control(page, "Play").label) == (False, 7.25, "Play")
+    assert (page.playing, page.time, control(page, "play").label) == (False, 7.25, "play")
     page._count_press(None)
     page.advance(1e3)
     assert (page.playing, page.time) == (False, page.record.time[-1])
@@ -76,7 +76,7 @@ def test_slider_pause_and_end(page: RecordingPage) -> None:
 
 
 def test_the_user_sets_the_time_between_restarts(page: RecordingPage) -> None:
-    restart = control(page, "Restart every [s]")
+    restart = control(page, "restart every [s]")
     for seconds in (2.0, 0.5):
         restart.value = seconds
         page.advance(0.0)
@@ -87,7 +87,7 @@ def test_the_user_sets_the_time_between_restarts(page: RecordingPage) -> None:
 
 
 def test_each_quantity_and_span_has_plots(page: RecordingPage) -> None:
-    quantity, span = control(page, "Plot"), control(page, "Time span")
+    quantity, span = control(page, "plot"), control(page, "time span")
     for name in quantity.options:
         quantity.value, span.value = name, "whole flight"
         page.advance(0.2)
@@ -100,15 +100,24 @@ def test_each_quantity_and_span_has_plots(page: RecordingPage) -> None:
 
 def test_another_flight_starts_at_its_beginning_and_events_are_reached(page: RecordingPage) -> None:
     page.playing = False
-    control(page, "Flight").value = "f5"
+    control(page, "flight").value = "f5"
     page.advance(0.0)
     assert (page.record.log.name, page.time) == ("f5", 0.0)
     page._events = {"3.00 s: gap": 3.0}
-    event = control(page, "Jump to")
+    event = control(page, "jump to")
     event.options = ("-", *page._events)
     event.value = "3.00 s: gap"
     page.advance(0.0)
     assert (page.time, event.value) == (3.0, "-")
+
+
+def test_without_following_the_vehicle_the_scene_stays(page: RecordingPage) -> None:
+    root: Any = page._server.scene.get_handle_by_name("/flight")
+    page.playing, page.time = False, 2.0
+    page.advance(0.0)
+    control(page, "follow the vehicle").value, page.time = False, 4.0
+    page.advance(0.0)
+    np.testing.assert_allclose(root.position, -page.record.position[page.record.row_of_time(2.0)], rtol=1e-6)
 
 
 def test_texts_of_a_log_are_not_html(server: "ViserServer", tmp_path: Path) -> None:
