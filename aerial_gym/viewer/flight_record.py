@@ -32,6 +32,7 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.report.log_plot import AXES, SHOWN
 from aerial_gym.sim2real.wording import text
 
+MOST_GAPS = 100  # Most gaps of a log that count as events
 BANDWIDTH_HZ = 10.0  # Bandwidth of the residuals [Hz], as in ``aerial-gym replay``
 
 
@@ -190,12 +191,12 @@ def _residual_plots(flight: Flight, robots: Mapping[str, RobotCfg]) -> dict[str,
 
 
 def _find_events(flight: Flight, robot: RobotCfg) -> Iterator[tuple[float, str]]:
-    """Yield ground contacts, the ends of these, gaps of the log and the first failure."""
+    """Yield ground contacts, the ends of these, the longest gaps of the log and the first failure."""
     for start, end in _spans(flight.on_ground):
         yield float(flight.time[start]), "on the ground"
         if end < flight.num_rows:
             yield float(flight.time[end]), "in the air"
-    for start, end in _spans(flight.lost):
+    for start, end in sorted(_spans(flight.lost), key=lambda span: span[0] - span[1])[:MOST_GAPS]:
         yield float(flight.time[start]), f"gap of {(end - start) / flight.rate:.2g} s in the log"
     if (failure := FailureFinder(robot).find_first_failure(flight)) is not None:
         yield failure.time, text(failure.finding)

@@ -13,8 +13,8 @@ from aerial_gym.viewer.vehicle import VehicleView
 if TYPE_CHECKING:
     from viser import ViserServer
 
-COLORS = {"measured": (0, 114, 178), "declared": (230, 159, 0), "corrected": (0, 158, 115)}
-"""Colours of the vehicles, which colour-blind readers tell apart (Okabe, Ito 2008, Color universal design)."""
+COLORS = {"measured": (86, 98, 112), "declared": (200, 50, 45), "corrected": (30, 110, 190)}
+"""Colours of the vehicles: dark, red and blue as in the figures of the reports."""
 
 PATH_POINTS = 2000  # Most points of the measured path
 AXES_M = 0.3  # Length of the body axes that stand for a vehicle without a robot file [m]

@@ -40,7 +40,7 @@ class TimePlots:
                 (
                     {"label": "t [s]"},
                     *({"label": name, "stroke": colors[name], "width": 1.5} for name in panel.lines),
-                    {"label": "now", "stroke": NOW_COLOR, "width": 1},
+                    {"label": "now", "stroke": NOW_COLOR, "width": 1, "dash": (4, 4)},
                 ),
                 title=panel.title,
                 scales=_scales((0.0, 1.0)),

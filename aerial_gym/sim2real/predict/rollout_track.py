@@ -14,14 +14,11 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
-from aerial_gym.sim2real.predict.replay.load import LoadLink
 from aerial_gym.sim2real.predict.replay.rotors import has_commands, replace_by_arriving_commands
 from aerial_gym.sim2real.predict.rollout import (
     FIRST_WINDOW_S,
     QUANTITIES,
-    RolloutWindows,
     WindowBatch,
-    initial_link_states,
     rows_per_step,
     state_errors,
 )
@@ -47,13 +44,10 @@ def find_consecutive_windows(excluded: Flags, length: int) -> Indices:
 
 
 @torch.inference_mode()
-def rollout_along_flight(
-    robot: RobotCfg, params: ModelParams, flight: Flight, restart_s: float, *, links: list[LoadLink] | None = None
-) -> RolloutTrack:
+def rollout_along_flight(robot: RobotCfg, params: ModelParams, flight: Flight, restart_s: float) -> RolloutTrack:
     """Return the rollouts of a model along a flight, restarted from the measured state every ``restart_s`` [s].
 
-    A flight whose rotor data determine no torques prescribes its attitude. ``links``: state of the load along the flight;
-    None: at rest at the log's start.
+    A flight whose rotor data determine no torques prescribes its attitude. A load hangs at rest at the log's start.
     """
     step = rows_per_step(flight.rate)
     starts = find_consecutive_windows(
@@ -65,7 +59,7 @@ def rollout_along_flight(
     known = {"position": flight.position is not None, "velocity": True, "attitude": flight.torques}
     errors = {name: np.full(starts.size, np.nan) for name in QUANTITIES if known[name]}
     if first.size:
-        run = _window_batch(robot, params, flight, step * first, links)
+        run = _window_batch(robot, params, flight, step * first)
         begin = run.state_of_flight(0)
         given = None if flight.torques else np.ones(first.size, dtype=bool)
         later = run.simulate_steps(begin, range(1, int(size.max())), given_attitude=given) if size.max() > 1 else ()
@@ -88,13 +82,8 @@ def _rows_without_rollout(flight: Flight, step: int) -> Flags:
     return np.logical_or.reduceat(excluded, np.arange(0, flight.num_rows, step))
 
 
-def _window_batch(
-    robot: RobotCfg, params: ModelParams, flight: Flight, row: Indices, links: list[LoadLink] | None
-) -> WindowBatch:
+def _window_batch(robot: RobotCfg, params: ModelParams, flight: Flight, row: Indices) -> WindowBatch:
     off = vehicle_for_replay(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), Tolerances(), None)
     flights = replace_by_arriving_commands(off, [flight], params) if has_commands([flight]) else [flight]
-    flown = np.zeros(row.size, dtype=int)
-    windows = RolloutWindows(flight=flown, row=row, cluster=flown)
-    load = None if links is None else initial_link_states(links, flights, windows)
-    effects = expand_effects(params, row.size)
-    return WindowBatch(off.vehicle, effects, flights, flown, row, load=load, settled=off.joint_start)
+    effects, flown = expand_effects(params, row.size), np.zeros(row.size, dtype=int)
+    return WindowBatch(off.vehicle, effects, flights, flown, row, settled=off.joint_start)
