@@ -92,6 +92,15 @@ def test_dark_and_light_pages_differ(name: str, pages: dict[str, Path], open_pag
         assert is_right(max(Image.open(BytesIO(picture)).convert("RGB").getpixel((0, 0))))
 
 
+def test_a_dark_page_prints_on_white_without_controls(pages: dict[str, Path], open_page: OpenPage) -> None:
+    page = open_page(pages["close-loop"].as_uri(), color_scheme="dark").page
+    button, color = page.locator("button.zoom").first, "getComputedStyle(document.body).backgroundColor"
+    assert button.is_visible()
+    page.emulate_media(media="print", color_scheme="dark")
+    assert page.evaluate(color) == "rgb(255, 255, 255)"
+    assert button.is_hidden()
+
+
 @pytest.fixture
 def trace(pages: dict[str, Path], open_page: OpenPage) -> "Locator":
     """Return the residual over time of the first channel, on the page of ``close-loop``."""

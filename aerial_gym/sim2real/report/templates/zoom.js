@@ -158,7 +158,9 @@ for (const panels of document.querySelectorAll(".panels")) {
     button.disabled = axes.every(axis => axis.b - axis.a >= 1);
     button.textContent = button.disabled ? "drag or pinch to zoom" : "show the whole range";
   };
-  const axes = Object.values(Object.groupBy(plots, plot => plot.box.dataset.x)).map(own => new TimeAxis(own, update));
+  const groups = {};
+  plots.forEach(plot => (groups[plot.box.dataset.x] ??= []).push(plot));
+  const axes = Object.values(groups).map(own => new TimeAxis(own, update));
   button.addEventListener("click", () => axes.forEach(axis => axis.reset()));
   panels.after(button);
   update();
