@@ -14,6 +14,7 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     Part,
+    SparseColumns,
     SparseDerivatives,
     drop_zero_channels,
     moments_by_channel,
@@ -119,7 +120,7 @@ def build_library(
     skipped: Collection[str] = (),
     structures: Structures | None = None,
     tangents: list[Tangent] | None = None,
-    tolerance: Derivatives | None = None,
+    tolerance: SparseColumns | None = None,
     by_channel: bool = False,
     parts: int = 1,
 ) -> Library:
@@ -135,7 +136,7 @@ def build_library(
         skipped: Effects that these flights cannot show.
         structures: Function of the present residuals and the derivatives by each effect at each start, (rows, C, any).
         tangents: Known linearisations of all candidates about the present model.
-        tolerance: Derivatives by the deviations, (rows, C, N), about a nearby model; None: computed here.
+        tolerance: Derivatives by each deviation, (rows, C), about a nearby model; None: computed here.
         by_channel: Whether moments are unweighted, by channel and flight; not with structures.
         parts: Number of parts of each flight.
     """
@@ -174,7 +175,7 @@ def build_library(
         candidates.append(candidate)
         derivatives.append(structure.columns)
         width += places.size
-    derivatives.append(tolerance_jacobian(predictor, present, np.float32) if tolerance is None else tolerance)
+    derivatives += [tolerance_jacobian(predictor, present, np.float32)] if tolerance is None else tolerance
     flights = list(zip(*derivatives, strict=True))
     if by_channel:
         moments = moments_by_channel(residuals, flights)

@@ -25,14 +25,20 @@ from aerial_gym.sim2real.identify.evidence.guard import (
 )
 from aerial_gym.sim2real.identify.evidence.laplace import EMPTY_POSTERIOR, Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums, Part
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
+    DerivativesWithWeights,
+    NuisanceSums,
+    Part,
+    SparseColumns,
+    join_columns,
+    split_columns,
+)
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     effect_jacobian,
     is_continuous_parameter,
     parameter_bounds,
     parameter_scales,
-    to_single_precision,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
@@ -42,7 +48,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     StopRule,
     fit_effects,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Weighting
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -110,49 +116,51 @@ class Fitter:
     ) -> None:
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_prior_cost_of_effect, self._present = float(np.log(max(1, num_names))), present
-        self._tolerance: Derivatives | None = None
+        self.tolerances: SparseColumns | None = None  # Derivatives by each deviation about the present model, if known
         self._beside: dict[tuple[NuisanceColumns, ...], NuisanceSums] = {}
-        self._derivatives: dict[Label, tuple[EffectSetFit, Derivatives]] = {}
+        self._derivatives: dict[Label, tuple[EffectSetFit, SparseColumns]] = {}
 
     def clear_caches(self) -> None:
         """Clear all caches; they are recomputed on demand."""
         self.clear_nuisance_sums()
-        self.tolerance_derivatives = None
+        self.tolerances = None
         self._derivatives.clear()
 
     def clear_nuisance_sums(self) -> None:
         """Clear the cached sums of nuisance columns."""
         self._beside.clear()
 
-    @property
-    def tolerance_derivatives(self) -> Derivatives:
-        """Return the derivatives by the deviations about the present model, (rows, C, N) of each flight."""
-        if self._tolerance is None:
-            self._tolerance = tolerance_jacobian(self.predictor, self._present, np.float32)
-        return self._tolerance
-
-    @tolerance_derivatives.setter
-    def tolerance_derivatives(self, known: Derivatives | None) -> None:
-        self._tolerance = known
+    def tolerance_columns(self) -> SparseColumns:
+        """Return the derivatives by each deviation about the present model, computed if they are not known."""
+        if self.tolerances is None:
+            self.tolerances = split_columns(tolerance_jacobian(self.predictor, self._present, np.float32))
+        return self.tolerances
 
     def nuisance_sums(self, structures: Sequence[NuisanceColumns], more: Sequence[Array] | None = None) -> NuisanceSums:
         """Return tolerances, structures and ``more`` columns (rows, C, any), in this order, without flight offsets."""
-        key = tuple(structures)
+        key, weight, times = tuple(structures), self.weights.weight, self.predictor.times
         if more is None and key in self._beside:
             return self._beside[key]
+        offsets = prior_of_flight_offsets(structures, self.predictor.channels, weight)
+        first = self._tolerances_with_weights(offsets)
         if more is None and len(self._beside) == KEPT_BESIDE:  # free memory before the next one
             del self._beside[next(iter(self._beside))]
-        parts: list[Sequence[Part]] = [
-            self.tolerance_derivatives,
-            *(one.columns for one in structures if not one.is_flight_offset),
-        ]
-        flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
-        times, weight = self.predictor.times, self.weights.weight
-        offsets = prior_of_flight_offsets(structures, self.predictor.channels, weight)
-        results = NuisanceSums(times, flights, weight, parts=num_parts_per_flight(len(times)), offsets=offsets)
+        parts: list[Sequence[Part]] = [one.columns for one in structures if not one.is_flight_offset]
+        parts += [] if more is None else [more]
+        flights = list(zip(*parts, strict=True)) if parts else [()] * len(times)
+        results = NuisanceSums(
+            times, flights, weight, parts=num_parts_per_flight(len(times)), offsets=offsets, first=first
+        )
         if more is None:
             self._beside[key] = results
         return results
+
+    def _tolerances_with_weights(self, offsets: FlightOffsets) -> DerivativesWithWeights:
+        """Return the derivatives by the deviations with weights, shared with cached sums of the same flight offsets."""
+        for known in self._beside.values():
+            if known.first is not None and np.array_equal(known.offsets.size, offsets.size):
+                return known.first
+        return DerivativesWithWeights(list(zip(*self.tolerance_columns(), strict=True)), offsets)
 
     def neutral_of_effect(self, name: str) -> Array:
         """Return the parameters at which an effect changes nothing."""
@@ -174,7 +182,6 @@ class Fitter:
         ``frozen`` parameters are fixed. Without a ``rule`` the fit converges.
         """
         beside, effects = self.nuisance_sums(structures), tuple(effects)
-        give_back_memory()
         rule = replace(rule, worth=lambda fit: self._fit_with_evidence(fit, effects, structures).most)
         results, last, more = fit_effects(
             self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, rule=rule
@@ -182,7 +189,7 @@ class Fitter:
         fitted = self._fit_with_evidence(results, effects, structures, more)
         give_back_memory()
         if not frozen:
-            self._derivatives[fitted.label] = fitted, to_single_precision(last)
+            self._derivatives[fitted.label] = fitted, split_columns(last)
             if len(self._derivatives) > KEPT:
                 del self._derivatives[next(iter(self._derivatives))]
         return fitted
@@ -263,7 +270,7 @@ class Fitter:
         known, there = other._derivatives.get(fitted.label), fitted.params
         if known is None or known[0] is not fitted:
             return self.fit(fitted.effects, fitted.structures, there)
-        return self.fit(fitted.effects, fitted.structures, there, known[1], fresh=True)
+        return self.fit(fitted.effects, fitted.structures, there, self._join_columns(known[1]), fresh=True)
 
     def refit_without_effects(
         self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE
@@ -275,9 +282,13 @@ class Fitter:
         derivatives = None
         if known is not None:
             owners = [name for name in fitted.effects for _ in parameter_scales((name,))]
-            rest = np.array([name not in names for name in owners], dtype=bool)
-            derivatives = [part[:, :, rest] for part in known[1]]
+            derivatives = self._join_columns([c for name, c in zip(owners, known[1], strict=True) if name not in names])
         return self.fit(effects, fitted.structures, start, derivatives, rule=rule)
+
+    def _join_columns(self, columns: SparseColumns) -> Derivatives:
+        """Return columns as dense derivatives of each flight, (rows, C, P)."""
+        empty = [np.empty((*part.shape, 0), dtype=np.float32) for part in self.predictor.measured]
+        return join_columns(columns, len(self.predictor.channels)) if columns else empty
 
     def refit_without_weakest(self, fitted: EffectSetFit, rule: StopRule = CONVERGENCE) -> EffectSetFit:
         """Return a set refitted without its least supported effect; effects without support count as the least."""

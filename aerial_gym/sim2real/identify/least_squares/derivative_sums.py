@@ -4,7 +4,7 @@ Columns are stored only for the channels that they affect: a structure or a sens
 flight, c channels of C, P parameters of a part, K of all parts, B blocks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,9 @@ class SparseDerivatives:
         return sums
 
 
+SparseColumns = Sequence[Sequence[SparseDerivatives]]  # Columns by parameter and flight
+
+
 def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[SparseDerivatives]:
     """Return derivatives (T, C, P) in single precision, without channels that are zero in all flights."""
     moved = tuple(np.flatnonzero(np.any([has_nonzero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
@@ -40,6 +43,17 @@ def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[SparseDe
         SparseDerivatives(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
         for part in flights
     ]
+
+
+def split_columns(flights: Sequence[NDArray[np.floating]]) -> SparseColumns:
+    """Return each column of derivatives (T, C, P) stored sparsely by itself."""
+    return [drop_zero_channels([part[:, :, k : k + 1] for part in flights]) for k in range(flights[0].shape[2])]
+
+
+def join_columns(columns: SparseColumns, channels: int) -> list[NDArray[np.floating]]:
+    """Return columns as dense derivatives of each flight, (T, C, P)."""
+    flights = zip(*columns, strict=True)
+    return [np.concatenate([one.dense_columns(range(channels)) for one in own], axis=2) for own in flights]
 
 
 Part = NDArray[np.floating] | SparseDerivatives  # Derivatives of a flight by some parameters, (T, C, P)
@@ -56,23 +70,35 @@ def num_columns(parts: Sequence[Part]) -> int:
 class DerivativesWithWeights:
     """Derivatives of all flights by K parameters, times the square root of the channel weights."""
 
-    def __init__(self, flights: Sequence[Sequence[Part]], offsets: FlightOffsets) -> None:
-        """Store the parts of each flight, consecutive among the K columns, with random flight ``offsets`` integrated out."""
-        self.width = num_columns(flights[0])
+    def __init__(
+        self,
+        flights: Sequence[Sequence[Part]],
+        offsets: FlightOffsets,
+        *,
+        first: "DerivativesWithWeights | None" = None,
+    ) -> None:
+        """Store the parts of each flight, consecutive among the K columns, with random flight ``offsets`` integrated out.
+
+        Columns ``first``, with the same weights and offsets, come before them and are shared.
+        """
+        start = 0 if first is None else first.width
+        self.width = start + num_columns(flights[0])
         root = np.sqrt(offsets.weight)
-        self.columns = [_nonzero_columns_with_weights(parts, root) for parts in flights]
-        """By flight and channel: indices among the K columns, and their values (T, k)."""
+        self.columns = [[[one] for one in _nonzero_columns_with_weights(parts, root, start)] for parts in flights]
+        """By flight and channel: blocks of indices among the K columns, and their values (T, k)."""
         for own in self.columns if offsets.has_offsets else ():
             for channel in np.flatnonzero(offsets.size):
-                columns = own[channel][1]
+                ((_, columns),) = own[channel]
                 if columns.size:
                     columns -= offsets.share_of_mean(len(columns))[channel] * columns.mean(axis=0)
+        if first is not None:
+            pairs = zip(first.columns, self.columns, strict=True)
+            self.columns = [[a + b for a, b in zip(one, other, strict=True)] for one, other in pairs]
 
 
-def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array) -> list[IndexedColumns]:
-    """Return the nonzero columns of each channel: their indices, and their values times ``root``, (T, k)."""
+def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array, start: int = 0) -> list[IndexedColumns]:
+    """Return the nonzero columns of each channel: their indices from ``start`` on, and values times ``root``, (T, k)."""
     sums: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
-    start = 0
     for part in parts:
         if isinstance(part, SparseDerivatives):
             values, channels, first = part.values, part.channels, start + part.first
@@ -97,10 +123,17 @@ def sum_of_products(one: DerivativesWithWeights, other: DerivativesWithWeights) 
     """Return ``sum w J_one J_other^T`` over all rows, (K, K')."""
     sums = np.zeros((one.width, other.width))
     for left, right in zip(one.columns, other.columns, strict=True):
-        for (here, a), (there, b) in zip(left, right, strict=True):
-            if here.size and there.size:
-                sums[here[:, None], there] += a.T @ b
+        for here, a, there, b in _pairs_of_columns(left, right):
+            sums[here[:, None], there] += a.T @ b
     return sums
+
+
+def _pairs_of_columns(
+    one: Sequence[Sequence[IndexedColumns]], other: Sequence[Sequence[IndexedColumns]]
+) -> Iterator[tuple[Indices, Array, Indices, Array]]:
+    """Yield the pairs of blocks of columns in each channel of a flight that have any."""
+    for left, right in zip(one, other, strict=True):
+        yield from ((*a, *b) for a in left for b in right if a[0].size and b[0].size)
 
 
 class TimeBlocks:
@@ -122,12 +155,16 @@ class TimeBlocks:
         return sums
 
     def add_products_of_flight(
-        self, sums: Array, flight: int, one: Sequence[IndexedColumns], other: Sequence[IndexedColumns]
+        self,
+        sums: Array,
+        flight: int,
+        one: Sequence[Sequence[IndexedColumns]],
+        other: Sequence[Sequence[IndexedColumns]],
     ) -> None:
         """Add a flight's products to the sums of its blocks, (B, K, K'); ``one`` and ``other`` are columns by channel."""
-        for (here, a), (there, b) in zip(one, other, strict=True):
+        for here, a, there, b in _pairs_of_columns(one, other):
             place = (here[:, None] * sums.shape[2] + there).ravel()
-            for block in self.of_flight[flight] if place.size else ():
+            for block in self.of_flight[flight]:
                 rows = self.rows[block]
                 sums[block].reshape(-1)[place] += (a[rows].T @ b[rows]).ravel()
 
@@ -143,15 +180,19 @@ class NuisanceSums:
         *,
         parts: int = 1,
         offsets: FlightOffsets | None = None,
+        first: DerivativesWithWeights | None = None,
     ) -> None:
-        """Take row times [s], derivatives and the weight of one row (C,); random flight ``offsets`` are integrated out."""
+        """Take row times [s], derivatives and the weight of one row (C,); random flight ``offsets`` are integrated out.
+
+        Columns ``first`` come before the others.
+        """
         none = np.zeros(weight.size)
         self.offsets = offsets or FlightOffsets(size=none, weight=weight, most=none)
         self.log_likelihood = self.offsets.log_likelihood([time.size for time in times])
         """Log likelihood term of the offsets, in addition to the squares."""
 
         self.blocks = TimeBlocks(times, parts)
-        self.columns = DerivativesWithWeights(flights, self.offsets)
+        self.first, self.columns = first, DerivativesWithWeights(flights, self.offsets, first=first)
         self.product = self.blocks.block_products(self.columns, self.columns)
         """Sums of products of each block, (B, N, N)."""
 

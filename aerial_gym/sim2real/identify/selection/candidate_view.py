@@ -95,7 +95,6 @@ class CandidateView:
         self.library.tangents.clear()
         free_other_fitters(self.own, self.present.label)
         self.fitter.clear_nuisance_sums()
-        self.fitter.tolerance_derivatives = None
         give_back_memory()
 
 

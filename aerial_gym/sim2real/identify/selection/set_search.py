@@ -39,7 +39,13 @@ from aerial_gym.sim2real.identify.evidence.guard import (
 )
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.search import search_sets
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives, weighted_moments
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
+    SparseColumns,
+    SparseDerivatives,
+    join_columns,
+    split_columns,
+    weighted_moments,
+)
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     correct_derivatives,
@@ -48,7 +54,6 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     parameter_scales,
     replace_params,
     rms_caused_by_tolerances,
-    to_single_precision,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, fit_of_moments, least_squares_step_in_bounds
@@ -88,7 +93,7 @@ class SetSearch:
         self.allow_effects(names)
         tolerance = tolerance_jacobian(predictor, declared)
         self.tolerated = rms_caused_by_tolerances(tolerance, predictor.robot.num_rotors)
-        self._tolerance = to_single_precision(tolerance)
+        self._tolerance = split_columns(tolerance)
         self.missed, most = predictor.residuals(declared), limits_of_flight_offsets(predictor, self.tolerated)
         self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
 
@@ -139,9 +144,9 @@ class SetSearch:
 
     def move_to_allowed_set(self, weights: Weighting) -> None:
         """Move to the present set without refused effects, under new channel weights."""
-        self.view.free_memory()
         present = self.view.present
-        del self.view
+        del self.view  # large, so free it before the next one
+        give_back_memory()
         effects = tuple(name for name in present.effects if name not in self.refused)
         params = params_without_effects(present.model_with_deviations, self.refused, self.declared)
         self.view = self.view_of_supported_set(params, effects, present.structures, weights)
@@ -160,13 +165,11 @@ class SetSearch:
         if params is not self._weighed[0]:
             view.fitter.clear_nuisance_sums()
             give_back_memory()
-            self._weighed = (
-                params,
-                self.channel_weights(params, view.library.tangents, view.fitter.tolerance_derivatives),
-            )
+            weights = self.channel_weights(params, view.library.tangents, view.fitter.tolerance_columns())
+            self._weighed = params, weights
         return self._weighed[1]
 
-    def channel_weights(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
+    def channel_weights(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: SparseColumns) -> Weighting:
         """Return the channel weights from the residual after a fit of all effects and structures together."""
         several = [one for one in tangents if has_several_starts(one.name, self.predictor.robot)]
         common = [one for one in tangents if not has_several_starts(one.name, self.predictor.robot)]
@@ -176,7 +179,7 @@ class SetSearch:
 
         channels = len(self.predictor.channels)
         new = [one for one in several if one.name not in params.effects]
-        linear = [tolerance, *(one.dense_derivatives(channels) for one in new)]
+        linear = [join_columns(tolerance, channels), *(one.dense_derivatives(channels) for one in new)]
         empty = [np.empty((*residual.shape, 0), dtype=np.float32) for residual in self.missed]
         whole = [one.dense_derivatives(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
@@ -223,11 +226,11 @@ class SetSearch:
         structures: tuple[NuisanceColumns, ...],
         weights: Weighting,
         tangents: list[Tangent] | None = None,
-        tolerance: Derivatives | None = None,
+        tolerance: SparseColumns | None = None,
     ) -> CandidateView:
         """Return the candidates about a set, after removal of the effects without support under these weights."""
         fitter, start = self.fitter_at_model(params, weights), replace(params, deviation=None)
-        fitter.tolerance_derivatives = tolerance
+        fitter.tolerances = tolerance
         present, empty = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.is_supported:
             present = fitter.refit_without_weakest(present)
@@ -270,9 +273,11 @@ class SetSearch:
 
         A delay of 6 ms is fitted only in part about a model without one. A divergent iteration keeps the earlier result.
         """
-        last = np.inf
+        first, last = about, np.inf
         for _ in range(MOST_TURNS):
             about.clear_nuisance_sums()
+            if about is not first:
+                about.tolerances = None  # large; only a divergent iteration needs them again
             fitter = self.fitter_at_model(fitted.model_with_deviations, about.weights)
             again = fitter.refit_from_other_fitter(fitted, about)
             if not again.deviation.size:  # the fit made no step
@@ -357,7 +362,7 @@ class SetSearch:
             skipped=self.skipped,
             structures=structures_of_residuals,
             tangents=tangents,
-            tolerance=fitter.tolerance_derivatives,
+            tolerance=fitter.tolerance_columns(),
             parts=num_parts_per_flight(len(self.predictor.times)),
         )
         sets = search_sets(

@@ -41,7 +41,7 @@ def test_the_search_goes_on_from_its_best_set_without_a_refused_effect() -> None
     search.predictor, search.declared, search.refused = make_gyro(0.0), ModelParams(), {}
     search.allow_effects((TURN, "rotor_drag", "payload_mass"))
     fitted = make_fit(TURN, "rotor_drag", params={TURN: (0.0, 0.05, 0.0), "rotor_drag": (0.1, 0.2, 0.3)})
-    search.view = SimpleNamespace(present=fitted, fitter=SimpleNamespace(weights="same"), free_memory=lambda: None)
+    search.view = SimpleNamespace(present=fitted, fitter=SimpleNamespace(weights="same"))
 
     def view_of_supported_set(params, effects, structures, weights) -> SimpleNamespace:
         starts.append((params.effects, weights))
