@@ -242,7 +242,8 @@ class ImuReading:
             force = torch.where(felt, force, times(force, turn))
         *_, attitude, velocity = logged.delays.tolist()
         if velocity != attitude and not felt.all():  # a derived force has the velocity's delay in those axes
-            force = torch.where(felt, force, force - (velocity - attitude) * self.data.kinematic_force(0.0)[1])
+            on_time, moved = (self.data.kinematic_force(0.0, ahead=ahead) for ahead in (0.0, attitude - velocity))
+            force = torch.where(felt, force, force + moved - on_time)
         place = logged.imu_place - logged.velocity_place
         implied = self._read_kinematic_channels(model, logged, turn, lever(place) if place.any() else None)
         # Scales act on the predicted force and the measured rate; on the implied ones, noise would bias them.
@@ -281,10 +282,8 @@ class ImuReading:
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:
             _, acc, gyro, attitude, velocity = logged.delays.tolist()
-            force, jerk = self.data.kinematic_force(acc - attitude)
+            force = self.data.kinematic_force(acc - attitude, ahead=velocity - attitude)
             rate = self.data.kinematic_rate(gyro - attitude)
-            if velocity != attitude:
-                force = force + (velocity - attitude) * jerk
             if turn is not None:
                 force, rate = times(force, turn.T), times(rate, turn.T)
             force = force if lever is None else force + lever

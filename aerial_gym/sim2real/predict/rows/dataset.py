@@ -101,7 +101,7 @@ class Dataset:
         )
         self.speed, self.unsure_speed = self._rotor_motion(rotors, self.thin_rows)
         self.spin_up, self.unsure_spin_up = self._rotor_motion(rotors, self.derivative_at_rows)
-        implied = (self._kinematic_force, self._kinematic_jerk, self._kinematic_rate)
+        implied = (self._kinematic_force, self._force_derivatives, self._kinematic_rate)
         self._implied = np.concatenate([join_flights(reading).numpy().T for reading in implied])
         self._delayed = dict[int, OrderedDict[float, Tensor]]()
 
@@ -121,14 +121,17 @@ class Dataset:
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
-    def kinematic_force(self, late: float) -> tuple[Tensor, Tensor]:
-        """Return the delayed specific force by kinematics, and its derivative by the velocity's delay [m/s³], (T, 3)."""
-        force, jerk = self._kinematics_with_delay(slice(6), late).T.split(3, dim=1)
-        return force, jerk
+    def kinematic_force(self, late: float, *, ahead: float = 0.0) -> Tensor:
+        """Return the specific force by kinematics [m/s²], (T, 3), with a delay ``late`` [s].
+
+        ``ahead``: lead of the velocity [s], to second order: noise correlates with the error of the first order.
+        """
+        force, jerk, snap = self._kinematics_with_delay(slice(9), late).T.split(3, dim=1)
+        return force + ahead * jerk + 0.5 * ahead**2 * snap if ahead else force
 
     def kinematic_rate(self, late: float) -> Tensor:
         """Return the angular velocity by kinematics [rad/s], (T, 3), with a delay ``late`` [s]."""
-        return self._kinematics_with_delay(slice(6, 9), late).T
+        return self._kinematics_with_delay(slice(9, 12), late).T
 
     def _kinematics_with_delay(self, columns: slice, late: float) -> Tensor:
         """Return low-passed columns of the implied readings with a delay [s], (K, T); the last two are cached."""
@@ -215,12 +218,13 @@ class Dataset:
         acceleration[:, 2] += STANDARD_GRAVITY
         return quat_rotate_inverse(self.state["attitude"][self.spans[index]], acceleration)
 
-    def _kinematic_jerk(self, index: int) -> Tensor:
-        """Return ``R^T v''`` [m/s³], body, (E, 3): the derivative of the implied force with respect to the velocity's delay."""
-        acceleration = self.acceleration[self.spans[index]].numpy()
-        rate = self.flights[index].rate / self.stride[index]
-        jerk = torch.from_numpy(lowpass(acceleration, rate, self.bandwidth, derivative=True))
-        return quat_rotate_inverse(self.state["attitude"][self.spans[index]], jerk)
+    def _force_derivatives(self, index: int) -> Tensor:
+        """Return ``R^T v''`` [m/s³] and its rate of change with v alone [m/s⁴], body, (E, 6): terms of the velocity's lead."""
+        acceleration, attitude = self.acceleration[self.spans[index]].numpy(), self.state["attitude"][self.spans[index]]
+        rate, rows = self.flights[index].rate / self.stride[index], [acceleration]
+        for _ in range(2):
+            rows.append(lowpass(rows[-1], rate, self.bandwidth, derivative=True))
+        return torch.cat([quat_rotate_inverse(attitude, torch.from_numpy(part)) for part in rows[1:]], dim=1)
 
     def _kinematic_rate(self, index: int) -> Tensor:
         """Return the angular velocity implied by the attitude [rad/s], body, (E, 3)."""
