@@ -11,7 +11,9 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
-from benchmarks.undeclared import make_case
+from aerial_gym.sim2real.logs.flights import load_train_and_test
+from aerial_gym.sim2real.loop import judge_flights
+from benchmarks.undeclared import LOGGED, make_case
 from tests.repetitions import rare_values
 
 SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
@@ -112,6 +114,16 @@ def test_test_flights_bring_doubt_where_hover_speaks_for_another(tmp_path: Path)
     assert set(verdict["candidates"]) == {"slung_payload", "payload_mass"}
     assert verdict["manoeuvre"] is not None
     assert ("doubt_by_test", "slung_payload") in [(one["code"], one["subject"]) for one in verdict["findings"]]
+
+
+def test_sensors_that_are_late_behind_the_commands_are_no_dead_time(tmp_path: Path) -> None:
+    """Rotor speeds are 5.2 ms late, within the tolerances of sensors; a dead time of 2.2 ms was named in their place."""
+    files = make_case(tmp_path / "case", effects={}, seed=9201, nuisance=LOGGED)
+    robot = robot_by_name(files.robot)
+    flights = load_train_and_test(robot, files.train, files.test[:1], None, 10.0)
+    verdict = judge_flights(robot, *flights).verdict
+    assert verdict.verdict == "none"
+    assert verdict.inclusion.get("actuation_delay", 0.0) < 0.1
 
 
 @pytest.mark.slow

@@ -1,7 +1,9 @@
 """All candidates linearised about a fitted set, with the sets fitted there and the rule for further fits."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
@@ -57,6 +59,15 @@ class CandidateView:
     def has_fit(self, label: Label) -> bool:
         """Return whether a set was fitted with comparable tolerances: linearised about the present set or about itself."""
         return label in self.fresh or label in self.own
+
+    def smaller_sets_elsewhere(self, least: float) -> list[EffectSetFit]:
+        """Return the sets with one effect less, linearised about the present set, a deviation of which differs by ``least``."""
+        effects = (k for k in self.present_set if not self.library.candidates[k].structure)
+        models = [tuple(k for k in self.present_set if k != gone) for gone in effects]
+        labels = self.fresh.difference(self.own).intersection(label_of_candidate_set(self.library, m) for m in models)
+        fits, here = [self.fits[label] for label in sorted(labels)], self.present.deviation
+        fits = [one for one in fits if one.deviation.size == here.size]  # none from a fit that failed
+        return [one for one in fits if np.any(np.abs(one.deviation - here) >= least)]
 
     def fit_if_promising(self, model: Model, *, however_far: bool = False) -> None:
         """Fit a new set that may come near the best, with ``MOST_TO_PROMISE`` times its linear gain, or ``however_far``."""
@@ -119,3 +130,20 @@ def candidates_of_fit(library: Library, present: EffectSetFit) -> Model:
     beside = {structure.name for structure in present.structures}
     candidates = enumerate(library.candidates)
     return tuple(k for k, one in candidates if one.named or (one.structure and one.name in beside))
+
+
+def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
+    """Yield, for each present effect, the sets with another one in its place and their log posterior in the linear model.
+
+    An effect of one rotor may also be in the place of itself on another rotor.
+    """
+    candidates, present = view.library.candidates, view.present_set
+    new = [k for k, one in enumerate(candidates) if not one.structure and k not in present]
+    for gone in (k for k in present if not candidates[k].structure):
+        replacements = [
+            k
+            for k in new
+            if candidates[k].name not in view.present.effects or candidates[k].name == candidates[gone].name
+        ]
+        models = [tuple(sorted((*(k for k in present if k != gone), other))) for other in replacements]
+        yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))

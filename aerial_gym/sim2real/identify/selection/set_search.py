@@ -4,7 +4,7 @@ Candidates are linearised about the present set, and the posterior over sets ran
 with the full model; the best becomes the present set, until no fit is better.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +37,6 @@ from aerial_gym.sim2real.identify.evidence.guard import (
     make_normal_equations,
     num_parts_per_flight,
 )
-from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     SparseColumns,
@@ -64,6 +63,7 @@ from aerial_gym.sim2real.identify.selection.candidate_view import (
     candidates_of_fit,
     free_other_fitters,
     occam_window,
+    rival_sets,
 )
 from aerial_gym.sim2real.identify.selection.kinematics import effects_against_kinematics
 from aerial_gym.sim2real.memory import give_back_memory
@@ -119,7 +119,8 @@ class SetSearch:
         else:
             self.view = last
             self.move_to_allowed_set(last.fitter.weights)
-        for ways in (likely, (*likely, self.fit_rival_sets, self.fit_nearest_rivals)):
+        rivals = (self.refit_moved_sets, self.fit_rival_sets, self.fit_nearest_rivals)
+        for ways in (likely, (*likely, *rivals)):
             for left in reversed(range(MOST_WEIGHINGS)):
                 self.climb_to_allowed_set(ways)
                 weights = self.residual_weights(self.view)
@@ -321,6 +322,16 @@ class SetSearch:
         for fitted in view.fitter.fit_other_laws(view.present, self.allowed, rule):
             view.add_fit(fitted)
 
+    def refit_moved_sets(self, view: CandidateView) -> None:
+        """Refit, about itself, each set with one effect less whose deviations differ from those of the present set.
+
+        A tolerance in place of the effect has other derivatives at its own deviation: with those at the present one the set
+        seems less probable than it is.
+        """
+        for fitted in view.smaller_sets_elsewhere(SAME_DEVIATION):
+            free_other_fitters(view.own, view.present.label)
+            view.add_relinearised_fit(*self.refit_about_own_model(fitted, view.fitter))
+
     def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""
         least = view.present.log_posterior - occam_window(view.present)
@@ -381,20 +392,3 @@ class SetSearch:
             sets=sets,
             guard=Guard(library, sets),
         )
-
-
-def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
-    """Yield, for each present effect, the sets with another one in its place and their log posterior in the linear model.
-
-    An effect of one rotor may also be in the place of itself on another rotor.
-    """
-    candidates, present = view.library.candidates, view.present_set
-    new = [k for k, one in enumerate(candidates) if not one.structure and k not in present]
-    for gone in (k for k in present if not candidates[k].structure):
-        replacements = [
-            k
-            for k in new
-            if candidates[k].name not in view.present.effects or candidates[k].name == candidates[gone].name
-        ]
-        models = [tuple(sorted((*(k for k in present if k != gone), other))) for other in replacements]
-        yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))

@@ -14,8 +14,8 @@ from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.learned import CrossValidation
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window
-from aerial_gym.sim2real.identify.selection.set_search import MOST_TURNS, SetSearch, rival_sets
+from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window, rival_sets
+from aerial_gym.sim2real.identify.selection.set_search import MOST_TURNS, SetSearch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.identify.evidence.linear import candidates as linear_candidates
@@ -141,6 +141,20 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turn
     assert fitter is fitters[turns]
     for params, one in zip(about, fits[:number], strict=True):
         np.testing.assert_array_equal(params.deviation, one.deviation)
+
+
+@pytest.mark.parametrize(("moved", "refitted"), [(0.6, True), (0.4, False)])
+def test_a_set_without_an_effect_whose_deviations_moved_is_compared_about_itself(moved: float, refitted: bool) -> None:
+    """Otherwise a dead time that the delays of sensors explain as well is named."""
+    best = replace(make_fit("com_offset"), deviation=np.zeros(2))
+    less = replace(make_fit(log=-4.0), deviation=np.array([0.0, moved]))
+    view, climber = make_view({}, best), SearchStub()
+    view.fits[less.label] = less
+    view.fresh.add(less.label)
+    climber.refit_about_own_model = lambda fitted, about: (replace(fitted, log_posterior=5.0), about)
+    climber.refit_moved_sets(view)
+    assert (less.label in view.own) == refitted
+    assert view.best_fit.effects == (() if refitted else best.effects)
 
 
 def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
