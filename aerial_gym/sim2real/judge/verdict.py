@@ -325,6 +325,6 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     ]
     rivals = [rival.effect for rival in selection.effect_ties(name)]
     simple = [tie for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced]
-    values = [other for tie in simple for other in tie.params if other in selection.looked_for]
+    values = [other for tie in simple for other in tie.causes if other in selection.looked_for]
     names = dict.fromkeys((*rivals, *selection.rotor_ties.get(name, ()), *values, *hidden))
     return [other for other in names if cause_name(other) != cause_name(name)]

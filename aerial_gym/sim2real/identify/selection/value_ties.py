@@ -31,6 +31,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     fit_effects,
     least_cost_over_nuisances,
 )
+from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -44,11 +45,19 @@ class ValueTie:
     replaced: tuple[str, ...]  # Named effects whose values would be as declared
     params: dict[str, dict[str, float]]  # Parameters of the effects in their place
     loss: float  # Log likelihood that the flights lose without the replaced effects, over the overdispersion
+    undetermined: tuple[
+        str, ...
+    ] = ()  # Effects that these logs leave open, so that one more of them is no further cause
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Return the effects in place of the replaced ones, without undetermined ones beside others."""
+        return tuple(name for name in self.params if name not in self.undetermined) or tuple(self.params)
 
     @property
     def is_as_simple(self) -> bool:
-        """Return whether it needs no more effects than it replaces."""
-        return len(self.params) <= len(self.replaced)
+        """Return whether it needs no more causes than it replaces."""
+        return len(self.causes) <= len(self.replaced)
 
     @property
     def finding(self) -> Finding:
@@ -59,6 +68,21 @@ class ValueTie:
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {"replaced": list(self.replaced), "params": self.params, "log_likelihood_loss": self.loss}
+
+
+def find_undetermined_effects(flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Return the thrust coefficient if the mean measured thrust scales the commands of all flights, else nothing.
+
+    The scale assumes the declared mass and thrust, so another mass comes with another thrust.
+    """
+
+    def is_scaled_by_thrust(note: Finding) -> bool:
+        return note.code == "commands_scaled" or (
+            note.code == "relative_commands_scaled" and not note.values["by_speeds"]
+        )
+
+    scaled = [one.rotor_speed is None and any(map(is_scaled_by_thrust, one.notes)) for one in flights]
+    return ("thrust_coefficient",) if scaled and all(scaled) else ()
 
 
 def find_value_ties(
@@ -73,8 +97,10 @@ def find_value_ties(
 ) -> tuple[ValueTie, ...]:
     """Return the ties whose loss of log likelihood is below ``window``, none of which contains another.
 
-    ``names`` are the effects that may act; ``beside`` holds the tolerances, with the channel weights.
+    ``names`` are the effects that may act, beside undetermined ones; ``beside`` holds the tolerances, with the channel weights.
     """
+    undetermined = find_undetermined_effects(predictor.flights)
+    names = list(dict.fromkeys((*names, *undetermined)))
     own = [
         name for name in fit.effects if _is_on_declared_value(name, predictor, declared) or _scales_rotor_speeds(name)
     ]
@@ -99,7 +125,9 @@ def find_value_ties(
         else:
             params, loss = tied
             values = {name: dict(zip(_names(name), params.effects[name].tolist(), strict=True)) for name in more}
-            results.append(ValueTie(replaced=replaced, params=values, loss=loss / overdispersion))
+            results.append(
+                ValueTie(replaced=replaced, params=values, loss=loss / overdispersion, undetermined=undetermined)
+            )
     return tuple(results)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from aerial_gym.config.robot import RobotCfg
@@ -18,7 +19,7 @@ from aerial_gym.sim2real.judge.verdict import names_of_ties
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from tests.repetitions import rare_values
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
-from tests.unit.sim2real.identify.selection.test_select import select_hidden
+from tests.unit.sim2real.identify.selection.test_select import ROTORS, select_hidden
 from tests.unit.sim2real.set_fits import make_choice, make_fit
 
 VALUES = ("payload_mass", "thrust_coefficient", "torque_ratio", "arm_length", "inertia_error", "rotor_drag")
@@ -140,6 +141,43 @@ def test_a_scale_of_rotor_speeds_is_tied_with_a_thrust_where_no_command_tells_th
     (tie,) = result.value_ties
     assert tie.loss < 1.0
     assert tie.params["thrust_coefficient"]["scale"] == pytest.approx(1.0 / 0.85, rel=0.01)
+
+
+def declare_drag(robot: RobotCfg, **drag: float) -> RobotCfg:
+    return replace(robot, effects={"rotor_drag": drag}, effects_source="declared")
+
+
+def log_shares(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight with commands as shares of the largest speed, without rotor speeds and gyro."""
+    speed = table[ROTORS].to_numpy()
+    share = (speed + 0.04 * np.gradient(speed, 0.01, axis=0)) / 2500.0  # the inverse of the rotor lag
+    return table.drop(columns=[*ROTORS, *GYRO]).assign(**{f"share_{n + 1}": share[:, n] for n in range(4)})
+
+
+@pytest.mark.parametrize(("robot", "rivals"), [
+    (declare_wrongly(mass=0.9), ["payload_mass"]),
+    (declare_drag(ROBOT, dx=0.2, dy=0.3, dz=0.4), []),
+])  # fmt: skip
+def test_a_drag_is_tied_with_a_mass_if_measured_thrust_scales_the_commands(robot, rivals, tmp_path: Path) -> None:
+    """The scale takes any error of the thrust, so a mass changes the ratio of drag to mass alone, for all axes alike."""
+    names = ("rotor_drag", "payload_mass")
+    result = select_hidden(tmp_path, names, robot=robot, change=log_shares, seconds=6.0, drag=0.3)
+    assert result.effect_names == ("rotor_drag",)
+    assert names_of_ties("rotor_drag", result) == rivals
+
+
+@pytest.mark.parametrize(("replaced", "rivals", "causes"), [
+    (("rotor_drag",), ("thrust_coefficient", "payload_mass"), ("payload_mass",)),
+    (("payload_mass",), ("thrust_coefficient",), ("thrust_coefficient",)),
+    (("rotor_drag",), ("inertia_error", "thrust_coefficient", "payload_mass"), ("inertia_error", "payload_mass")),
+])  # fmt: skip
+def test_a_thrust_that_commands_do_not_determine_makes_no_tie_less_simple(replaced, rivals, causes) -> None:
+    tie = ValueTie(
+        replaced=replaced, params={name: {} for name in rivals}, loss=0.0, undetermined=("thrust_coefficient",)
+    )
+    assert tie.causes == causes
+    assert tie.is_as_simple == (len(causes) == 1)
+    assert replace(tie, undetermined=()).causes == rivals
 
 
 @pytest.mark.slow
