@@ -124,6 +124,24 @@ def gains_of_moving_sensors(log: FlightLog, *, by_axis: bool = False) -> list[Se
     return results
 
 
+def gains_on_gravity(log: FlightLog) -> list[SensorGain]:
+    """Return the gain of the mean vertical specific force on gravity plus the change of velocity, for any rate of velocity.
+
+    It holds in each flight, but a bias of the accelerometer looks like a gain.
+    """
+    if log.specific_force is None or log.lin_vel is None:
+        return []
+    starts = np.arange(0, log.time.size - 1, max(1, round(BLOCK_S * sample_rate(log))))
+    if starts.size <= FEWEST_BLOCKS:
+        return []
+    force = Rotation.from_quat(log.attitude).apply(log.specific_force)[:, 2]
+    means = np.add.reduceat(0.5 * (force[1:] + force[:-1]) * np.diff(log.time), starts[:-1])[:-1]
+    times, gained = (np.diff(values[starts[:-1]]) for values in (log.time, log.lin_vel[:, 2]))
+    gain, std = gain_of_blocks(means, gained + AT_REST[2] * times)
+    about = {"sensor": "accelerometer", "axis": "z", "other": "velocity", "motion": float(AT_REST[2])}
+    return [SensorGain(**about, gain=gain, std=std, freedom=times.size - 1)]
+
+
 def gain_of_blocks(along: Array, square: Array) -> tuple[float, float]:
     """Return a gain and its standard deviation from the sums over independent blocks of products and of squares, (B,)."""
     gain = float(along.sum() / square.sum())
@@ -167,6 +185,8 @@ def findings_on_gains(log: FlightLog) -> list[Finding]:
     """
     names = {("gyro", axis): f"omega_{axis}" for axis in "xyz"} | {("accelerometer", "z"): "acc_z"}
     gains = [one for one in gains_of_moving_sensors(log, by_axis=True) if (one.sensor, one.axis) in names]
+    if not any(one.sensor == "accelerometer" and one.half_width(0.975) < MATERIAL["gain"] for one in gains):
+        gains = [one for one in gains if one.sensor != "accelerometer"] + gains_on_gravity(log)
     pairs = [(one, one.half_width(0.975)) for one in gains]
     return [
         Finding(

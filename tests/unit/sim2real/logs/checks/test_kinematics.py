@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.checks.conventions import check_log
-from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, imu_errors_from_kinematics
+from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, findings_on_gains, imu_errors_from_kinematics
 from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -63,6 +63,21 @@ def test_a_turned_sensor(table, tmp_path, columns, sensor, axis, degrees) -> Non
     result = errors(changed, tmp_path, sensor)
     assert np.degrees(result.angle[axis]) == pytest.approx(degrees, abs=0.05 * abs(degrees) + 0.3)
     assert "sensor_turned" in [note.code for note in result.findings()]
+
+
+@pytest.mark.parametrize("factor", [0.94, 1.0, 1.06])
+def test_gravity_shows_the_gain_of_an_accelerometer_beside_a_slow_velocity(
+    table, tmp_path: Path, factor: float
+) -> None:
+    """The velocity comes at 2.5 Hz, too rarely for the motion to show the gain."""
+    changed, time, rare = table.assign(acc_z=factor * table["acc_z"]), table["t"], slice(None, None, 80)
+    for name in ("v_x", "v_y", "v_z"):
+        changed[name] = np.interp(time, time[rare], table[name][rare])
+    gains = [note.values for note in findings_on_gains(read_log(changed, tmp_path)) if note.values["column"] == "acc_z"]
+    assert len(gains) == (factor != 1.0)
+    for values in gains:
+        assert values["half_width_ratio"] < 0.02
+        assert values["gain_ratio"] == pytest.approx(factor, abs=values["half_width_ratio"])
 
 
 def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Path) -> None:
