@@ -1,7 +1,6 @@
 """What a page receives: the present state at once, also after it left, and updates fast enough."""
 
 import threading
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,7 +12,6 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from aerial_gym.viewer.effects import add_neutral_effects
 from aerial_gym.viewer.live import LiveView
-from aerial_gym.viewer.server import close_server, open_server
 from aerial_gym.viewer.simulation import FlightInView
 from tests.unit.viewer.client import count_updates, page_client, receive
 
@@ -21,13 +19,6 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 NUM_ENVS = 64
-
-
-@pytest.fixture(scope="module")
-def server() -> "Iterator[ViserServer]":
-    server = open_server(port=0)
-    yield server
-    close_server(server)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """The page of a recorded flight answers its controls."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,6 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from aerial_gym.viewer.flight_record import load_logs
 from aerial_gym.viewer.recording import RecordingPage, legend
-from aerial_gym.viewer.server import open_server
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 from tests.unit.viewer.test_flight_record import DRAG, DRAGGED
 
@@ -19,13 +17,6 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 ROBOTS = {"declared": ROBOT, "corrected": DRAGGED}
-
-
-@pytest.fixture(scope="module")
-def server() -> "Iterator[ViserServer]":
-    server = open_server(port=0)
-    yield server
-    server.stop()
 
 
 @pytest.fixture(scope="module")

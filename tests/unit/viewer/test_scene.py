@@ -1,6 +1,5 @@
 """The scene of the page: obstacles where the simulation has them, points of sensors, and a page that comes later."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,18 +17,10 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from aerial_gym.viewer.live import LiveView
 from aerial_gym.viewer.scene import sensor_points
-from aerial_gym.viewer.server import close_server, open_server
 from aerial_gym.viewer.simulation import FlightInView
 
 if TYPE_CHECKING:
     from viser import ViserServer
-
-
-@pytest.fixture(scope="module")
-def server() -> "Iterator[ViserServer]":
-    server = open_server(port=0)
-    yield server
-    close_server(server)
 
 
 @pytest.fixture(scope="module")

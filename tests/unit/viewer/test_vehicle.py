@@ -1,6 +1,5 @@
 """Vehicles on the page: meshes, rotors that turn, links that bend, arrows of forces."""
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,18 +9,10 @@ from aerial_gym.robots.catalog import robot_by_name
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from aerial_gym.viewer.server import open_server
 from aerial_gym.viewer.vehicle import ARROW_M, SLOWER, VehicleView
 
 if TYPE_CHECKING:
     from viser import ViserServer
-
-
-@pytest.fixture(scope="module")
-def server() -> "Iterator[ViserServer]":
-    server = open_server(port=0)
-    yield server
-    server.stop()
 
 
 def handle(server: "ViserServer", name: str) -> Any:
