@@ -1,4 +1,4 @@
-"""What the page shows of a simulation, as plain numbers on the host: fixed once, and of one instant.
+"""Content of the page as plain numbers on the host: the fixed part of a scene, and its state at one instant.
 
 Frames: world z up, body x forward, y left, z up; quaternions are xyzw. Both parts can be sent to another process.
 Letters: E environments, N vehicles, R rotors, L links, P parts of obstacles, S sensors of one kind, H x W pixels.
@@ -29,7 +29,7 @@ Rgb = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class SceneContent:
-    """What stays the same."""
+    """The part of a scene that stays the same during a simulation."""
 
     robot: RobotCfg  # Vehicle of every environment
     num_envs: int  # Environments E
@@ -52,7 +52,7 @@ class SensorSample:
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """What changes: vehicles, and the surroundings of one environment."""
+    """The part of a scene that changes: vehicles, and the surroundings of one environment."""
 
     env: int  # Number of the environment
     time: float  # Since its episode began [s]

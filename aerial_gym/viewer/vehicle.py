@@ -18,6 +18,7 @@ from aerial_gym.assets.mesh_files import join_pieces
 from aerial_gym.config.joint import BASE
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.shape import PartCfg, ShapeCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.robots.looks import FRAME, arm_parts, rotor_parts
 from aerial_gym.viewer.meshes import part_mesh, rgb
@@ -32,7 +33,6 @@ ARROW_M = 8.0  # Length of an arrow for a force equal to the weight, per distanc
 ARROW_COLORS: tuple[Rgb, ...] = (
     (230, 120, 20), (30, 140, 200), (160, 60, 180), (40, 160, 70), (200, 40, 90), (120, 120, 30),
 )  # fmt: skip
-GRAVITY = 9.81
 WXYZ = [3, 0, 1, 2]  # Columns of xyzw in the order of viser
 
 
@@ -165,7 +165,7 @@ class VehicleView:
 
     def _draw_arrows(self, effect: str, place: Tensor, force: Tensor) -> None:
         """Draw the arrows of one effect, with its name at the tip of the first."""
-        length = ARROW_M * self.size / (self._robot.body.mass * GRAVITY)
+        length = ARROW_M * self.size / (self._robot.body.mass * STANDARD_GRAVITY)
         tip = place + length * force
         points = torch.stack((place, tip), dim=1).numpy()
         if effect not in self._arrows:
