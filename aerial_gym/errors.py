@@ -3,19 +3,30 @@
 from collections.abc import Iterable
 
 LONGEST_SENTENCE = 1200  # Longest message [characters]; longer ones are shortened in the middle
+MOST_FAULTS = 20  # Faults that one message lists
 
 
 class AerialGymError(Exception):
     """Base of every error that this package raises on purpose."""
 
     def __str__(self) -> str:
-        text = str(self.args[0]) if self.args else ""
-        half = LONGEST_SENTENCE // 2
-        return text if len(text) <= LONGEST_SENTENCE else f"{text[:half]} ... {text[-half:]}"
+        return _shorten(str(self.args[0])) if self.args else ""
+
+
+def _shorten(text: str) -> str:
+    half = LONGEST_SENTENCE // 2
+    return text if len(text) <= LONGEST_SENTENCE else f"{text[:half]} ... {text[-half:]}"
 
 
 class ConfigError(AerialGymError, ValueError):
-    """A configuration holds an impossible or unknown value."""
+    """A configuration holds impossible or unknown values; each argument is the sentence of one fault."""
+
+    def __str__(self) -> str:
+        if len(self.args) < 2:
+            return super().__str__()
+        lines = [_shorten(str(fault)) for fault in self.args[:MOST_FAULTS]]
+        rest = [f"... and {len(self.args) - MOST_FAULTS} more"] if len(self.args) > MOST_FAULTS else []
+        return "\n  ".join((f"{len(self.args)} faults:", *lines, *rest))
 
 
 class UnknownNameError(AerialGymError, KeyError):

@@ -13,7 +13,7 @@ from aerial_gym.config.autopilots import (
     MellingerCfg,
     Px4Cfg,
 )
-from aerial_gym.config.checks import Vec3, require, require_choice, require_not_negative, require_positive
+from aerial_gym.config.checks import NO_SOURCE, Vec3, require, require_choice, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 
 _DRAWN_BY_NAME = (
@@ -46,7 +46,7 @@ class LeeGainsCfg:
     rate: Vec3  # Torque per rate error [N m s/rad], >= 0, body axes
     max_yaw_rate: float  # Yaw rate commands are clamped to this [rad/s], > 0
     max_inclination: float  # Largest tilt of position, velocity and acceleration control [rad], > 0 and < pi/2
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_positive(self, "max_yaw_rate", "max_inclination")

@@ -10,7 +10,7 @@ from math import inf, pi
 from pathlib import Path
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import MAX_MADE, Vec3, require, require_not_negative, require_positive
+from aerial_gym.config.checks import MAX_MADE, NO_SOURCE, Vec3, require, require_not_negative, require_positive
 from aerial_gym.config.loader import load
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.shape import (
@@ -225,7 +225,7 @@ class AssetCfg:
     def __post_init__(self) -> None:
         checks.require(self, "name", bool(self.name), "must not be empty")
         if bool(self.shapes) == (self.family is not None):
-            raise ConfigError(f"AssetCfg {self.name!r}: give shapes, at least one, or a family, and not both")
+            checks.refuse(f"AssetCfg {self.name!r}: give shapes, at least one, or a family, and not both")
         try:
             checks.require_count(self, "count", most=MAX_MADE)
             rule = f"must be 0 to {FIRST_INSTANCE_ID - 1}, or -1 for the instance's own id"
@@ -278,7 +278,7 @@ class EnvironmentCfg:
     """Robot quantities drawn at every reset here, such as the wind, in addition to those of the robot file; a name here
     replaces the robot's."""
 
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_finite(self, "ground_height", "ceiling_height")
@@ -286,7 +286,7 @@ class EnvironmentCfg:
         holds = ground is None or ceiling is None or ceiling > ground
         checks.require(self, "ceiling_height", holds, f"must be above ground_height = {ground!r}")
         if self.contact is not None and self.ground_height is None and not self.assets:
-            raise ConfigError("EnvironmentCfg.contact: there is nothing to touch. Give ground_height or assets")
+            checks.refuse("EnvironmentCfg.contact: there is nothing to touch. Give ground_height or assets")
         require_color(self, "ground_color")
         holds = 0 <= self.ground_semantic_id < FIRST_INSTANCE_ID
         checks.require(self, "ground_semantic_id", holds, f"must be 0 to {FIRST_INSTANCE_ID - 1}")
@@ -300,14 +300,14 @@ class EnvironmentCfg:
         names = [asset.name for asset in self.assets]
         for name in names:
             if names.count(name) > 1:
-                raise ConfigError(f"EnvironmentCfg.assets: two are called {name!r}. Give each its own name")
+                checks.refuse(f"EnvironmentCfg.assets: two are called {name!r}. Give each its own name")
 
     def _check_track(self) -> None:
         counts = {} if self.track is None else self.track.counts
         asset_counts = {asset.name: asset.count for asset in self.assets[: len(counts)] if asset.keep}
         if asset_counts != counts or list(asset_counts) != list(counts):
             needed = ", ".join(f"{name} (count: {count}, keep: true)" for name, count in counts.items())
-            raise ConfigError(f"EnvironmentCfg.track: its gates and poles are the first assets: needs {needed}")
+            checks.refuse(f"EnvironmentCfg.track: its gates and poles are the first assets: needs {needed}")
 
     @property
     def moves(self) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import inf, isclose, isfinite, sqrt
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import Vec3
+from aerial_gym.config.checks import NO_SOURCE, Vec3
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
@@ -142,7 +142,7 @@ class JointsCfg:
 
     layout: tuple[JointCfg, ...]  # Joints, each after its parent
     floating: bool = True  # Whether the base flies; else it is held where a reset puts it
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         known = [BASE]

@@ -6,7 +6,7 @@ of the squared rotor speeds [rad²/s²]. Outputs: force [N] and torque about the
 
 from dataclasses import dataclass
 
-from aerial_gym.config.checks import require, require_finite, require_ordered
+from aerial_gym.config.checks import NO_SOURCE, require, require_finite, require_ordered
 from aerial_gym.errors import ConfigError
 
 NUM_INPUTS, NUM_OUTPUTS = 7, 6
@@ -51,7 +51,7 @@ class LearnedResidualCfg:
     hidden: tuple[LayerCfg, ...]  # Layers with tanh, from standardised inputs on; at least one
     output: LayerCfg  # The last layer, to force [N] and torque [N m], (6,)
     limit: Row  # Largest magnitude of each output [N, N m], >= 0, (6,)
-    source: str  # Flights that it was trained on
+    source: str = NO_SOURCE  # Flights that it was trained on
 
     def __post_init__(self) -> None:
         self._check_shapes()

@@ -1,5 +1,7 @@
 """Conversion between YAML files and frozen dataclasses. Unknown keys are refused with the nearest known one.
 
+One error names all faults of a file: what is missing, unknown, of another type, or out of its range.
+
 Configuration files that build on another: ``extends:`` and the fields that differ.
 
 A base is a file of the package by name, or a path (``.yaml``) relative to the file that names it, and may extend another
@@ -8,7 +10,7 @@ named entries, such as joints, a mapping gives the changes by name.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from math import inf
 from pathlib import Path
@@ -17,9 +19,10 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
+from aerial_gym.config import checks
 from aerial_gym.config.checks import LARGEST_SINGLE
 from aerial_gym.config.sensor_mount import is_file
-from aerial_gym.errors import ConfigError, suggest_name
+from aerial_gym.errors import AerialGymError, ConfigError, suggest_name
 
 T = TypeVar("T")
 
@@ -94,23 +97,60 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {format_value(data)}")
     hints = get_type_hints(cls)
     known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    moved = getattr(cls, "MOVED", {})
+    moved, faults = getattr(cls, "MOVED", {}), list[str]()
     for key in data:
         if key in moved:
-            raise ConfigError(f"{where}: field {key!r} is gone: {moved[key]}")
-        if key not in known:
-            raise ConfigError(f"{where}: unknown field {key!r}.{suggest_name(key, known)} Known: {', '.join(known)}")
-    values = {key: convert(hints[key], value, f"{where}: {key}") for key, value in data.items()}
+            faults.append(f"{where}: field {key!r} is gone: {moved[key]}")
+        elif key not in known:
+            faults.append(f"{where}: unknown field {key!r}.{suggest_name(key, known)} Known: {', '.join(known)}")
+    given = [key for key in data if key in known]
+    converted, wrong = _convert_all((hints[key], data[key], f"{where}: {key}") for key in given)
+    values = dict(zip(given, converted, strict=True))
     for name, field in known.items():
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         if required and name not in values:
-            raise ConfigError(f"{where}: field {name!r} is missing")
-    try:
-        return cls(**values)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
-    except (ArithmeticError, ValueError) as error:  # numbers so far apart that a check cannot be computed
-        raise ConfigError(f"{where}: impossible numbers ({error})") from None
+            values[name] = checks.UNUSABLE
+            faults.append(f"{where}: field {name!r} is missing")
+    config, refused = _make(cls, values, has_faults=bool(faults or wrong))
+    if faults := [*faults, *wrong, *(f"{where}: {fault}" for fault in refused)]:
+        raise ConfigError(*faults)
+    return config  # type: ignore[return-value]
+
+
+def _make(cls: type[T], values: Mapping[str, Any], *, has_faults: bool) -> tuple[T | None, list[str]]:
+    """Return the dataclass and the faults that its checks find; they pass over values that are unusable."""
+    with checks.collect_faults() as faults:
+        try:
+            return cls(**values), faults
+        except Exception as error:
+            alone = not (has_faults or faults)
+            if isinstance(error, ConfigError) or (isinstance(error, AerialGymError) and not alone):
+                faults.extend(error.args)
+            elif alone and isinstance(error, (ArithmeticError, ValueError)):
+                faults.append(f"impossible numbers ({error})")  # so far apart that a check cannot be computed
+            elif alone:
+                raise
+    return None, faults
+
+
+def _convert_all(items: Iterable[tuple[Any, Any, str]]) -> tuple[list[Any], list[str]]:
+    """Return values converted to their hints, those of the wrong type as unusable, and the faults of these."""
+    values, faults = list[Any](), list[str]()
+    for hint, value, where in items:
+        try:
+            values.append(convert(hint, value, where))
+        except ConfigError as error:
+            values.append(checks.UNUSABLE)
+            faults.extend(error.args)
+    return values, faults
+
+
+def _convert_items(items: Iterable[tuple[Any, Any, str]]) -> list[Any]:
+    """Return values converted to their hints; raise one ``ConfigError`` with the faults of all."""
+    values, faults = _convert_all(items)
+    if faults:
+        raise ConfigError(*faults)
+    return values
 
 
 def to_mapping(config: object) -> dict[str, Any]:
@@ -157,7 +197,8 @@ def convert(hint: Any, value: Any, where: str) -> Any:
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, Mapping):
             raise ConfigError(f"{where} = {format_value(value)}: must be a mapping")
-        return {convert(args[0], k, where): convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
+        keys = _convert_items((args[0], key, where) for key in value)
+        return dict(zip(keys, _convert_items((args[1], v, f"{where}.{k}") for k, v in value.items()), strict=True))
     return _convert_scalar(hint, value, where)
 
 
@@ -190,10 +231,11 @@ def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, 
     if not isinstance(value, (list, tuple)):
         raise ConfigError(f"{where} = {format_value(value)}: must be a list")
     if len(args) == 2 and args[1] is Ellipsis:
-        return tuple(convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+        return tuple(_convert_items((args[0], item, f"{where}[{i}]") for i, item in enumerate(value)))
     if len(value) != len(args):
         raise ConfigError(f"{where} = {format_value(value)}: must have {len(args)} entries")
-    return tuple(convert(arg, item, f"{where}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
+    pairs = enumerate(zip(args, value, strict=True))
+    return tuple(_convert_items((arg, item, f"{where}[{i}]") for i, (arg, item) in pairs))
 
 
 def _convert_scalar(hint: Any, value: Any, where: str) -> Any:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import inf
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import MAX_MADE
+from aerial_gym.config.checks import MAX_MADE, NO_SOURCE
 from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
 from aerial_gym.config.sensor_mount import PlacementCfg
 
@@ -73,7 +73,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
     latency_s: float = 0.0  # Age of an image when it appears [s], >= 0
     far_out_of_range_value: float | None = None  # Pixel of "too far" [m]; None: max_range when normalising, else -1
     near_out_of_range_value: float | None = None  # Pixel of "too near" [m]; None: -max_range when normalising, else -1
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         own = getattr(type(self), "model", None)

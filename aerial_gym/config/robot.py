@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import Vec3, require, require_angles, require_finite, require_positive
+from aerial_gym.config.checks import NO_SOURCE, Vec3, require, require_angles, require_finite, require_positive
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.joint import BASE, JointsCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
@@ -87,7 +87,7 @@ class CollisionCfg:
     """Whether links of a robot with joints collide with each other too: every two shapes on different links but those whose
     links a joint connects (links without shapes between are passed over), and those that touch in the reference pose."""
 
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def link_shapes(self, link: str) -> tuple[CollisionShape, ...]:
         """Return the shapes on a link."""
@@ -129,7 +129,7 @@ class BodyCfg:
     accelerometer: Vec3 = field(default=(0.0, 0.0, 0.0), repr=False)
     """Place of the accelerometer of its flight logs from the body origin [m], body axes. No simulation depends on it."""
 
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "mass")
@@ -147,7 +147,7 @@ class BatteryCfg:
     internal_resistance: float  # Of cells, wires and plugs together [Ohm], >= 0
     capacity: float  # Charge from full to empty [A s], > 0; 1 A h is 3600 A s
     efficiency: float = 1.0  # Mechanical power of the rotors per electrical power of the battery, in (0, 1]
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "nominal_voltage", "full_voltage", "empty_voltage", "capacity", "efficiency")
@@ -178,7 +178,7 @@ class MountsCfg:
     """Places of all rotors, in the order of commands and logs."""
 
     layout: tuple[MountCfg, ...]  # At least one
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require(self, "layout", bool(self.layout), "needs at least one rotor")
@@ -241,7 +241,7 @@ class RobotCfg:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Physical effects beyond rigid body and rotors: parameters by effect name (``aerial-gym list effects``)."""
 
-    effects_source: str = ""  # Source of the numbers of effects; required with effects
+    effects_source: str = ""  # Source of the numbers of effects
     learned_residual: LearnedResidualCfg | None = None  # Force and torque learned from flights, beyond all effects
 
     @property
@@ -281,32 +281,32 @@ class RobotCfg:
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
     def __post_init__(self) -> None:
+        for effect, params in self.effects.items():
+            for name, value in params.items():
+                if not isfinite(value):
+                    checks.refuse(f"RobotCfg.effects.{effect}.{name} = {value!r}: must be finite")
         _ = self.sensor_mounts  # refuses equal names
         self._check_rotors()
         self._check_joints()
         if self.visible and not self.visual and not self.collision.shapes:
-            raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision shapes")
-        for effect, params in self.effects.items():
-            for name, value in params.items():
-                if not isfinite(value):
-                    raise ConfigError(f"RobotCfg.effects.{effect}.{name} = {value!r}: must be finite")
+            checks.refuse("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision shapes")
 
     def _check_rotors(self) -> None:
         if (self.rotor is None) == (not self.rotors):
-            raise ConfigError("RobotCfg: give exactly one of rotor (type of all mounts) and rotors (types by name)")
+            checks.refuse("RobotCfg: give exactly one of rotor (type of all mounts) and rotors (types by name)")
         for number, mount in enumerate(self.mounts.layout, 1):
             if self.rotor is not None and mount.rotor is not None:
-                raise ConfigError(
+                checks.refuse(
                     f"RobotCfg.mounts.layout: mount {number} names the rotor type {mount.rotor!r}, but there is one type for "
                     "all, rotor. List types by name in rotors"
                 )
             if self.rotors and mount.rotor not in self.rotors:
                 known = ", ".join(self.rotors)
-                raise ConfigError(
+                checks.refuse(
                     f"RobotCfg.mounts.layout: mount {number}: rotor = {mount.rotor!r}: must be one of {known}"
                 )
         if unused := set(self.rotors) - {mount.rotor for mount in self.mounts.layout}:
-            raise ConfigError(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
+            checks.refuse(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
 
     @property
     def collides_with_links(self) -> bool:
@@ -320,7 +320,7 @@ class RobotCfg:
 
     def _check_joints(self) -> None:
         if self.collision.between_links and self.joints is None:
-            raise ConfigError("RobotCfg.collision.between_links: the robot has no joints, and one link alone")
+            checks.refuse("RobotCfg.collision.between_links: the robot has no joints, and one link alone")
         carried = [(f"mounts.layout: mount {number}", mount.link) for number, mount in enumerate(self.mounts.layout, 1)]
         carried += [(f"visual: part {number}", part.link) for number, part in enumerate(self.visual, 1)]
         carried += [(f"collision: shape {number}", shape.link) for number, shape in enumerate(self.collision.shapes, 1)]
@@ -328,7 +328,7 @@ class RobotCfg:
         for label, link in carried:
             if link not in self.link_names:
                 known = ", ".join(self.link_names)
-                raise ConfigError(f"RobotCfg.{label} sits on link {link!r}: must be a link of the robot ({known})")
+                checks.refuse(f"RobotCfg.{label} sits on link {link!r}: must be a link of the robot ({known})")
 
 
 def load_robot(path: str | Path) -> RobotCfg:

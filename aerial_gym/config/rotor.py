@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from math import inf
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import Vec3
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import NO_SOURCE, Vec3
 
 ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")  # Features beyond an unsigned, lagging speed
 
@@ -46,7 +45,7 @@ class RotorCfg:
     slew_rate_down: float | None = None  # Largest rate at which it falls, likewise; `slew_rate` if not given
     dead_band: float = 0.0  # Dead band: a command of smaller size [rad/s, in force mode N] stops the rotor, >= 0
     radius: float | None = None  # Of the propeller [m], > 0; only effects that depend on it need it
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         checks.require_positive(self, "time_constant_up", "time_constant_down", "radius", "slew_rate", "slew_rate_down")
@@ -54,11 +53,11 @@ class RotorCfg:
             self, "thrust_map", "thrust_range", "torque_map", "reverse_thrust_map", "reverse_torque_map"
         )
         checks.require_choice(self, "mode", ("speed", "force"))
+        if (self.torque_ratio is None) == (self.torque_map is None):
+            checks.refuse("RotorCfg: give exactly one of torque_ratio and torque_map")
+        checks.require_not_negative(self, "dead_band", "torque_ratio")
         low, high = self.thrust_range
         checks.require(self, "thrust_range", low < high and high > 0.0, "needs low < high, and high > 0")
-        if (self.torque_ratio is None) == (self.torque_map is None):
-            raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
-        checks.require_not_negative(self, "dead_band", "torque_ratio")
         if self.mode == "force":
             self._check_force_mode()
         else:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from math import hypot, inf
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require, require_choice, require_not_negative, require_positive
+from aerial_gym.config.checks import NO_SOURCE, Vec3, require, require_choice, require_not_negative, require_positive
 from aerial_gym.config.lidar import LidarCfg, PrismCfg, RayTableCfg, RosetteCfg
 from aerial_gym.config.loader import build, format_value, load, read_yaml
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
@@ -29,9 +29,9 @@ class CameraCfg(RangeSensorCfg):
     kind: str = "depth"  # `depth`: distance along the optical axis; `range`: along the ray. Limits are of the same kind
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         holds = 0.0 < self.hfov_deg < 180.0
         require(self, "hfov_deg", holds, "must lie between 0 and 180 degrees. A fisheye camera sees more")
+        super().__post_init__()
 
     @property
     def has_image_plane(self) -> bool:
@@ -50,8 +50,8 @@ class StereoCfg(CameraCfg):
     baseline: float  # Second camera from the first, which is mounted, along y [m], left positive; not 0
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         require(self, "baseline", 0.0 < abs(self.baseline) < inf, "must be finite and not 0. Left is positive")
+        super().__post_init__()
 
     @property
     def has_second_camera(self) -> bool:
@@ -113,7 +113,7 @@ class ImuCfg(PlacementCfg):
     stays; each is the mean over its own period. None: one at every step."""
 
     latency_s: float = 0.0  # Age of a measurement when it appears [s], >= 0, rounded to whole environment steps
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_choice(self, "model", ("imu",))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from aerial_gym.config.checks import require_finite, require_positive
+from aerial_gym.config.checks import NO_SOURCE, require_finite, require_positive
 
 STANDARD_GRAVITY = 9.81  # Default downward acceleration of free fall [m/s²] of sims and flights
 
@@ -16,7 +16,7 @@ class SimCfg:
     gravity: float = STANDARD_GRAVITY  # Downward acceleration of free fall [m/s²]
     integrator: str = "euler"  # Stepper: `euler` (semi-implicit, order 1) or `rk4` (order 4)
     backend: str = "auto"  # Name of a physics backend; `auto` takes the fastest that is registered
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_positive(self, "dt")

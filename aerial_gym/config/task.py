@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import ClassVar
 
-from aerial_gym.config.checks import require, require_count
+from aerial_gym.config.checks import NO_SOURCE, refuse, require, require_count
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg
@@ -19,7 +19,6 @@ from aerial_gym.config.task_terms import (
     RewardCfg,
     TerminationCfg,
 )
-from aerial_gym.errors import ConfigError
 
 POLICY = "policy"  # Group of observations that the policy sees
 OBSERVATIONS = "observations"  # Name under which a task gives the group `policy`; no other group or image has it
@@ -115,44 +114,44 @@ class TaskCfg:
     imports: tuple[str, ...] = ()
     """Python files, from the folder of the task's own file on, or modules, that register what this task chooses by name."""
 
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
         require_count(self, "num_envs", "episode_len_steps")
         if not self.rewards:
-            raise ConfigError("TaskCfg.rewards: needs at least one")
+            refuse("TaskCfg.rewards: needs at least one")
         if not self.observations.get(POLICY):
-            raise ConfigError(f"TaskCfg.observations: needs a group {POLICY!r} of at least one term")
+            refuse(f"TaskCfg.observations: needs a group {POLICY!r} of at least one term")
         for name in (*self.observations, *self.images):
             if name == OBSERVATIONS or (name in self.observations and name in self.images):
-                raise ConfigError(f"TaskCfg: observation {name!r}: the name is taken. Choose another")
+                refuse(f"TaskCfg: observation {name!r}: the name is taken. Choose another")
         self._check_reward_factors()
         self._check_fault_names()
         if self.success_reward is not None and not self._successes:
-            raise ConfigError("TaskCfg.success_reward: needs a termination of kind success")
+            refuse("TaskCfg.success_reward: needs a termination of kind success")
         if self.curriculum is not None and not self._successes:
-            raise ConfigError("TaskCfg.curriculum: needs a termination of kind success, which defines it")
+            refuse("TaskCfg.curriculum: needs a termination of kind success, which defines it")
         radius = self.success_radius
         if radius is not None and not 0.0 < radius < inf:
-            raise ConfigError(f"TaskCfg.terminations: radius = {radius!r}: must be > 0 and finite")
+            refuse(f"TaskCfg.terminations: radius = {radius!r}: must be > 0 and finite")
 
     def _check_fault_names(self) -> None:
         named = {term.fault for group in self.observations.values() for term in group if term.fault is not None}
         for name in sorted(named - set(self.faults)):
-            raise ConfigError(f"TaskCfg.observations: no fault {name!r}. Known: {', '.join(self.faults) or 'none'}")
+            refuse(f"TaskCfg.observations: no fault {name!r}. Known: {', '.join(self.faults) or 'none'}")
         for name in sorted(set(self.faults) - named):
-            raise ConfigError(f"TaskCfg.faults.{name}: no observation has it. Give one fault: {name}")
+            refuse(f"TaskCfg.faults.{name}: no observation has it. Give one fault: {name}")
 
     def _check_reward_factors(self) -> None:
         for name, reward in self.rewards.items():
             if name in ENDS:
-                raise ConfigError(f"TaskCfg.rewards.{name}: the name is that of {name}_reward. Choose another")
+                refuse(f"TaskCfg.rewards.{name}: the name is that of {name}_reward. Choose another")
             for other in reward.times:
                 if other not in self.rewards:
                     known = ", ".join(self.rewards)
-                    raise ConfigError(f"TaskCfg.rewards.{name}.times: no reward {other!r}. Known: {known}")
-                if self.rewards[other].times:
-                    raise ConfigError(f"TaskCfg.rewards.{name}.times: reward {other!r} is multiplied by others itself")
+                    refuse(f"TaskCfg.rewards.{name}.times: no reward {other!r}. Known: {known}")
+                elif self.rewards[other].times:
+                    refuse(f"TaskCfg.rewards.{name}.times: reward {other!r} is multiplied by others itself")
 
     @property
     def _successes(self) -> list[TerminationCfg]:

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from aerial_gym.config import CONFIG_DIR
-from aerial_gym.config.checks import require, require_count, require_positive
+from aerial_gym.config.checks import NO_SOURCE, refuse, require, require_count, require_positive
 from aerial_gym.config.loader import convert, load_extended
-from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.rl_training.learner_settings import ApgCfg, DistillCfg, LearnerCfg, PpoCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
@@ -67,7 +66,7 @@ class TrainingCfg:
     apg: ApgCfg | None = None  # Settings of `apg`
     distill: DistillCfg | None = None  # Settings of `distill`
     numbers: Mapping[str, object] | None = None  # Settings of another trainer, by the fields of its `Trainer.settings`
-    source: str  # Source of the numbers
+    source: str = NO_SOURCE  # Source of the numbers
 
     @property
     def learner(self) -> LearnerCfg:
@@ -85,27 +84,27 @@ class TrainingCfg:
         require_positive(self, "checkpoint_every_s", "max_time_s", "max_env_steps", "torch_threads")
         trainer = TRAINERS.get(self.trainer)
         if self.max_time_s is None and self.max_env_steps is None:
-            raise ConfigError("TrainingCfg: give max_time_s, max_env_steps or both, or the training never ends")
+            refuse("TrainingCfg: give max_time_s, max_env_steps or both, or the training never ends")
         require_count(self, "num_envs")
         require(self, "seed", 0 <= self.seed < 2**32, "must be >= 0 and less than 2**32")  # NumPy takes no larger one
         if [name for name in SECTIONS if getattr(self, name) is not None] != [trainer.section]:
-            raise ConfigError(f"TrainingCfg: trainer {self.trainer} needs numbers under {trainer.section} alone")
+            refuse(f"TrainingCfg: trainer {self.trainer} needs numbers under {trainer.section} alone")
         for name, feature, none in (
             ("teacher", "takes_teacher", "has none"),
             ("initial", "takes_initial", "takes no initial networks"),
         ):
             if getattr(self, name) is not None and not getattr(trainer, feature):
                 rule = f"trainer {self.trainer} {none}. Use {trainers_with_feature(feature)}"
-                raise ConfigError(f"TrainingCfg.{name} = {getattr(self, name)}: {rule}")
+                refuse(f"TrainingCfg.{name} = {getattr(self, name)}: {rule}")
         learner = self.learner
         special = learner.memory or learner.critic_keys or learner.policy_keys != ("observations",)
         if special and not trainer.any_inputs:
-            raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
+            refuse(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
         if self.ppo is None:
             return
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches
         if samples % parts:
-            raise ConfigError(
+            refuse(
                 f"TrainingCfg: num_envs * horizon = {samples} samples cannot be split into num_minibatches = {parts}"
             )
 

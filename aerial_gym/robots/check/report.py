@@ -10,6 +10,7 @@ from math import dist, inf, sqrt
 
 import torch
 
+from aerial_gym.config.checks import NO_SOURCE
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS
@@ -116,6 +117,7 @@ def check_robot(
             *_plausibility_warnings(robot),
             *_control_warnings(inf if robot.control.buoyancy else ratio, turn.tolist()),
             *_step_warnings(steps),
+            *_source_warnings(robot),
         ),
     )
 
@@ -168,6 +170,14 @@ def _step_warnings(steps: Sequence[StableStep]) -> Iterator[str]:
             yield f"{step.controller} does not bring it to rest at any time step: give other gains (control:)"
         elif step.little_margin:
             yield f"{step.controller} has less than 6 dB of gain margin at every time step: lower its frequencies (control:)"
+
+
+def _source_warnings(robot: RobotCfg) -> Iterator[str]:
+    parts = {"body": robot.body, "rotor": robot.rotor, **robot.rotors, "mounts": robot.mounts, "joints": robot.joints}
+    parts |= {"collision": robot.collision, "battery": robot.battery}
+    missing = [name for name, part in parts.items() if part is not None and part.source == NO_SOURCE]
+    if missing := [*missing, *(["effects"] if robot.effects and not robot.effects_source else [])]:
+        yield f"{NO_SOURCE} of the numbers of {', '.join(missing)}: say where they come from (source: data sheet, scale, ...)"
 
 
 def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:

@@ -4,6 +4,7 @@ Whatever stands in a YAML file becomes a configuration or one sentence; files th
 
 import io
 import json
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +17,7 @@ import pytest
 from aerial_gym import ENVIRONMENTS, ROBOTS, SIMS, task_registry
 from aerial_gym.config import build, dump_yaml, load, to_mapping
 from aerial_gym.config.console import accept_any_console, json_line
+from aerial_gym.config.loader import convert
 from aerial_gym.config.robot import BodyCfg, InitialStateCfg, MountCfg, RobotCfg, RotorCfg, load_robot
 from aerial_gym.config.sensor import load_sensor
 from aerial_gym.config.sim import SimCfg
@@ -331,3 +333,68 @@ def test_settings_of_training_build_on_others(tmp_path: Path) -> None:
     file = write_file(tmp_path / "mine.yaml", "extends: ppo_position_setpoint\nppo: {horizon: 64}\nseed: 3\n")
     cfg, base = load_settings(file), load_settings(TRAINING_CONFIGS / "ppo_position_setpoint.yaml")
     assert cfg == replace(base, seed=3, ppo=replace(base.ppo, horizon=64))
+
+
+BROKEN_ROBOT = """
+summary: all kinds of faults
+body: {mass: -1.0, inertia: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.05]], com: [0.0, .nan, 0.0]}
+rotor: {thrust_map: [0.0, 0.0, 1e-6], time_constant_up: fast, thrust_range: [3.0, 2.0], torque: 0.1}
+mounts: {layout: [{position: [0.1, -0.1], spin: 1}, {spin: 2}]}
+effects: {rotor_drag: {dx: .inf}}
+visible: maybe
+"""
+
+FAULTS_OF_ROBOT = [
+    r"body: BodyCfg.mass = -1.0: must be > 0", r"body: BodyCfg.com = .*: must be finite",
+    r"body: BodyCfg.inertia = .*triangle inequality", r"rotor: unknown field 'torque'",
+    r"rotor: field 'time_constant_down' is missing", r"rotor: time_constant_up = 'fast': must be float",
+    r"rotor: RotorCfg: give exactly one of torque_ratio and torque_map", r"rotor: RotorCfg.thrust_range = .*: needs low < high",
+    r"layout\[0\]: position = \[0.1, -0.1\]: must have 3 entries", r"layout\[1\]: field 'position' is missing",
+    r"layout\[1\]: MountCfg.spin = 2: must be 1 or -1", r"field 'collision' is missing",
+    r"RobotCfg.effects.rotor_drag.dx = inf: must be finite", r"visible = 'maybe': must be bool",
+]  # fmt: skip
+
+
+def test_one_message_names_all_faults_of_a_robot_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as error:
+        load_robot(write_file(tmp_path / "mine.yaml", BROKEN_ROBOT))
+    head, *lines = str(error.value).splitlines()
+    assert head == f"{len(FAULTS_OF_ROBOT)} faults:"
+    counts = [sum(bool(re.search(f"mine.yaml: .*{fault}", line)) for line in lines) for fault in FAULTS_OF_ROBOT]
+    assert counts == [1] * len(lines)
+
+
+TASK_FAULTS = {
+    "num_envs": 0,
+    "rewards": {},
+    "terminations": {"far": {"term": "contact", "kind": "crush"}},
+    "robots": "x",
+}
+ENVIRONMENT_FAULTS = {"clearance": -1.0, "bounds_lower_low": [0.0, 0.0], "contact": {"friction": "hard"}, "wind": 1.0}
+SENSOR_FAULTS = {"width": 0, "min_range": 9.0, "max_range": 5.0, "noise": {"std": 0.1}, "hfov_deg": 200.0}
+TRAINING_FAULTS = {"seed": -1, "checkpoint_every_s": 0.0, "ppo": {"horizon": 0, "gama": 0.9}, "max_time_s": None}
+
+
+@pytest.mark.parametrize(("base", "faults", "words"), [
+    (task_registry.get("position_setpoint_task"), TASK_FAULTS, ("num_envs = 0", "rewards: needs", "'crush'", "'robots'")),
+    (ENVIRONMENTS.get("empty_env"), ENVIRONMENT_FAULTS, ("clearance", "must have 3", "'hard'", "unknown field 'wind'")),
+    (SENSORS.get("base_depth_camera"), SENSOR_FAULTS, ("width = 0", "min_range = 9.0", "field 'std'", "hfov_deg = 200.0")),
+    (load_settings(TRAINING_CONFIGS / "ppo_position_setpoint.yaml"), TRAINING_FAULTS,
+     ("seed = -1", "checkpoint_every_s = 0.0", "horizon = 0", "'gama'", "give max_time_s")),
+])  # fmt: skip
+def test_one_message_names_all_faults_of_other_files(base: object, faults: dict, words: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError) as error:
+        build(type(base), to_mapping(base) | faults, where="my.yaml")
+    assert [word for word in words if word not in str(error.value)] == []
+
+
+def test_a_long_list_of_faults_is_cut() -> None:
+    with pytest.raises(ConfigError, match=r"(?s)^40 faults:.*points\[19\].*\.\.\. and 20 more$"):
+        convert(tuple[float, ...], ["x"] * 40, "points")
+
+
+def test_a_source_may_be_left_out_but_not_in_files_of_the_package() -> None:
+    fields = {key: value for key, value in BODY.items() if key != "source"}
+    assert build(BodyCfg, fields, where="here").source == "no source"
+    for family in (*SHIPPED.values(), task_registry):
+        assert [name for name in family.names() if "no source" in dump_yaml(family.get(name))] == []
