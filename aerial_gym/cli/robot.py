@@ -214,8 +214,8 @@ class FromLogCmd:
         """Write the file, and print open questions and the origin of each number; return the exit status."""
         from aerial_gym.errors import ConfigError
         from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.robots.drafts.draft import LABELS, robot_yaml_with_origins
         from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-        from aerial_gym.sim2real.teststand.vehicle_draft import LABELS, robot_yaml_with_origins
         from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
         if not self.logs:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from aerial_gym.robots.drafts.draft import robot_yaml_with_origins
 from aerial_gym.sim2real import replay
-from aerial_gym.sim2real.teststand.vehicle_draft import robot_yaml_with_origins
 from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from aerial_gym.robots.drafts.draft import robot_yaml_with_origins
 from aerial_gym.sim2real import replay
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
-from aerial_gym.sim2real.teststand.vehicle_draft import VehicleDraft, robot_yaml_with_origins
+from aerial_gym.sim2real.teststand.vehicle_draft import LogDraft
 from aerial_gym.sim2real.teststand.vehicle_from_log import draft_vehicle
 
 FOLDER = Path(__file__).parents[3] / "shared" / "data" / "real_logs"
@@ -75,7 +76,7 @@ def steady_speeds(paths: list[Path]) -> Array:
     return np.array([np.median(band, axis=0) for band in bands if len(band) > 50])
 
 
-def errors(draft: VehicleDraft, paths: list[Path]) -> dict[str, tuple[float, bool]]:
+def errors(draft: LogDraft, paths: list[Path]) -> dict[str, tuple[float, bool]]:
     """Return relative differences to the independent fit, and whether the product calls the number assumed."""
     rotors = effectiveness(paths)
     np.testing.assert_array_equal(np.sign(rotors), SIGNS)

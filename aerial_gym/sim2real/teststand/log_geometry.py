@@ -1,8 +1,8 @@
 """Places and spins of rotors, and the thrust of their commands, as a log states them.
 
 Sources: PX4 parameter reference (CA_AIRFRAME, CA_ROTOR*, THR_MDL_FAC) and airframe reference (SYS_AUTOSTART); ArduPilot,
-``AP_MotorsMatrix.cpp`` and ``AP_MotorsMulticopter.cpp`` (frames, MOT_SPIN_MIN, MOT_SPIN_MAX, MOT_THST_EXPO); Betaflight 4.5,
-``mixer_init.c``. Body axes are forward, left, up; a spin of 1 turns positively about the thrust. Letters: R rotors.
+``AP_MotorsMulticopter.cpp`` (MOT_SPIN_MIN, MOT_SPIN_MAX, MOT_THST_EXPO). Body axes are forward, left, up; a spin of 1 turns
+positively about the thrust. Letters: R rotors.
 """
 
 from dataclasses import dataclass, replace
@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.errors import ConfigError
 from aerial_gym.robots.catalog import robot_by_name
+from aerial_gym.robots.drafts.frames import FRAMES, frame_rotors
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import RawLog
 from aerial_gym.sim2real.logs.readers.csv_log import read_facts
@@ -21,44 +22,6 @@ from aerial_gym.sim2real.logs.recording import split_flight_number
 DEFAULT_RATIO = 0.05  # PX4's default of CA_ROTOR*_KM, which says nothing of a vehicle
 PLACEHOLDER = 0.99  # Arms of 1 m or more in PX4's parameters are placeholders
 DSHOT = (48.0, 2047.0)  # Motor values of DShot without and with full throttle; those of PWM are 1000 and 2000
-
-FRAMES = {
-    "quad_x": "45+ -135+ -45- 135-",
-    "quad_plus": "90+ -90+ 0- 180-",
-    "quad_h": "45- -135- -45+ 135+",
-    "quad_plus_reversed": "90- -90- 0+ 180+",
-    "quad_x_dji": "45+ -45- -135+ 135-",
-    "quad_x_clockwise": "45+ 135- -135+ -45-",
-    "quad_x_betaflight": "135- 45+ -135+ -45-",
-    "quad_x_betaflight_reversed": "135+ 45- -135- -45+",
-    "quad_x_1234": "-45- 45+ 135- -135+",
-    "quad_plus_betaflight": "180- 90+ -90+ 0-",
-    "y4": "45+ 180- 180+ -45-",
-    "y4_betaflight": "180- 45+ 180+ -45-",
-    "hexa_x": "90- -90+ -30- 150+ 30+ -150-",
-    "hexa_plus": "0- 180+ -120- 60+ -60+ 120-",
-    "hexa_x_dji": "30+ -30- -90+ -150- 150+ 90-",
-    "hexa_x_clockwise": "30+ 90- 150+ -150- -90+ -30-",
-    "hexa_x_betaflight": "150+ 30+ -150- -30- 90- -90+",
-    "hexa_plus_betaflight": "120+ 60- -120+ -60- 0+ 180-",
-    "octo_x": "22.5- -157.5- 67.5+ 157.5+ -22.5+ -112.5+ -67.5- 112.5-",
-    "octo_plus": "0- 180- 45+ 135+ -45+ -135+ -90- 90-",
-    "octo_x_dji": "22.5+ -22.5- -67.5+ -112.5- -157.5+ 157.5- 112.5+ 67.5-",
-    "octo_x_clockwise": "22.5+ 67.5- 112.5+ 157.5- -157.5+ -112.5- -67.5+ -22.5-",
-    "octo_x_betaflight": "-67.5+ 22.5+ 112.5+ -157.5+ -22.5- 67.5- 157.5- -112.5-",
-    "octo_plus_betaflight": "-45+ 45+ 135+ -135+ 0- 90- 180- -90-",
-    "coax_quad_x": "45+ -45- -135+ 135- -45+ 45- 135+ -135-",
-    "coax_quad_plus": "0+ -90- 180+ 90- -90+ 0- 90+ 180-",
-    "coax_quad_h": "45- -45+ -135- 135+ -45- 45+ 135- -135+",
-    "coax_quad_x_betaflight": "135- 45+ -135+ -45- 135+ 45- -135- -45+",
-    "coax_hexa_x": "30+ 30- 90- 90+ 150+ 150- -150- -150+ -90+ -90- -30- -30+",
-    "coax_hexa_plus": "0+ 0- 60- 60+ 120+ 120- 180- 180+ -120+ -120- -60- -60+",
-    "y6": "60+ -60- -60+ 180- 60- 180+",
-    "y6b": "60- 60+ 180- 180+ -60- -60+",
-    "y6f": "180+ 60+ -60+ 180- 60- -60-",
-    "y6_betaflight": "180+ 60- -60- 180- 60+ -60+",
-}
-"""Angle of each rotor, clockwise from the front [deg], and + for a counter-clockwise spin, both from above."""
 
 ARDUPILOT_CLASSES = {
     1: ("quad", {0: "plus", 1: "x", 2: "x", 3: "h", 6: "plus_reversed", 12: "x_betaflight", 13: "x_dji", 14: "x_clockwise",
@@ -168,14 +131,9 @@ def frame_layout(name: str, count: int) -> RotorLayout:
         places, spins = np.array([mount.position for mount in mounts]), tuple(mount.spin for mount in mounts)
         axes = np.array([mount.axis for mount in mounts])
         layout = RotorLayout(count=len(mounts), places=places, axes=axes, spins=spins, has_lengths=True)
-    elif name in FRAMES:
-        angles, signs = zip(*((np.radians(float(one[:-1])), one[-1]) for one in FRAMES[name].split()), strict=True)
-        places = np.stack((np.cos(angles), -np.sin(angles), np.zeros(len(angles))), axis=1)
-        layout = RotorLayout(count=len(places), places=places, spins=tuple(1 if sign == "+" else -1 for sign in signs))
     else:
-        raise UnknownNameError(
-            f"no frame {name!r}. Known: {', '.join(FRAMES)}; or give a robot file that ends in .yaml"
-        )
+        places, spins = frame_rotors(name, more="; or give a robot file that ends in .yaml")
+        layout = RotorLayout(count=len(places), places=places, spins=spins)
     if layout.count != count:
         raise ConfigError(
             f"--frame {name}: has {layout.count} rotors, and the log has {count}; give the frame of this vehicle"

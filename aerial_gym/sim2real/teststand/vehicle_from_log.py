@@ -13,6 +13,8 @@ import numpy as np
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.robots.drafts.draft import ValueWithOrigin, arm_by_mass, inertia_by_reach
+from aerial_gym.robots.drafts.frames import FRAMES
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.flights import complete_flight
@@ -32,13 +34,8 @@ from aerial_gym.sim2real.teststand.effectiveness import (
     rows_of_flight,
     rows_under_power,
 )
-from aerial_gym.sim2real.teststand.log_geometry import FRAMES, RotorLayout, ThrustLaw, layout_in_log
-from aerial_gym.sim2real.teststand.vehicle_draft import (
-    ValueWithOrigin,
-    VehicleDraft,
-    command_mapping_yaml,
-    mean_command,
-)
+from aerial_gym.sim2real.teststand.log_geometry import RotorLayout, ThrustLaw, layout_in_log
+from aerial_gym.sim2real.teststand.vehicle_draft import LogDraft, command_mapping_yaml, mean_command
 
 FEWEST_S = 3.0  # Least time in the air [s]
 LARGEST_FORCE = 100.0  # Larger commands of a CSV file are speeds [rad/s]; smaller ones are thrusts [N] or shares
@@ -57,7 +54,7 @@ def draft_vehicle(
     arm: float | None = None,
     frame: str | None = None,
     mapping: LogMapping | None = None,
-) -> VehicleDraft:
+) -> LogDraft:
     """Return the numbers of a robot file from logs of one vehicle; ``frame``: name or robot file of its rotors."""
     for name, value in (("mass", mass), ("arm", arm)):
         if value is not None and not 0.0 < value < inf:
@@ -190,7 +187,7 @@ def _quotient_by_estimate(estimate: Estimate, numerator: float) -> Estimate:
 def _assemble_draft(
     layout: RotorLayout, effect: Effectiveness | None, curve: CommandCurve | None, lag: Estimate | None, lift: ForcePerInput,
     has_speeds: bool, mass: float | None, arm: float | None, logs: Sequence[FlightLog],
-) -> VehicleDraft:  # fmt: skip
+) -> LogDraft:  # fmt: skip
     """Return the draft; ``lift``: specific force of one rotor per unit of input in the mean of the flights."""
     questions, values = list[str](), dict[str, ValueWithOrigin]()
     if mass is None:
@@ -206,10 +203,9 @@ def _assemble_draft(
     if not layout.has_lengths:
         if arm is None:
             questions.append("How far is a rotor's axis from the centre? Measure it and give --arm-m")
-        length = 0.12 * kilograms ** (1.0 / 3.0) + 0.05 if arm is None else arm
-        places = places * length / np.linalg.norm(places[:, :2], axis=1).max()
-        how = "assumed: from the mass, +- 40 %" if arm is None else "given: --arm-m"
-        values["arm"] = ValueWithOrigin(value=length, origin=how)
+        given = arm_by_mass(kilograms) if arm is None else ValueWithOrigin(value=arm, origin="given: --arm-m")
+        places = places * given.value / np.linalg.norm(places[:, :2], axis=1).max()
+        values["arm"] = given
     elif arm is not None:
         notes.append(f"--arm-m {arm:g} is not used: the places of the rotors are known ({layout.source}).")
     law, mean = layout.law, 1.0 if has_speeds else mean_command(logs)
@@ -239,9 +235,9 @@ def _assemble_draft(
                 )
             values[name] = value
         else:
-            guess = 0.4 * kilograms * float(reach) ** 2
+            guess = inertia_by_reach(kilograms, float(reach))
             why = "the log is too slow for torques" if effect is None else "the flight does not show it"
-            values[name] = ValueWithOrigin(value=guess, origin=f"assumed: 0.4 m arm², +- 50 %; {why}")
+            values[name] = replace(guess, origin=f"{guess.origin}; {why}")
     for name in ("inertia_x", "inertia_y"):  # short numbers, whose sum stays exact in the file
         values[name] = replace(values[name], value=float(f"{values[name].value:.5g}"))
     values["torque_ratio"], values["inertia_z"] = _torque_ratio_and_yaw_inertia(
@@ -259,7 +255,7 @@ def _assemble_draft(
         if not _reaches_full_thrust(curve.reached**2, curve.full_speed**2):
             origin = f"assumed: the flights reach {curve.reached:.0f} of {curve.full_speed:.0f} rad/s"
             values["speed_gain"] = ValueWithOrigin(value=curve.gain.value, origin=origin)
-    return VehicleDraft(
+    return LogDraft(
         values=values, places=places, axes=layout.axes, spins=spins, layout_origin=layout_origin, curve=curve,
         effectiveness=effect, questions=tuple(questions), notes=tuple(notes), force_mode=not has_speeds,
     )  # fmt: skip

@@ -11,12 +11,13 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
 from aerial_gym.robots.catalog import robot_by_name
+from aerial_gym.robots.drafts.draft import ValueWithOrigin, robot_yaml_with_origins
+from aerial_gym.robots.drafts.frames import FRAMES
 from aerial_gym.sim2real.logs.raw_log import RawLog
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log, read_flights
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand import vehicle_from_log
 from aerial_gym.sim2real.teststand.log_geometry import (
-    FRAMES,
     RotorLayout,
     ThrustLaw,
     _ardupilot_thrust_law,
@@ -25,7 +26,7 @@ from aerial_gym.sim2real.teststand.log_geometry import (
     _px4_layout,
     frame_layout,
 )
-from aerial_gym.sim2real.teststand.vehicle_draft import ValueWithOrigin, mean_command, robot_yaml_with_origins
+from aerial_gym.sim2real.teststand.vehicle_draft import mean_command
 from aerial_gym.sim2real.teststand.vehicle_from_log import _torque_ratio_and_yaw_inertia, draft_vehicle
 from tests.unit.sim2real import flat_flights, ulog_files
 
