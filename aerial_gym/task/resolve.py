@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
-from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
+from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.observations import tensor_term
@@ -24,6 +24,25 @@ UNTRACED = (
 """Quantities computed from the motion without gradients, besides all sensor data."""
 
 SENSORS = "SensorManager"  # Owner of that
+
+
+def check_terms(cfg: TaskCfg) -> None:
+    """Raise one error that names all actions, rewards, observations and terminations of a task with a wrong name or number."""
+    parts = [(ACTIONS, f"action {cfg.action.transform}", cfg.action.transform, cfg.action.params)]
+    for registry, kind, entries in ((REWARDS, "reward", cfg.rewards), (TERMINATIONS, "termination", cfg.terminations)):
+        parts += [
+            (registry, f"{kind} {name!r} ({each.term})", each.term, each.params) for name, each in entries.items()
+        ]
+    observations = [each for group in cfg.observations.values() for each in group if each.term in OBSERVATIONS]
+    parts += [(OBSERVATIONS, f"observation term {each.term!r}", each.term, each.params) for each in observations]
+    errors: list[AerialGymError] = []
+    for registry, label, term, params in parts:
+        try:
+            check_params(registry.get(term).value, params, label)
+        except AerialGymError as error:
+            errors.append(error)
+    if len(errors) > 1:
+        raise ConfigError(*dict.fromkeys(fault for error in errors for fault in error.args))
 
 
 def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, Any]]:

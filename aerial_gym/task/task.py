@@ -92,6 +92,7 @@ class Task:
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device
         self._gtd = env.gtd
+        resolve.check_terms(cfg)
         action, params = resolve.resolve_action(cfg, command)
         self.num_actions = num_commands if action.width is None else action.width  # Entries of an action, V
         self._buffers = ImageBuffers(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)

@@ -77,12 +77,11 @@ def check_params(function: Callable[..., object], params: Mapping[str, object], 
     """Return the keyword arguments of a function, converted to its type hints; ``label`` is the prefix of errors."""
     known = {name: each for name, each in _signature_parameters(function) if each.kind is Parameter.KEYWORD_ONLY}
     takes = ", ".join(known) or "none"
-    for name in params:
-        if name not in known:
-            raise ConfigError(f"{label}: no parameter {name!r}.{suggest_name(name, known)} It takes {takes}")
+    unknown = [name for name in params if name not in known]
+    faults = [f"{label}: no parameter {name!r}.{suggest_name(name, known)} It takes {takes}" for name in unknown]
     missing = [name for name, each in known.items() if each.default is Parameter.empty and name not in params]
-    if missing:
-        raise ConfigError(f"{label}: parameter {missing[0]!r} is missing. It takes {takes}")
+    if faults := [*faults, *(f"{label}: parameter {name!r} is missing. It takes {takes}" for name in missing)]:
+        raise ConfigError(*faults)
     whole = function.func if isinstance(function, partial) else function
     hints = get_type_hints(whole.__init__ if isinstance(whole, type) else whole)
     return {name: convert(hints.get(name, object), value, f"{label}: {name}") for name, value in params.items()}

@@ -47,6 +47,18 @@ def test_numbers_that_do_not_fit_are_told(params: dict[str, object], message: st
     assert_refused(ConfigError, message, bind_term, Term(name="stretched", value=stretch), params, "it")
 
 
+def test_one_message_names_all_wrong_terms_of_a_task() -> None:
+    rewards = {"near": RewardCfg(term="distance_bel"), "up": RewardCfg(term="upright", params={"hight": 0.2})}
+    ends = {"far": TerminationCfg(term="far_from_target", kind="crash", params={"distance": "far"})}
+    words = (
+        r"(?s)^6 faults:.*no reward term 'distance_bel'. Did you mean 'distance_bell'.*'up' \(upright\): no parameter 'hight'"
+        r".*'height' is missing.*'offset' is missing.*'far' \(far_from_target\): distance = 'far': must be float"
+        r".*observation term 'attitude': no parameter 'x'"
+    )
+    observations = (ObservationCfg(term="attitude", params={"x": 1}),)
+    assert_refused(ConfigError, words, make, 1, rewards=rewards, terminations=ends, policy=observations)
+
+
 def test_what_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_refused(UnknownNameError, "no observation term", make, 1, policy=(ObservationCfg(term="position_error"),))
     assert_refused(UnknownNameError, "no reward term 'hover'", make, 1, rewards={"hover": RewardCfg(term="hover")})
