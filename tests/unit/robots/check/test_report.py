@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import linprog
 
 from aerial_gym import CONTROLLERS, ROBOTS
+from aerial_gym.config.checks import NO_SOURCE
 from aerial_gym.config.robot import BodyCfg, MountCfg, RobotCfg
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.errors import ConfigError, UnknownNameError
@@ -187,3 +188,18 @@ def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_res
     monkeypatch.setattr(flights, "STEP_RANGE", (0.05, 0.1))
     result = largest_stable_step(robot, controller, name="it")
     assert (result.largest_s, result.refused) == (None, None)
+
+
+def test_numbers_without_a_source_are_named() -> None:
+    robot = ROBOTS.get("base_quadrotor")
+    bare = replace(
+        robot,
+        body=replace(robot.body, source=NO_SOURCE),
+        effects={"constant_wind": {"x": 0.0, "y": 0.0, "z": 0.0}},
+        effects_source="",
+    )
+    named = [each for each in check_robot(bare, name="bare", controllers=()).warnings if each.startswith("no source")]
+    assert named == [
+        "no source of the numbers of body, effects: say where they come from (source: data sheet, scale, ...)"
+    ]
+    assert not [each for each in check_robot(robot, name="own", controllers=()).warnings if "no source" in each]
