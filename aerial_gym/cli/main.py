@@ -23,6 +23,8 @@ COMMANDS: dict[str, ImportPath] = {
     "robot check": ImportPath("aerial_gym.cli.robot:CheckRobotCmd"),
     "robot tune": ImportPath("aerial_gym.cli.robot:TuneCmd"),
     "robot from-log": ImportPath("aerial_gym.cli.robot:FromLogCmd"),
+    "new": ImportPath("aerial_gym.cli.new:NewFileCmd"),
+    "new robot": ImportPath("aerial_gym.cli.new:NewRobotCmd"),
     "log inspect": ImportPath("aerial_gym.cli.log:InspectLogCmd"),
     "log convert": ImportPath("aerial_gym.cli.log:ConvertLogCmd"),
     "log plot": ImportPath("aerial_gym.cli.log:PlotLogCmd"),
@@ -70,7 +72,7 @@ def _run_command(argv: Sequence[str]) -> int:
         print(f"aerial-gym {__version__}")
         return 0
     name, options = _split_command_name(argv)
-    if any(known.startswith(f"{name} ") for known in COMMANDS):
+    if name not in COMMANDS and any(known.startswith(f"{name} ") for known in COMMANDS):
         asked = bool(options) and options[0] in ("-h", "--help")
         print(_command_overview(f"{name} "), file=sys.stdout if asked else sys.stderr)
         return 0 if asked else 2

@@ -50,7 +50,6 @@ LABELS = {
     "radius": "propeller radius [m]",
     "pitch_ratio": "propeller pitch per diameter",
     "blades": "blades of a propeller",
-    "full_speed": "full rotor speed [rad/s]",
     "voltage": "nominal battery voltage [V]",
     "capacity": "battery capacity [A s]",
     "resistance": "battery resistance [Ohm]",
