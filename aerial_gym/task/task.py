@@ -29,6 +29,7 @@ from aerial_gym.task.rotor_range import with_rotor_range
 from aerial_gym.task.step.actor import ActionConverter, declare_delay
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observer import ObservationEntry, Observer
+from aerial_gym.task.step.reset_delay import WAITING, ResetDelay
 from aerial_gym.task.step.row_kernels import GradientGraph, StepKernel
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced_terms
 from aerial_gym.task.values import STEP_TIME, Values
@@ -124,6 +125,7 @@ class Task:
         self._memory = self._make_buffer_kernel()
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._watch = self._make_watch(keep=False)
+        self._delay: ResetDelay | None = None
         self._graph: StepGraph[StepResult] | None = None
         if capture:
             self._check_capture()
@@ -243,10 +245,26 @@ class Task:
             self.detach()
         self._watch.count_rows()
         self._watch.clear_steps()
-        for name in (SUMS, ARRIVED):
+        for name in (SUMS, ARRIVED, WAITING):
             if name in self.values.own:
                 self.values.own[name].zero_()
         return self._read_observation(), {}
+
+    def delay_resets(self) -> None:
+        """Reset environments one step after their episodes end, from now on; call it before the first ``reset``.
+
+        The step of an end then returns the last observation of the episode. The next one ignores the action, and returns the
+        first observation of a new episode with reward 0 and no end.
+
+        Raises:
+            CapabilityError: If the step is held in a CUDA graph already, or has gradients.
+        """
+        if self.is_captured or self.values.graph is not None:
+            raise CapabilityError("delay_resets: call it before the first reset, on a task without gradients")
+        if self._delay is None:
+            meaning = "its episode ended in the last step; it is reset in the next one"
+            waiting = self.values.declare(WAITING, dtype=torch.bool, meaning=meaning)
+            self._delay = ResetDelay(self._judge, self.env.random, waiting)
 
     def practise(self) -> None:
         """Start episodes at the command's places of practice, from the next resets on."""
@@ -280,13 +298,13 @@ class Task:
         if self._images.frames:
             self._read_sensors()
         self._observer.draw_noise(final=True)  # of the episode that may end now
-        judged = self._judge()
+        judged = self._judge() if self._delay is None else self._delay()
         info = self._judge.info(judged)
         info |= {f"{FINAL}{name}": frames.clone() for name, frames in self._images.frames.items()}
         if self.curriculum is not None:
             self.curriculum.count(judged["ended"], judged["success"])
         self._watch.record_step(actions, judged["ended"])
-        self._reset_environments(judged["ended"], counted=True)
+        self._reset_environments(judged.get("due", judged["ended"]), counted=self._delay is None)
         return self._read_observation(), judged["reward"], judged["terminated"], judged["truncated"], info
 
     def _reset_environments(self, mask: Tensor, *, counted: bool = False) -> None:

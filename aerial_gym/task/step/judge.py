@@ -74,6 +74,8 @@ class Judge:
             "non_finite": gtd["non_finite"], "crashes": gtd["crashes"], "truncations": gtd["truncations"],
             "ended": random.mask, "episodes": random.episode, **{name: own[name] for name in kept}, **moved,
         }  # fmt: skip
+        self.buffers = {name: tensor for name, tensor in writes.items() if name != "ended"}
+        """Tensors that persist and that a judgement writes, by name."""
         self.rows = StepKernel(
             self._step_outcome, "the judgement of a step", reads=reads, writes=writes,
             terms=[*terms, *observer.terms], graph=values.graph, keeps=tuple(moved),
