@@ -105,8 +105,8 @@ class ConvertLogCmd(LogCmd):
 
     def _vehicle_and_residuals(self) -> dict[str, Any]:
         """Return the arguments of ``convert_log`` for the robot; a small quadrotor without residuals if none is given."""
-        from aerial_gym.cli.film import visible_parts
         from aerial_gym.robots.catalog import robot_by_name
+        from aerial_gym.task.chase_view import visible_parts
 
         if self.robot is None:
             return {"vehicle": visible_parts(robot_by_name("base_quadrotor"))}

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.cli.film import ground_part, link_states, sensor_images, visible_parts
+from aerial_gym.cli.film import sensor_images
 from aerial_gym.cli.play import COLUMNS
 from aerial_gym.sim2real.logs import foxglove as fox
+from aerial_gym.task.chase_view import ground_part, link_states, visible_parts
 
 if TYPE_CHECKING:
     from aerial_gym.task import Task

@@ -19,6 +19,7 @@ from aerial_gym import task_registry
 from aerial_gym.cli import film
 from aerial_gym.cli.main import main
 from aerial_gym.math.quaternion import yaw_from_quat
+from aerial_gym.task import chase_view
 
 
 def test_the_page_holds_every_image_of_the_sensors(tmp_path: Path, capsys, monkeypatch) -> None:
@@ -85,22 +86,27 @@ def test_a_film_shows_the_robot_its_shadow_and_a_ring_about_its_goal() -> None:
         position = task.env.gtd["robot_position"]
         yaw = float(yaw_from_quat(task.env.gtd["robot_orientation"])[0])
         left = torch.tensor([-sin(yaw), cos(yaw), 0.0])
-        depth = made._size * (cos(film.DOWN) * film.BEHIND + sin(film.DOWN) * film.ABOVE)
-        focal = film.WIDTH / 2 / tan(radians(film.VIEW_DEG / 2))
-        drop = focal * made._size * (cos(film.DOWN) * film.ABOVE - sin(film.DOWN) * film.BEHIND) / depth
+        depth = made._size * (cos(chase_view.DOWN) * chase_view.BEHIND + sin(chase_view.DOWN) * chase_view.ABOVE)
+        focal = chase_view.WIDTH / 2 / tan(radians(chase_view.VIEW_DEG / 2))
+        drop = (
+            focal
+            * made._size
+            * (cos(chase_view.DOWN) * chase_view.ABOVE - sin(chase_view.DOWN) * chase_view.BEHIND)
+            / depth
+        )
         for shift in (0.0, 0.9 * made._size):
             task.target_position.copy_(position + shift * left)
             pixels = picture(made)
             ring = (pixels[..., 1] > 90) & (pixels[..., 0] < 60) & (pixels[..., 2] < 90)
             rows, columns = np.nonzero(ring)
-            top = rows < film.HEIGHT / 2 + drop + 8  # the line to the ground is below
-            spot = (film.WIDTH / 2 - focal * shift / depth, film.HEIGHT / 2 + drop)
+            top = rows < chase_view.HEIGHT / 2 + drop + 8  # the line to the ground is below
+            spot = (chase_view.WIDTH / 2 - focal * shift / depth, chase_view.HEIGHT / 2 + drop)
             assert (columns[top].mean(), rows[top].mean()) == pytest.approx(spot, abs=1.5)
         red = (pixels[..., 0] > 120) & (pixels[..., 1] < 80)
         rows, columns = np.nonzero(red)
         assert len(rows) > 400  # the front rotors
-        assert columns.mean() == pytest.approx(film.WIDTH / 2, abs=25)
-        assert pixels.shape == (film.HEIGHT, film.WIDTH, 3)
+        assert columns.mean() == pytest.approx(chase_view.WIDTH / 2, abs=25)
+        assert pixels.shape == (chase_view.HEIGHT, chase_view.WIDTH, 3)
         sun = torch.tensor((-0.4, 0.3, 0.866))
         floor = position[0] - sun * (position[0, 2] - made._floor()[0]) / sun[2]
         column, row = (round(place) for place in made._project(0, floor.tolist()))
@@ -113,8 +119,8 @@ def test_a_film_has_a_sky_a_horizon_and_lines_on_the_ground() -> None:
         made = film.Film(task)
         task.reset()
         pixels = picture(made)
-    focal = film.WIDTH / 2 / tan(radians(film.VIEW_DEG / 2))
-    horizon = film.HEIGHT / 2 - focal * tan(film.DOWN)
+    focal = chase_view.WIDTH / 2 / tan(radians(chase_view.VIEW_DEG / 2))
+    horizon = chase_view.HEIGHT / 2 - focal * tan(chase_view.DOWN)
     edge = pixels[:, 5]  # beside the robot
     blue = edge[:, 2] - edge[:, 0]
     assert (blue[20 : int(horizon) - 10] > 5).all()
@@ -128,11 +134,11 @@ def test_lines_cover_the_share_of_the_ground_that_they_have() -> None:
 
     def share(wide: float) -> torch.Tensor:
         x, y = torch.broadcast_tensors(wide * torch.arange(400.0)[None], torch.tensor([[0.5]]))
-        return film._line_shares(torch.stack((x, y), dim=-1)[None])[0, 0, 1:, 0]
+        return chase_view._line_shares(torch.stack((x, y), dim=-1)[None])[0, 0, 1:, 0]
 
     for wide, highest in ((0.01, 1.0), (0.04, sqrt(0.5) * 0.96), (2.0, 0.0)):
         assert float(share(wide).max()) == pytest.approx(highest, abs=0.02)
-    assert float(share(0.01).mean()) == pytest.approx(film.LINE_M / film.GRID_M, rel=0.3)
+    assert float(share(0.01).mean()) == pytest.approx(chase_view.LINE_M / chase_view.GRID_M, rel=0.3)
 
 
 def test_a_film_shows_environments_and_what_their_sensors_see_side_by_side() -> None:
@@ -144,8 +150,8 @@ def test_a_film_shows_environments_and_what_their_sensors_see_side_by_side() -> 
         task.reset()
         pixels = picture(made)
         assert (task.env.gtd["depth_range_pixels"] == -1.0).all()
-    assert pixels.shape == (2 * film.HEIGHT, 2 * (film.WIDTH + film.PANEL), 3)
-    column = pixels[60:120, film.WIDTH + 20 : film.WIDTH + film.PANEL - 20]
+    assert pixels.shape == (2 * chase_view.HEIGHT, 2 * (chase_view.WIDTH + film.PANEL), 3)
+    column = pixels[60:120, chase_view.WIDTH + 20 : chase_view.WIDTH + film.PANEL - 20]
     assert (abs(column - round(0.85 * 255)) <= 1).all()  # grey: nothing is measured
 
 
@@ -157,11 +163,13 @@ def test_a_camera_stays_in_front_of_the_wall_behind_the_robot() -> None:
         task.reset()
         picture(made)
         free = (made._eye - made._robot).norm()
-        assert float(free) == pytest.approx(made._size * hypot(film.BEHIND, film.ABOVE), rel=1e-4)
+        assert float(free) == pytest.approx(made._size * hypot(chase_view.BEHIND, chase_view.ABOVE), rel=1e-4)
         made._probe.cast = lambda: None
         made._probe.images.distance.fill_(0.8)
         picture(made)
-        assert float((made._eye - made._robot).norm()) == pytest.approx(0.8 - film.WALL_MARGIN * made._size, rel=1e-4)
+        assert float((made._eye - made._robot).norm()) == pytest.approx(
+            0.8 - chase_view.WALL_MARGIN * made._size, rel=1e-4
+        )
 
 
 def test_frames_are_taken_25_times_a_second_for_known_kinds_of_file(
@@ -197,4 +205,4 @@ def test_a_film_can_be_an_mp4(tmp_path: Path) -> None:
             picture(made)
         made.save(tmp_path / "film.mp4")
     facts, frames = next(reader := imageio_ffmpeg.read_frames(str(tmp_path / "film.mp4"))), len(list(reader))
-    assert (facts["size"], facts["fps"], frames) == ((film.WIDTH, film.HEIGHT), 25.0, 5)
+    assert (facts["size"], facts["fps"], frames) == ((chase_view.WIDTH, chase_view.HEIGHT), 25.0, 5)
