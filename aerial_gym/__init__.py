@@ -6,7 +6,7 @@ Importing this package starts no device and compiles no kernel; the names below 
 from typing import TYPE_CHECKING
 
 from aerial_gym.compat.modules import install_finder
-from aerial_gym.lazy import exports
+from aerial_gym.lazy import ImportPath, call_after_import, exports
 
 if TYPE_CHECKING:
     from aerial_gym.assets import ENVIRONMENTS
@@ -40,3 +40,4 @@ __all__ = [
 __getattr__, __dir__ = exports(__name__, __file__)
 
 install_finder()  # module paths of the Aerial Gym Simulator; nothing of it is imported before a script asks
+call_after_import("gymnasium.envs", lambda: ImportPath("aerial_gym.task.gymnasium_ids:register_tasks").load()())

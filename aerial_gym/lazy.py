@@ -6,12 +6,15 @@ So ``aerial-gym list`` and ``--help`` need neither torch nor Warp.
 import ast
 import gc
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 
@@ -41,6 +44,39 @@ def _modules_of_names(tree: ast.Module) -> dict[str, str]:
     branches = (n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
     imports = (n for branch in branches for n in branch.body if isinstance(n, ast.ImportFrom))
     return {alias.name: node.module or "" for node in imports for alias in node.names}
+
+
+class _ImportHook(MetaPathFinder):
+    """Calls a function once, when a module has been imported."""
+
+    def __init__(self, module: str, call: Callable[[], object]) -> None:
+        self._module, self._call = module, call
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the ordinary spec of the module, with the call at the end of its import."""
+        if name != self._module:
+            return None
+        sys.meta_path.remove(self)
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_call(module: ModuleType) -> None:
+                execute(module)
+                self._call()
+
+            spec.loader.exec_module = execute_and_call
+        return spec
+
+
+def call_after_import(module: str, call: Callable[[], object]) -> None:
+    """Call a function when a module has been imported: now if it is, else at the end of its import."""
+    if module in sys.modules:
+        call()
+    else:
+        sys.meta_path.insert(0, _ImportHook(module, call))
 
 
 @contextmanager

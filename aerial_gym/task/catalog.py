@@ -16,6 +16,7 @@ from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
 from aerial_gym.registry.registry import register_files
+from aerial_gym.task.gymnasium_ids import register_task
 
 if TYPE_CHECKING:
     import torch
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
 
 class TaskRegistry(Registry[TaskCfg]):
     """Tasks by name; ``make_task`` builds one."""
+
+    def register(self, name: str, entry: TaskCfg) -> None:
+        """Add an entry, with its id of Gymnasium; raise ``DuplicateNameError`` if the name is taken."""
+        super().register(name, entry)
+        register_task(name)
 
     def make_task(
         self, name: str, *, num_envs: int | None = None, device: "str | torch.device" = "auto", seed: int = 0,

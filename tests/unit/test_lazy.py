@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.lazy import ImportPath, pause_garbage_collection
+from aerial_gym.lazy import ImportPath, call_after_import, pause_garbage_collection
 from aerial_gym.physics import BACKENDS, EFFECTS
 
 
@@ -70,3 +70,15 @@ def test_garbage_is_looked_for_again_after_imports() -> None:
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_a_function_is_called_once_a_module_is_imported(package: str) -> None:
+    calls: list[bool] = []
+    call_after_import(f"{package}.part", lambda: calls.append(hasattr(sys.modules[f"{package}.part"], "Other")))
+    importlib.import_module(package)
+    assert calls == []
+    importlib.import_module(f"{package}.part")
+    assert calls == [True]  # at the end of the import
+    call_after_import(f"{package}.part", lambda: calls.append(False))
+    assert calls == [True, False]  # it is imported already
+    assert not any(type(finder).__name__ == "_ImportHook" for finder in sys.meta_path)
