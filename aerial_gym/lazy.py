@@ -52,22 +52,13 @@ class _ImportHook(MetaPathFinder):
     def __init__(self, module: str, call: Callable[[], object]) -> None:
         self._module, self._call = module, call
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """Return the ordinary spec of the module, with the call at the end of its import."""
-        if name != self._module:
-            return None
-        sys.meta_path.remove(self)
-        spec = PathFinder.find_spec(name, path, target)
+        spec = PathFinder.find_spec(name, path, target) if name == self._module else None
         if spec is not None and spec.loader is not None:
+            sys.meta_path.remove(self)
             execute = spec.loader.exec_module
-
-            def execute_and_call(module: ModuleType) -> None:
-                execute(module)
-                self._call()
-
-            spec.loader.exec_module = execute_and_call
+            spec.loader.exec_module = lambda module: (execute(module), self._call())[0]
         return spec
 
 

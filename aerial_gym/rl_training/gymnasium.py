@@ -19,18 +19,21 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.errors import ConfigError, MissingDependencyError, ShapeError
+from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.task import Task, task_registry
 from aerial_gym.task.chase_view import ChaseView
 
 FINAL = "final_observation" if gymnasium.__version__.startswith("0.") else "final_obs"
 """Key of the last observations of episodes that ended."""
 
-AUTORESETS = ("same_step", "next_step")
-"""When an ended environment is reset: in the step of the end, or in the next one, which ignores the action."""
-
 AUTORESET = "same_step" if FINAL == "final_observation" else "next_step"
-"""The mode of Gymnasium's own vector environments, in the installed version."""
+"""When Gymnasium's own vector environments, in the installed version, reset an ended environment: in the step of the end, or
+in the next one, which ignores the action."""
+
+CHOICES = {
+    "output": ("numpy", "torch"), "autoreset_mode": ("same_step", "next_step"), "render_mode": (None, "rgb_array"),
+}  # fmt: skip
+"""Values of arguments."""
 
 _PROCESS = os.getpid()  # The process that imported torch
 
@@ -61,10 +64,11 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
             MissingDependencyError: If pictures are asked for, and Pillow is not installed.
         """
         reset = str(getattr(autoreset_mode, "name", autoreset_mode)).lower()
-        _check_choices(
-            output=(output, ("numpy", "torch")), autoreset_mode=(reset, AUTORESETS),
-            render_mode=(render_mode, (None, "rgb_array")),
-        )  # fmt: skip
+        given = {"output": output, "autoreset_mode": reset, "render_mode": render_mode}
+        wrong = [name for name, value in given.items() if value not in CHOICES[name]]
+        if wrong:
+            rules = (f"{name} = {given[name]!r}: must be {' or '.join(map(str, CHOICES[name]))}" for name in wrong)
+            raise ConfigError("; ".join(f"GymnasiumVectorEnv.{rule}" for rule in rules))
         self.task, self._torch_out, self._final_apart = task, output == "torch", reset == "same_step"
         if not self._final_apart:
             task.delay_resets()
@@ -81,7 +85,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / task.env.dt)}  # pyright: ignore[reportAttributeAccessIssue]
         if modes := getattr(gymnasium.vector, "AutoresetMode", None):
             self.metadata["autoreset_mode"] = modes[reset.upper()]
-        self._view = None if render_mode is None else _make_view(task)
+        self._view = None if render_mode is None else ChaseView(task, task.num_envs)
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -196,25 +200,6 @@ class GymnasiumEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     def close(self) -> None:
         """Release the simulation."""
         self._batch.close()
-
-
-def _check_choices(**choices: tuple[object, tuple[object, ...]]) -> None:
-    """Raise ``ConfigError`` with every argument that is none of its choices."""
-    wrong = [
-        f"GymnasiumVectorEnv.{name} = {value!r}: must be {' or '.join(map(str, known))}"
-        for name, (value, known) in choices.items()
-        if value not in known
-    ]
-    if wrong:
-        raise ConfigError("; ".join(wrong))
-
-
-def _make_view(task: Task) -> ChaseView:
-    try:
-        import PIL  # noqa: F401
-    except ImportError:
-        raise MissingDependencyError("render_mode rgb_array needs Pillow: pip install pillow") from None
-    return ChaseView(task, task.num_envs)
 
 
 def _first_row(observation: Observation) -> Any:

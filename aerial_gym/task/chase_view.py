@@ -5,6 +5,7 @@ Letters: N environments shown, H x W pixels.
 """
 
 from dataclasses import replace
+from importlib.util import find_spec
 from math import cos, hypot, radians, sin, tan
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.shape import GROUND_ID, ROBOT_ID
+from aerial_gym.errors import MissingDependencyError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -64,7 +66,9 @@ class ChaseView:
     """Pictures of the first environments of a task."""
 
     def __init__(self, task: "Task", count: int = 1) -> None:
-        """Build the cameras of ``count`` environments."""
+        """Build the cameras of ``count`` environments; raise ``MissingDependencyError`` without Pillow."""
+        if find_spec("PIL") is None:
+            raise MissingDependencyError("pictures of flights need Pillow: pip install pillow")
         from aerial_gym.sensors import RayCaster, make_images
         from aerial_gym.sensors.mounts import Carrier
         from aerial_gym.task.commands.command import TARGET

@@ -10,6 +10,7 @@ import tyro
 from rsl_rl.runners import OnPolicyRunner
 
 from aerial_gym import task_registry
+from aerial_gym.rl_training import save_policy
 from aerial_gym.rl_training.adapters.rsl_rl import RslRlEnv
 
 
@@ -38,7 +39,9 @@ def main(num_envs: int = 1024, iterations: int = 100, device: str = "auto", out:
         },
     }
     with task_registry.make_task("position_setpoint_task", num_envs=num_envs, device=device, seed=0) as task:
-        OnPolicyRunner(RslRlEnv(task), settings, str(out), device=str(task.device)).learn(iterations)
+        runner = OnPolicyRunner(RslRlEnv(task), settings, str(out), device=str(task.device))
+        runner.learn(iterations)
+        save_policy(runner, out, task="position_setpoint_task")
         print("mean distance [m]", float((task.env.gtd["robot_position"] - task.target_position).norm(dim=1).mean()))
 
 

@@ -9,6 +9,7 @@ import tyro
 from skrl.utils.runner.torch import Runner
 
 from aerial_gym import task_registry
+from aerial_gym.rl_training import save_policy
 from aerial_gym.rl_training.adapters.skrl import SkrlEnv
 
 HORIZON = 32
@@ -50,7 +51,9 @@ def main(num_envs: int = 1024, iterations: int = 100, device: str = "auto", out:
         },
     }
     with task_registry.make_task("position_setpoint_task", num_envs=num_envs, device=device, seed=0) as task:
-        Runner(SkrlEnv(task), settings).run("train")
+        runner = Runner(SkrlEnv(task), settings)
+        runner.run("train")
+        save_policy(runner.agent, out, task="position_setpoint_task")
         print("mean distance [m]", float((task.env.gtd["robot_position"] - task.target_position).norm(dim=1).mean()))
 
 

@@ -10,6 +10,7 @@ import tyro
 from stable_baselines3 import PPO
 
 from aerial_gym import task_registry
+from aerial_gym.rl_training import save_policy
 from aerial_gym.rl_training.adapters.stable_baselines3 import Sb3Env
 
 HORIZON = 32
@@ -32,6 +33,7 @@ def main(num_envs: int = 256, iterations: int = 100, device: str = "auto", out: 
         )
         learner.learn(num_envs * HORIZON * iterations)
         learner.save(out / "model")
+        save_policy(learner, out, task="position_setpoint_task")
         print("mean distance [m]", float((task.env.gtd["robot_position"] - task.target_position).norm(dim=1).mean()))
 
 

@@ -93,6 +93,7 @@ class NetworkBodyCfg:
     activation: str = "elu"  # `elu`, `relu` or `tanh`
     memory: int = 0  # Numbers of a gated recurrent unit behind the layers; 0: none
     normalize: bool = True  # Whether vectors are normalised by their running mean and deviation
+    limit: float = LIMIT  # Limit of normalised numbers
 
 
 class NetworkBody(nn.Module):
@@ -111,7 +112,7 @@ class NetworkBody(nn.Module):
             elif len(shape) == 1:
                 if cfg.normalize:
                     known = None if beside is None or key not in beside.normalizers else beside.normalizers[key]
-                    self.normalizers[key] = known or RunningNormalizer(shape)
+                    self.normalizers[key] = known or RunningNormalizer(shape, limit=cfg.limit)
                 width += shape[0]
             else:
                 raise ConfigError(f"observation {key!r} has shape {shape}: must be a vector (O,) or an image (C, H, W)")

@@ -4,6 +4,7 @@ Letters: O entries of an observation, H width of the first layer.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,7 +16,7 @@ from aerial_gym.config.storage import read_archive
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
-from aerial_gym.rl_training.policies.body import NetworkBodyCfg, RunningNormalizer
+from aerial_gym.rl_training.policies.body import LIMIT, NetworkBodyCfg, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of_checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -88,7 +89,8 @@ def native_policy(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -
     _check_finite(state.items(), where)
     try:
         shapes = {str(key): tuple(int(size) for size in network["shapes"][key]) for key in cfg.learner.policy_keys}
-        policy = Policy(body_cfg(cfg, shapes), int(network["num_actions"]))
+        body = replace(body_cfg(cfg, shapes), limit=float(network.get("limit", LIMIT)))
+        policy = Policy(body, int(network["num_actions"]))
         policy.load_state_dict(state)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1].strip()
@@ -139,8 +141,8 @@ def _check_finite(tensors: Iterable[tuple[str, Tensor]], where: str) -> None:
 Weights = tuple[list[tuple[Tensor, Tensor]], Tensor | None, Tensor | None]  # Layers; mean and variance, or None
 
 
-def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Policy:
-    """Return a policy of linear layers and a normaliser; ``where`` is named in errors."""
+def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str, limit: float = LIMIT) -> Policy:
+    """Return a policy of linear layers and a normaliser with its limit; ``where`` is named in errors."""
     layers, mean, var = weights
     told = [(f"layer {i}", tensor) for i, pair in enumerate(layers) for tensor in pair]
     _check_finite([*told, *(() if mean is None or var is None else (("mean", mean), ("var", var)))], where)
@@ -150,7 +152,9 @@ def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Po
     shapes = {"observations": (layers[0][0].shape[1],)}
     hidden = tuple(bias.shape[0] for _, bias in layers[:-1])
     known = mean is not None and var is not None
-    body = NetworkBodyCfg(shapes=shapes, hidden_layers=hidden, activation=cfg.learner.activation, normalize=known)
+    body = NetworkBodyCfg(
+        shapes=shapes, hidden_layers=hidden, activation=cfg.learner.activation, normalize=known, limit=limit
+    )
     policy = Policy(body, layers[-1][1].shape[0])
     for linear, (weight, bias) in zip([*list(policy.body.layers)[::2], policy.head], layers, strict=True):
         assert isinstance(linear, nn.Linear)

@@ -19,6 +19,7 @@ for _name, _class in (
     ("distill", "learners:DistillTrainer"),
     ("rl_games", "libraries:RlGamesTrainer"),
     ("sample_factory", "libraries:SampleFactoryTrainer"),
+    ("other_library", "libraries:OtherLibrary"),
 ):
     _home = ImportPath(f"aerial_gym.rl_training.trainers.{_class}")
     TRAINERS.register_later(_name, _home.make, summary=_home.summary)

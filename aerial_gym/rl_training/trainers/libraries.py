@@ -3,7 +3,10 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from aerial_gym.rl_training.trainers.trainer import LibraryTrainer
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.learner_settings import LearnerCfg
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.trainer import LibraryTrainer, Trainer
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -47,3 +50,19 @@ class SampleFactoryTrainer(LibraryTrainer):
         layers = [(model[f"{name}.weight"], model[f"{name}.bias"]) for name in names]
         normalizer = "obs_normalizer.running_mean_std.running_mean_std.obs.running_"
         return layers, model.get(f"{normalizer}mean"), model.get(f"{normalizer}var")
+
+
+class OtherLibrary(Trainer):
+    """A library that trains in a user's own script, which saves its policy with ``save_policy``."""
+
+    name = "other_library"
+    summary = "policies of Stable-Baselines3, skrl and rsl_rl, saved with save_policy; it trains nothing itself"
+    section, settings = "numbers", LearnerCfg
+
+    def check(self, cfg: TrainingCfg) -> None:
+        """Raise ``ConfigError``: the script of the library trains."""
+        raise ConfigError(
+            "trainer other_library: trains nothing. Run the script of the library (examples/other_libraries)"
+        )
+
+    run = check  # pyright: ignore[reportAssignmentType]

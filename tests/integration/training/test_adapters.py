@@ -1,9 +1,10 @@
 """Tasks as skrl, rsl_rl and Stable-Baselines3 see them, beside the same task as it is; the examples that train with them."""
 
 import importlib.util
+import json
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,6 +12,10 @@ import torch
 from torch import Tensor
 
 from aerial_gym import Task, task_registry
+from aerial_gym.cli.main import main
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training import load_policy, save_policy
+from tests.refusals import assert_refused
 
 ENVS, STEPS = 64, 24  # Enough for episodes to end by their length: each of 500 steps at a random age
 
@@ -132,4 +137,84 @@ def test_the_examples_train(name: str, extra: str, tmp_path: Path, capsys: pytes
     spec.loader.exec_module(example)
     example.main(num_envs=32, iterations=2, device="cpu", out=tmp_path / "run")
     assert "mean distance [m]" in capsys.readouterr().out
-    assert any(path.is_file() for path in (tmp_path / "run").rglob("*"))
+    run, table = str(tmp_path / "run"), tmp_path / "flights.csv"
+    assert main(["evaluate", "--policy", run, "--num-envs", "4", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["num_starts"] == 4
+    assert main(["play", "--policy", run, "--num-steps", "2", "--out", str(table)]) == 0
+    assert len(table.read_text().splitlines()) == 1 + 3 * 4
+    assert main(["export", "--policy", run, "--to", "torchscript"]) == 0  # compared with torch
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+def test_a_policy_of_stable_baselines3_keeps_its_actions(normalize: bool, tmp_path: Path) -> None:
+    adapter = library("stable_baselines3", "sb3")
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    plain = VecMonitor(adapter.Sb3Env(make()))
+    env = VecNormalize(plain, clip_obs=1.5) if normalize else plain
+    learner = PPO("MlpPolicy", env, n_steps=4, batch_size=64, n_epochs=1, device="cpu", seed=0)
+    learner.learn(256)
+    save_policy(learner, tmp_path, task="position_setpoint_task")
+    policy, _ = load_policy(tmp_path)
+    seen = 3.0 * torch.randn(50, 13, generator=torch.Generator().manual_seed(1))
+    given = env.normalize_obs(seen.numpy()) if normalize else seen.numpy()
+    expected = torch.as_tensor(learner.predict(given, deterministic=True)[0])
+    torch.testing.assert_close(policy({"observations": seen}), expected, atol=1e-5, rtol=0.0)
+    squashed = SAC("MlpPolicy", plain, device="cpu", buffer_size=100)
+    assert_refused(ConfigError, "policy of stable-baselines3: SAC", save_policy, squashed, tmp_path, task="x")
+
+
+def test_a_normaliser_of_rsl_rl_and_of_skrl_is_kept(tmp_path: Path) -> None:
+    """That of rsl_rl has no limit, that of skrl clamps at 5."""
+    rsl_rl, skrl = library("rsl_rl", "rsl-rl"), library("skrl", "skrl")
+    from rsl_rl.models import MLPModel
+    from skrl.resources.preprocessors.torch import RunningStandardScaler
+    from skrl.utils.model_instantiators.torch import gaussian_model
+
+    env, seen = rsl_rl.RslRlEnv(make()), 9.0 * torch.randn(50, 13, generator=torch.Generator().manual_seed(1))
+    noise = {"class_name": "GaussianDistribution"}
+    actor = MLPModel(env.get_observations(), {"actor": ["observations"]}, "actor", 4, [8], "elu", True, noise)
+    actor.obs_normalizer.update(seen / 4.0)
+    runner = type("Runner", (), {"__module__": "rsl_rl.runners", "alg": SimpleNamespace(actor=actor)})()
+    save_policy(runner, tmp_path / "rsl_rl", task="position_setpoint_task")
+    wrapped = skrl.SkrlEnv(make())
+    layers = [{"name": "net", "input": "OBSERVATIONS", "layers": [8], "activations": "relu"}]
+    network = gaussian_model(
+        observation_space=wrapped.observation_space, action_space=wrapped.action_space, network=layers, output="ACTIONS",
+        device="cpu",
+    )  # fmt: skip
+    scaler = RunningStandardScaler(13, device="cpu")
+    scaler(seen / 4.0, train=True)
+    agent = type("Agent", (), {"__module__": "skrl.agents", "models": {"policy": network}})()
+    agent._observation_preprocessor = scaler
+    save_policy(agent, tmp_path / "skrl", task="position_setpoint_task")
+    mean = network.act({"observations": scaler(seen)}, role="policy")[-1]["mean_actions"]
+    for name, expected in (("rsl_rl", actor({"observations": seen})), ("skrl", mean)):
+        flown = load_policy(tmp_path / name)[0]({"observations": seen})
+        torch.testing.assert_close(flown, expected.detach().clamp(-1.0, 1.0), atol=1e-4, rtol=0.0)
+
+
+def test_wrappers_of_other_libraries_take_the_environments() -> None:
+    library("stable_baselines3", "sb3")
+    import gymnasium
+    from stable_baselines3.common.env_checker import check_env
+    from stable_baselines3.common.env_util import make_vec_env
+
+    known = "aerial_gym/PositionSetpoint-v0"
+    check_env(gymnasium.make(known))
+    env = make_vec_env(known, n_envs=2, seed=3)
+    observation = env.reset()
+    assert observation.shape == (2, 13)
+    assert (observation[0] != observation[1]).any()
+    library("skrl", "skrl")
+    from skrl.envs.wrappers.torch import wrap_env
+
+    from aerial_gym.rl_training import GymnasiumVectorEnv
+
+    for made, count in ((gymnasium.make(known), 1), (GymnasiumVectorEnv(make(), autoreset_mode="same_step"), ENVS)):
+        wrapped = wrap_env(made)
+        wrapped.reset()
+        observation, *columns, _ = wrapped.step(torch.zeros(count, 4))
+        assert (wrapped.num_envs, observation.shape) == (count, (count, 13))
+        assert [column.shape for column in columns] == [(count, 1)] * 3
