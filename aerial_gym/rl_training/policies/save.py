@@ -47,7 +47,7 @@ def save_policy(
         task: Task, robot, controller and encoder of the training, as for ``task_registry.make_task``.
 
     Raises:
-        ConfigError: If the policy is no network of linear layers from ``observations`` to actions, or the folder holds a run.
+        ConfigError: If the policy is no network of linear layers from ``observations`` to actions, or a training is there.
         UnknownNameError: If the task is not registered.
     """
     task_registry.get(task)
@@ -71,10 +71,9 @@ def save_policy(
     if not float(largest := difference.abs().max()) <= LARGEST_DIFFERENCE:
         raise _refusal(library, f"its actions are up to {float(largest):.2g} from those of its linear layers")
     folder = RunFolder(out)
-    if not folder.config_file.exists():
-        folder.create(cfg)
-    elif folder.config() != cfg:
-        raise ConfigError(f"{folder.path}: holds another run already. Choose another folder")
+    if folder.config_file.exists() and folder.config().trainer == cfg.trainer:
+        folder.config_file.unlink()
+    folder.create(cfg)
     state = {f"actor.{name}": tensor for name, tensor in policy.state_dict().items()}
     shapes = {key: list(shape) for key, shape in policy.shapes.items()}
     network = {"shapes": shapes, "num_actions": policy.num_actions, "limit": limit}
@@ -124,9 +123,9 @@ def _read_skrl(agent: Any) -> Learned:
 
 def _read_rsl_rl(runner: Any) -> Learned:
     actor = runner.alg.actor
-    device, scaler = next(actor.parameters()).device, actor.obs_normalizer
     if list(actor.obs_groups) != ["observations"]:
         raise _refusal("rsl-rl-lib", f"its actor sees {', '.join(actor.obs_groups)}")
+    device, scaler = next(actor.parameters()).device, actor.obs_normalizer
 
     def act(seen: Tensor) -> Tensor:
         return actor({"observations": seen.to(device)})

@@ -162,7 +162,9 @@ def test_a_policy_of_stable_baselines3_keeps_its_actions(normalize: bool, tmp_pa
     expected = torch.as_tensor(learner.predict(given, deterministic=True)[0])
     torch.testing.assert_close(policy({"observations": seen}), expected, atol=1e-5, rtol=0.0)
     squashed = SAC("MlpPolicy", plain, device="cpu", buffer_size=100)
-    assert_refused(ConfigError, "policy of stable-baselines3: SAC", save_policy, squashed, tmp_path, task="x")
+    assert_refused(
+        ConfigError, "policy of stable-baselines3: SAC", save_policy, squashed, tmp_path, task="tracking_task"
+    )
 
 
 def test_a_normaliser_of_rsl_rl_and_of_skrl_is_kept(tmp_path: Path) -> None:
@@ -188,6 +190,7 @@ def test_a_normaliser_of_rsl_rl_and_of_skrl_is_kept(tmp_path: Path) -> None:
     scaler(seen / 4.0, train=True)
     agent = type("Agent", (), {"__module__": "skrl.agents", "models": {"policy": network}})()
     agent._observation_preprocessor = scaler
+    network.act({"observations": seen}, role="policy")  # makes its layers
     save_policy(agent, tmp_path / "skrl", task="position_setpoint_task")
     mean = network.act({"observations": scaler(seen)}, role="policy")[-1]["mean_actions"]
     for name, expected in (("rsl_rl", actor({"observations": seen})), ("skrl", mean)):

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError, UnknownNameError
-from aerial_gym.rl_training import TRAINERS, load_policy, save_policy, settings_for
+from aerial_gym.rl_training import TRAINERS, load_policy, load_settings, save_policy, settings_for
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from tests.refusals import assert_refused
 
 TASK = "position_setpoint_task"
@@ -81,15 +82,15 @@ def test_a_loaded_policy_flies_the_mean_action_of_the_network(scaler: nn.Module,
 def test_a_later_policy_replaces_the_one_before(tmp_path: Path) -> None:
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / "agent_32.pt").write_text("a file of skrl")
-    first, second = Network(), Network()
-    for network in (first, second):
-        save_policy(Agent(network), tmp_path, task=TASK)
-    policy, _ = load_policy(tmp_path)
-    assert torch.equal(policy.head.weight, second.layers[2].weight)
-    assert_refused(
-        ConfigError, "holds another run already. Choose another folder",
-        save_policy, Agent(first), tmp_path, task="tracking_task",
-    )  # fmt: skip
+    network = Network()
+    save_policy(Agent(Network()), tmp_path, task=TASK)
+    save_policy(Agent(network), tmp_path, task="tracking_task")
+    policy, cfg = load_policy(tmp_path)
+    assert torch.equal(policy.head.weight, network.layers[2].weight)
+    assert cfg.task == "tracking_task"
+    training = RunFolder(tmp_path / "training")
+    training.create(load_settings(settings_for("ppo", TASK)))
+    assert_refused(ConfigError, "holds a run already", save_policy, Agent(network), training.path, task=TASK)
 
 
 def test_a_policy_that_is_another_function_is_refused_with_the_difference(tmp_path: Path) -> None:
@@ -97,7 +98,8 @@ def test_a_policy_that_is_another_function_is_refused_with_the_difference(tmp_pa
         (Agent(Network(gain=0.5)), r"policy of skrl: its actions are up to [\d.]+ from those of its linear layers"),
         (Agent(Network(end=nn.Tanh())), "its actions are up to"),
         (Agent(Network(end=nn.Softsign())), "it has Linear, Tanh, Softsign. It must be linear layers with one of"),
-        (Agent(nn.Linear(13, 4)), "has no such network"),
+        (Agent(nn.Linear(13, 4)), "policy of skrl: it has Linear. It must be"),
+        (Agent(None), "policy of skrl: Agent has no such network"),
         (Runner(Network()), "policy of rsl-rl-lib: its actor sees observations, images"),
         (Network(), "learner Network: must be an algorithm of Stable-Baselines3, an agent of skrl or a runner"),
     ):
