@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
@@ -56,10 +57,13 @@ class _ImportHook(MetaPathFinder):
         """Return the ordinary spec of the module, with the call at the end of its import."""
         spec = PathFinder.find_spec(name, path, target) if name == self._module else None
         if spec is not None and spec.loader is not None:
-            sys.meta_path.remove(self)
-            execute = spec.loader.exec_module
-            spec.loader.exec_module = lambda module: (execute(module), self._call())[0]
+            spec.loader.exec_module = partial(self._execute, spec.loader.exec_module)
         return spec
+
+    def _execute(self, execute: Callable[[ModuleType], None], module: ModuleType) -> None:
+        execute(module)
+        sys.meta_path.remove(self)
+        self._call()
 
 
 def call_after_import(module: str, call: Callable[[], object]) -> None:
