@@ -25,7 +25,7 @@ NO_LIMIT = 1e30  # Limit of a normaliser that does not clamp
 CHECKED, LARGEST_DIFFERENCE = 256, 1e-4  # Observations of the comparison, and the largest difference of actions
 
 
-class Learned(NamedTuple):
+class LearnedPolicy(NamedTuple):
     """What a learner of another library learned."""
 
     layers: tuple[nn.Module, ...]  # Modules of the policy, in the order of their calls
@@ -81,7 +81,7 @@ def save_policy(
     return policy
 
 
-def _read(learner: Any) -> tuple[str, Learned]:
+def _read(learner: Any) -> tuple[str, LearnedPolicy]:
     """Return the name under which the learner's library is installed, and what it learned."""
     for kind in type(learner).__mro__:
         library, read = READERS.get(kind.__module__.split(".")[0], ("", None))
@@ -94,7 +94,7 @@ def _read(learner: Any) -> tuple[str, Learned]:
     raise ConfigError(f"learner {type(learner).__name__}: {rule}")
 
 
-def _read_stable_baselines3(algorithm: Any) -> Learned:
+def _read_stable_baselines3(algorithm: Any) -> LearnedPolicy:
     policy, env = algorithm.policy, algorithm.get_vec_normalize_env()
 
     def act(seen: Tensor) -> Any:
@@ -103,11 +103,11 @@ def _read_stable_baselines3(algorithm: Any) -> Learned:
 
     layers = (policy.mlp_extractor.policy_net, policy.action_net)
     if env is None or not env.norm_obs:
-        return Learned(layers, act)
-    return Learned(layers, act, (env.obs_rms.mean, (env.obs_rms.var + env.epsilon) ** 0.5, env.clip_obs))
+        return LearnedPolicy(layers, act)
+    return LearnedPolicy(layers, act, (env.obs_rms.mean, (env.obs_rms.var + env.epsilon) ** 0.5, env.clip_obs))
 
 
-def _read_skrl(agent: Any) -> Learned:
+def _read_skrl(agent: Any) -> LearnedPolicy:
     network, scaler = agent.models["policy"], agent._observation_preprocessor
     device = next(network.parameters()).device
 
@@ -116,12 +116,12 @@ def _read_skrl(agent: Any) -> Learned:
         return outputs[-1].get("mean_actions", outputs[0])
 
     if not hasattr(scaler, "running_mean"):
-        return Learned((network,), act)
+        return LearnedPolicy((network,), act)
     divisor = scaler.running_variance.sqrt() + scaler.epsilon
-    return Learned((network,), act, (scaler.running_mean, divisor, scaler.clip_threshold))
+    return LearnedPolicy((network,), act, (scaler.running_mean, divisor, scaler.clip_threshold))
 
 
-def _read_rsl_rl(runner: Any) -> Learned:
+def _read_rsl_rl(runner: Any) -> LearnedPolicy:
     actor = runner.alg.actor
     if list(actor.obs_groups) != ["observations"]:
         raise _refusal("rsl-rl-lib", f"its actor sees {', '.join(actor.obs_groups)}")
@@ -131,11 +131,11 @@ def _read_rsl_rl(runner: Any) -> Learned:
         return actor({"observations": seen.to(device)})
 
     if not hasattr(scaler, "eps"):
-        return Learned((actor.mlp,), act)
-    return Learned((actor.mlp,), act, (scaler.mean, scaler.std + scaler.eps, NO_LIMIT))
+        return LearnedPolicy((actor.mlp,), act)
+    return LearnedPolicy((actor.mlp,), act, (scaler.mean, scaler.std + scaler.eps, NO_LIMIT))
 
 
-READERS: dict[str, tuple[str, Callable[[Any], Learned]]] = {
+READERS: dict[str, tuple[str, Callable[[Any], LearnedPolicy]]] = {
     "stable_baselines3": ("stable-baselines3", _read_stable_baselines3),
     "skrl": ("skrl", _read_skrl),
     "rsl_rl": ("rsl-rl-lib", _read_rsl_rl),

@@ -79,7 +79,7 @@ def test_a_loaded_policy_flies_the_mean_action_of_the_network(scaler: nn.Module,
     torch.testing.assert_close(policy({"observations": seen}), expected.detach(), atol=1e-5, rtol=0.0)
 
 
-def test_a_later_policy_replaces_the_one_before(tmp_path: Path) -> None:
+def test_a_later_policy_replaces_an_earlier_one(tmp_path: Path) -> None:
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / "agent_32.pt").write_text("a file of skrl")
     network = Network()
@@ -108,7 +108,7 @@ def test_a_policy_that_is_another_function_is_refused_with_the_difference(tmp_pa
     assert not (tmp_path / "run").exists()
 
 
-def test_such_a_run_is_not_trained_on(tmp_path: Path) -> None:
+def test_such_a_run_cannot_be_trained(tmp_path: Path) -> None:
     save_policy(Agent(Network()), tmp_path, task=TASK)
     _, cfg = load_policy(tmp_path)
     assert_refused(ConfigError, "trainer other_library: trains nothing", TRAINERS.get(cfg.trainer).check, cfg)
