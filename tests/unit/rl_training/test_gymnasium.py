@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import wrappers
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils.env_checker import check_env
 
 from aerial_gym.errors import ConfigError, MissingDependencyError, ShapeError
@@ -266,7 +267,8 @@ def test_an_image_stands_beside_the_observations() -> None:
 
 
 def test_the_task_sets_the_length_of_episodes_and_the_number_of_environments() -> None:
-    assert_refused(ConfigError, "max_episode_steps = 9: the task says", make_vec, 1, max_episode_steps=9)
+    creator = load_env_creator(gymnasium.spec(ID).vector_entry_point)
+    assert_refused(ConfigError, "max_episode_steps = 9: the task says", creator, num_envs=1, max_episode_steps=9)
     assert_refused(ConfigError, "GymnasiumEnv: num_envs = 3: must be 1", GymnasiumEnv, make().task)
 
 
