@@ -123,12 +123,13 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     like = "racing_task" if task.endswith(".toml") else ALIKE.get(task, task)
     tasks = (task, like, "position_setpoint_task")
     files = [folder / f"{trainer}_{name.removesuffix('_task')}.yaml" for name in tasks]
-    own = next((path for path in files if path.exists()), None)
-    if own is None:
-        raise ConfigError(f"trainer {trainer}: has no settings for {task}. Give a file of settings (--config)")
+    own = next((path for path in files if path.exists()), files[-1])
     for_cpu = [path.with_name(f"{path.stem}_cpu.yaml") for path in (own, *files[:2])]
     on_cpu = next((path for path in for_cpu if path.exists()), None)
-    return own if on_cpu is None or resolve_device(device).type != "cpu" else on_cpu
+    file = own if on_cpu is None or resolve_device(device).type != "cpu" else on_cpu
+    if not file.exists():
+        raise ConfigError(f"trainer {trainer}: has no settings for {task}. Give a file of settings (--config)")
+    return file
 
 
 def load_settings(path: str | Path) -> TrainingCfg:
