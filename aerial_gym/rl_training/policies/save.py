@@ -25,8 +25,8 @@ NO_LIMIT = 1e30  # Limit of a normaliser that does not clamp
 CHECKED, LARGEST_DIFFERENCE = 256, 1e-4  # Observations of the comparison, and the largest difference of actions
 
 
-class LearnedPolicy(NamedTuple):
-    """What a learner of another library learned."""
+class PolicyParts(NamedTuple):
+    """Parts of a policy that another library trained."""
 
     layers: tuple[nn.Module, ...]  # Modules of the policy, in the order of their calls
     act: Callable[[Tensor], Any]  # Its action without exploration, (B, U), for observations (B, O) on the CPU
@@ -81,8 +81,8 @@ def save_policy(
     return policy
 
 
-def _read(learner: Any) -> tuple[str, LearnedPolicy]:
-    """Return the name under which the learner's library is installed, and what it learned."""
+def _read(learner: Any) -> tuple[str, PolicyParts]:
+    """Return the name under which the learner's library is installed, and the parts of its policy."""
     for kind in type(learner).__mro__:
         library, read = READERS.get(kind.__module__.split(".")[0], ("", None))
         if read is not None:
@@ -94,7 +94,7 @@ def _read(learner: Any) -> tuple[str, LearnedPolicy]:
     raise ConfigError(f"learner {type(learner).__name__}: {rule}")
 
 
-def _read_stable_baselines3(algorithm: Any) -> LearnedPolicy:
+def _read_stable_baselines3(algorithm: Any) -> PolicyParts:
     policy, env = algorithm.policy, algorithm.get_vec_normalize_env()
 
     def act(seen: Tensor) -> Any:
@@ -103,11 +103,11 @@ def _read_stable_baselines3(algorithm: Any) -> LearnedPolicy:
 
     layers = (policy.mlp_extractor.policy_net, policy.action_net)
     if env is None or not env.norm_obs:
-        return LearnedPolicy(layers, act)
-    return LearnedPolicy(layers, act, (env.obs_rms.mean, (env.obs_rms.var + env.epsilon) ** 0.5, env.clip_obs))
+        return PolicyParts(layers, act)
+    return PolicyParts(layers, act, (env.obs_rms.mean, (env.obs_rms.var + env.epsilon) ** 0.5, env.clip_obs))
 
 
-def _read_skrl(agent: Any) -> LearnedPolicy:
+def _read_skrl(agent: Any) -> PolicyParts:
     network, scaler = agent.models["policy"], agent._observation_preprocessor
     device = next(network.parameters()).device
 
@@ -116,12 +116,12 @@ def _read_skrl(agent: Any) -> LearnedPolicy:
         return outputs[-1].get("mean_actions", outputs[0])
 
     if not hasattr(scaler, "running_mean"):
-        return LearnedPolicy((network,), act)
+        return PolicyParts((network,), act)
     divisor = scaler.running_variance.sqrt() + scaler.epsilon
-    return LearnedPolicy((network,), act, (scaler.running_mean, divisor, scaler.clip_threshold))
+    return PolicyParts((network,), act, (scaler.running_mean, divisor, scaler.clip_threshold))
 
 
-def _read_rsl_rl(runner: Any) -> LearnedPolicy:
+def _read_rsl_rl(runner: Any) -> PolicyParts:
     actor = runner.alg.actor
     if list(actor.obs_groups) != ["observations"]:
         raise _refusal("rsl-rl-lib", f"its actor sees {', '.join(actor.obs_groups)}")
@@ -131,11 +131,11 @@ def _read_rsl_rl(runner: Any) -> LearnedPolicy:
         return actor({"observations": seen.to(device)})
 
     if not hasattr(scaler, "eps"):
-        return LearnedPolicy((actor.mlp,), act)
-    return LearnedPolicy((actor.mlp,), act, (scaler.mean, scaler.std + scaler.eps, NO_LIMIT))
+        return PolicyParts((actor.mlp,), act)
+    return PolicyParts((actor.mlp,), act, (scaler.mean, scaler.std + scaler.eps, NO_LIMIT))
 
 
-READERS: dict[str, tuple[str, Callable[[Any], LearnedPolicy]]] = {
+READERS: dict[str, tuple[str, Callable[[Any], PolicyParts]]] = {
     "stable_baselines3": ("stable-baselines3", _read_stable_baselines3),
     "skrl": ("skrl", _read_skrl),
     "rsl_rl": ("rsl-rl-lib", _read_rsl_rl),
