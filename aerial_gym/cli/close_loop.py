@@ -8,6 +8,7 @@ from rich.console import Console
 
 from aerial_gym.cli.terminal import open_in_browser, print_table, progress_bar
 from aerial_gym.config.console import json_line
+from aerial_gym.config.set_option import SetOption
 from aerial_gym.lazy import pause_garbage_collection
 
 if TYPE_CHECKING:
@@ -44,6 +45,10 @@ class CloseLoopCmd:
     material: float = 0.05  # An effect is named if a residual rises, or may rise, by this share without it
     seed: int = 0  # Seed of the resampling behind the 95 % intervals
 
+    set: SetOption = ()
+    """Setting of the declared robot, the tolerances or the acceptance criteria, such as robot.body.mass=0.3,
+    tolerances.mass=0.01 or criteria.significance=0.01; can be repeated."""
+
     failures: bool = False
     """Look through each flight for a rotor or supply that fails in it, and compare it up to there only. Give it where something
     failed or may have: on measured flights that the declared vehicle misses by much there are false alarms. Without it a
@@ -78,7 +83,7 @@ class CloseLoopCmd:
                 seed=self.seed, criteria=Criteria(material=self.material),
                 tolerances=None if self.tolerances is None else load(Tolerances, self.tolerances),
                 effects=self.effects, failures=self.failures, joints=self.joints, learn_residual=self.learn_residual,
-                ranges=self.ranges, progress=progress,
+                ranges=self.ranges, settings=self.set, progress=progress,
             )  # fmt: skip
         if self.json:
             from aerial_gym.sim2real.report.verdict_json import verdict_json

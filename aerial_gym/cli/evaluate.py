@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from aerial_gym.cli.terminal import print_table, progress_bar
+from aerial_gym.config.set_option import SetOption
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +24,16 @@ class EvaluateCmd:
     seed: int = 1_000_003  # Seed of the starts; keep it apart from the seeds of trainings
     level: int | None = None  # Level at which the curriculum of the task stays; its highest if not given
     watch: Path | None = None  # CSV file for the last 64 steps of rows with NaN or infinity; play --replay shows it
+
+    set: SetOption = ()
+    """Setting of task, robot, env or sim in place of its own, such as robot.body.mass=0.3; can be repeated. Those of the
+    training apply too."""
+
     json: bool = False  # Print one JSON object
 
     def run(self) -> int:
         """Fly one episode from every start and print the figures; return the exit status."""
+        from aerial_gym.config.changes import Changes, settings_of_run
         from aerial_gym.export.pilot import load_pilot
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.evaluation import evaluate
@@ -35,11 +42,12 @@ class EvaluateCmd:
 
         policy, cfg = load_pilot(self.policy, self.device)
         name = self.task or cfg.task
-        curriculum = task_registry.get(name).curriculum
+        settings = (*settings_of_run(cfg.settings, robot=self.robot, task=self.task), *self.set)
+        curriculum = Changes(settings).apply("task", task_registry.get(name)).curriculum
         level = curriculum.max_level if self.level is None and curriculum is not None else self.level
         made = task_registry.make_task(
             name, num_envs=self.num_envs, device=self.device, seed=self.seed, robot=self.robot or cfg.robot,
-            controller=cfg.controller, backend=self.backend, encoder=cfg.encoder, level=level,
+            controller=cfg.controller, backend=self.backend, encoder=cfg.encoder, level=level, settings=settings,
         )  # fmt: skip
         with made as task, progress_bar() as progress, one_thread():
             check_fits(policy, task, cfg.task)

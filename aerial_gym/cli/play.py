@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.cli.film import MOST_VIEWS, Film, check_film
+from aerial_gym.config.changes import settings_of_run
+from aerial_gym.config.set_option import SetOption
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 
@@ -33,6 +35,11 @@ class PlayCmd:
     num_envs: int = 4  # Environments side by side
     num_steps: int = 500  # Environment steps; an environment whose episode ends starts anew
     seed: int = 1_000_003  # Seed of the starts
+
+    set: SetOption = ()
+    """Setting of task, robot, env or sim in place of its own, such as robot.body.mass=0.3; can be repeated. Those of the
+    training apply too."""
+
     out: Path | None = None  # CSV file; stdout if not given
 
     video: Path | None = None
@@ -61,6 +68,7 @@ class PlayCmd:
         made = task_registry.make_task(
             cfg.task, num_envs=self.num_envs, device="cpu", seed=self.seed, robot=self.robot or cfg.robot,
             controller=cfg.controller, backend=self.backend, encoder=cfg.encoder,
+            settings=(*settings_of_run(cfg.settings, robot=self.robot, task=None), *self.set),
         )  # fmt: skip
         with made as task, one_thread(), ExitStack() as stack:
             check_fits(policy, task, cfg.task)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from aerial_gym.cli.process import start_time
+from aerial_gym.config.set_option import SetOption
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop.preload import import_without_torch
 from aerial_gym.lazy import pause_garbage_collection
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.settings import TrainingCfg
     from aerial_gym.rl_training.training import TrainingResult
 
-TASK, TRAINER = "position_setpoint_task", "ppo"  # Default task and trainer
 CONSTANTS = ("num_envs", "seed", "robot", "controller", "backend", "encoder")  # Settings that a resumed training keeps
 LIMITS = ("max_time_s", "max_env_steps")  # Limits of a training; those of the command line replace both
 
@@ -42,7 +42,14 @@ class TrainCmd:
 
     out: Path = Path("runs/train")  # Run folder: settings, checkpoints, TensorBoard files. New, unless --resume
     resume: bool = False  # Continue the run in --out from its last checkpoint; only the limits given here change
-    config: Path | None = None  # Settings in a YAML file, in place of the package's own for this task and trainer
+
+    config: Path | None = None
+    """Settings in a YAML file. One that leaves out required fields extends the package's own for its task and trainer."""
+
+    set: SetOption = ()
+    """Setting in place of the file's, such as ppo.learning_rate=1e-3, or of task, robot, env or sim, such as
+    robot.body.mass=0.3; can be repeated. The reference of training, task and robot files lists the keys."""
+
     num_envs: int | None = None  # Environments side by side; where torchrun starts several processes, in each of them
     device: str | None = None  # Torch device; auto takes the GPU if there is one
     seed: int | None = None  # Seed of task and trainer
@@ -72,22 +79,19 @@ class TrainCmd:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
         with pause_garbage_collection():
             import_without_torch()
+            from aerial_gym.config.changes import Changes, changes_simulation
             from aerial_gym.rl_training.ranks import torchrun_rank
             from aerial_gym.rl_training.run.run_folder import RunFolder
-            from aerial_gym.rl_training.settings import load_settings, settings_for
+            from aerial_gym.rl_training.settings import load_task_settings
             from aerial_gym.rl_training.training import train
             from aerial_gym.task import task_registry
 
-        task = TASK if self.task is None else self.task
-        task_registry.get(task)
         if self.resume:
             cfg = RunFolder(self.out).config()
             self._refuse_changes(cfg)
         else:
-            known = self.config or settings_for(self.trainer or TRAINER, task, device=self.device or "auto")
-            cfg = replace(load_settings(known), task=task_name_with_absolute_path(task))
-            if self.trainer not in (None, cfg.trainer):
-                raise ConfigError(f"--trainer {self.trainer}: settings in {known} are of {cfg.trainer}. Leave one out")
+            cfg = load_task_settings(self.config, trainer=self.trainer, task=self.task, device=self.device or "auto")
+            cfg = replace(cfg, task=task_name_with_absolute_path(cfg.task))
         names = (*CONSTANTS, "device", *LIMITS)
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if given.keys() & set(LIMITS):
@@ -95,9 +99,15 @@ class TrainCmd:
         for name, run in (("teacher", self.teacher), ("initial", self.initial)):
             if run is not None:
                 given[name] = str(run.resolve())
+        changes = Changes(self.set)
+        cfg = changes.apply("", replace(cfg, **given))
+        names = {"num_envs": cfg.num_envs, "robot": cfg.robot, "controller": cfg.controller}
+        task_registry.configurations(cfg.task, changes, **names)
+        changes.finish()
+        cfg = replace(cfg, settings=(*cfg.settings, *filter(changes_simulation, self.set)))
         more = {"resume": self.resume, "watch": self.watch, "wandb": self.wandb, "started": start_time()}
         with self._make_observer() as observer:
-            result = train(replace(cfg, **given), self.out, observer=observer, **more)
+            result = train(cfg, self.out, observer=observer, **more)
         if torchrun_rank() == 0:
             self._print_result(result)
         return 1 if result.interrupted else 0
@@ -147,6 +157,8 @@ class TrainCmd:
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(f"--{flag}: a resumed run keeps its own. Leave it out, or begin in another --out")
+        if self.set:
+            raise ConfigError("--set: a resumed run keeps its own settings. Leave it out, or begin in another --out")
 
 
 def task_name_with_absolute_path(task: str) -> str:

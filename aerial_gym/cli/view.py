@@ -109,6 +109,7 @@ class ViewCmd:
         return FlightInView(task.env, task, pilot)
 
     def _build_task(self, folder: str) -> "tuple[Task, Pilot]":
+        from aerial_gym.config.changes import settings_of_run
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
         from aerial_gym.viewer.simulation import constant_pilot, random_pilot
@@ -124,6 +125,7 @@ class ViewCmd:
             name, num_envs=self.num_envs, device=self.device, seed=self.seed, env=self.env,
             robot=self._robot_file(robot, folder), controller=self.controller or getattr(cfg, "controller", None),
             backend=self.backend, encoder=getattr(cfg, "encoder", None),
+            settings=settings_of_run(getattr(cfg, "settings", ()), robot=self.robot, task=self.task),
         )  # fmt: skip
         if policy is not None and cfg is not None:
             check_fits(policy, task, cfg.task)

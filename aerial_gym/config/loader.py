@@ -106,9 +106,8 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
     given = [key for key in data if key in known]
     converted, wrong = _convert_all((hints[key], data[key], f"{where}: {key}") for key in given)
     values = dict(zip(given, converted, strict=True))
-    for name, field in known.items():
-        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        if required and name not in values:
+    for name in mandatory_fields(cls):
+        if name not in values:
             values[name] = checks.UNUSABLE
             faults.append(f"{where}: field {name!r} is missing")
     config, refused = _make(cls, values, has_faults=bool(faults or wrong))
@@ -151,6 +150,12 @@ def _convert_items(items: Iterable[tuple[Any, Any, str]]) -> list[Any]:
     if faults:
         raise ConfigError(*faults)
     return values
+
+
+def mandatory_fields(cls: type) -> list[str]:
+    """Return the names of the fields of a dataclass without a default."""
+    missing = dataclasses.MISSING
+    return [f.name for f in dataclasses.fields(cls) if f.default is missing and f.default_factory is missing]
 
 
 def to_mapping(config: object) -> dict[str, Any]:
@@ -266,25 +271,36 @@ def format_value(value: object) -> str:
 
 
 def load_extended(
-    cls: type[T], path: str | Path, *, family: str, located: Callable[[T, Path], T] = lambda cfg, _: cfg
-) -> T:
+    cls: type[T], path: str | Path, *, family: str, located: Callable[[T, Path], T] = lambda cfg, _: cfg,
+    base: Path | None = None,
+) -> T:  # fmt: skip
     """Return the dataclass ``cls`` filled from a YAML file and those that it builds on.
 
     Args:
         family: Folder of the package in which, and in whose rooms, names are looked up.
         located: Returns a configuration whose paths, relative to a folder, are found from anywhere.
+        base: File that the first one extends if it names none.
     """
-    return _load_file(cls, Path(path), family, located, ())
+    return _load_file(cls, Path(path), family, located, (), base)
 
 
-def _load_file(cls: type[T], path: Path, family: str, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
+def _load_file(
+    cls: type[T],
+    path: Path,
+    family: str,
+    located: Callable[[T, Path], T],
+    above: tuple[Path, ...],
+    base: Path | None = None,
+) -> T:
     data, resolved = read_yaml(path), path.resolve()
+    if base is not None:
+        data.setdefault("extends", str(base))
     if resolved in above:
         names = " -> ".join(file.name for file in (*above[above.index(resolved) :], resolved))
         raise ConfigError(f"{path}: extends itself ({names})")
     if "extends" in data:
-        base = _load_file(cls, _base_file(path, data.pop("extends"), family), family, located, (*above, resolved))
-        data = _overlay(to_mapping(base), data, str(path))
+        extended = _load_file(cls, _base_file(path, data.pop("extends"), family), family, located, (*above, resolved))
+        data = _overlay(to_mapping(extended), data, str(path))
     return located(build(cls, data, where=str(path)), resolved.parent)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from aerial_gym.config.changes import settings_of_run
 from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99, c99_images
@@ -74,9 +75,14 @@ def export_policy(
         if each not in FORMATS:
             raise ConfigError(f"format {each!r}: must be {', '.join(FORMATS)}")
     policy, cfg = load_policy(source)
-    cfg = replace(cfg, robot=robot or cfg.robot)
+    cfg = replace(cfg, robot=robot or cfg.robot, settings=settings_of_run(cfg.settings, robot=robot, task=None))
     with task_registry.make_task(
-        cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller, encoder=cfg.encoder
+        cfg.task,
+        num_envs=1,
+        robot=cfg.robot,
+        controller=cfg.controller,
+        encoder=cfg.encoder,
+        settings=cfg.settings,
     ) as task:
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem

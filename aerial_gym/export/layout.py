@@ -73,6 +73,7 @@ class Layout:
     memory: int  # M: numbers that it remembers from step to step, 0 where an episode begins
     source: str  # Checkpoint
     encoder: str | None = None  # Encoder of `image_latents` in the observation, if any; not exported
+    settings: tuple[str, ...] = ()  # Changed settings of task, robot, env and sim in training
     version: str  # Of this package
 
     @property
@@ -99,7 +100,10 @@ class Layout:
             )
             images = [ObservationImage(**each | {"shape": tuple(each["shape"])}) for each in spec.get("images", ())]
             more = {"images": tuple(images), "command": tuple(spec["command"])}
-            more |= {"action_delay_steps": tuple(spec["action_delay_steps"])}
+            more |= {
+                "settings": tuple(spec.get("settings", ())),
+                "action_delay_steps": tuple(spec["action_delay_steps"]),
+            }
             return cls(**spec | {"observation": seen} | more)
         except FileNotFoundError:
             raise ConfigError(f"{folder}: no {LAYOUT_FILE} in it. Make it with aerial-gym export") from None
@@ -142,7 +146,8 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
         rate_hz=1.0 / task.env.dt, observation=tuple(seen), images=images, command=tuple(manager.action_names),
         num_actions=policy.num_actions, transform=action.transform, params=dict(action.params),
         action_delay_steps=fewest_and_most_steps(action.delay_steps), filter_time_s=action.filter_time_s,
-        memory=policy.body.memory_size, source=source, encoder=cfg.encoder or task.cfg.encoder, version=__version__,
+        memory=policy.body.memory_size, source=source, encoder=cfg.encoder or task.cfg.encoder,
+        settings=cfg.settings, version=__version__,
     )  # fmt: skip
 
 

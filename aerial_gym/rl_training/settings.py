@@ -4,13 +4,14 @@ Letters: E environments.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.config.checks import NO_SOURCE, refuse, require, require_count, require_positive
-from aerial_gym.config.loader import convert, load_extended
+from aerial_gym.config.loader import convert, load_extended, mandatory_fields, read_yaml
+from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.rl_training.learner_settings import ApgCfg, DistillCfg, LearnerCfg, PpoCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
@@ -56,6 +57,7 @@ class TrainingCfg:
     max_time_s: float | None = None  # Time limit, start-up included [s], > 0
     max_env_steps: int | None = None  # Limit of environment steps, over all sessions and processes, >= 1
     checkpoint_every_s: float = 30.0  # Time between checkpoints [s], > 0
+    settings: tuple[str, ...] = ()  # Changed settings of `task`, `robot`, `env` and `sim`: `robot.body.mass=0.3`
     teacher: str | None = None  # Run folder or checkpoint of the policy that `distill` imitates
 
     initial: str | None = None
@@ -119,6 +121,13 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
         UnknownNameError: If there is no such trainer.
         ConfigError: If it has no settings.
     """
+    file = _nearest_settings(trainer, task, device)
+    if not file.exists():
+        raise ConfigError(f"trainer {trainer}: has no settings for {task}. Give a file of settings (--config)")
+    return file
+
+
+def _nearest_settings(trainer: str, task: str, device: str) -> Path:
     folder = TRAINERS.get(trainer).settings_folder
     like = "racing_task" if task.endswith(".toml") else ALIKE.get(task, task)
     tasks = (task, like, "position_setpoint_task")
@@ -126,10 +135,42 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     own = next((path for path in files if path.exists()), files[-1])
     for_cpu = [path.with_name(f"{path.stem}_cpu.yaml") for path in (own, *files[:2])]
     on_cpu = next((path for path in for_cpu if path.exists()), None)
-    file = own if on_cpu is None or resolve_device(device).type != "cpu" else on_cpu
-    if not file.exists():
-        raise ConfigError(f"trainer {trainer}: has no settings for {task}. Give a file of settings (--config)")
-    return file
+    return own if on_cpu is None or resolve_device(device).type != "cpu" else on_cpu
+
+
+TASK, TRAINER = "position_setpoint_task", "ppo"  # Default task and trainer
+
+
+def load_task_settings(
+    file: Path | None, *, trainer: str | None = None, task: str | None = None, device: str = "auto"
+) -> TrainingCfg:
+    """Return the training in a file, or that of the package, for a task.
+
+    A file without required fields and without ``extends`` extends the settings of the package (``settings_for``).
+
+    Raises:
+        ConfigError: If the file is of another trainer.
+    """
+    given = {} if file is None else read_yaml(file)
+    task, own = task or str(given.get("task", TASK)), given.get("trainer")
+    name = str(own or trainer or TRAINER)
+    package = _nearest_settings(name, task, device)
+    file = file or settings_for(name, task, device=device)
+    base = package if package.exists() and _is_partial(given) else None
+    cfg = replace(load_extended(TrainingCfg, file, family="training", base=base), task=task)
+    if trainer not in (None, cfg.trainer):
+        raise ConfigError(f"--trainer {trainer}: settings in {file} are of {cfg.trainer}. Leave one out")
+    return cfg
+
+
+def _is_partial(given: Mapping[str, object]) -> bool:
+    """Return whether a file has content, but lacks required fields of a training or of its learner."""
+    if not given or "extends" in given or "trainer" not in given:
+        return bool(given) and "extends" not in given
+    trainer = TRAINERS.get(str(given["trainer"]))
+    numbers = given.get(trainer.section)
+    parts = ((TrainingCfg, given), (trainer.settings, numbers if isinstance(numbers, Mapping) else {}))
+    return any(set(mandatory_fields(cls)) - part.keys() for cls, part in parts)
 
 
 def load_settings(path: str | Path) -> TrainingCfg:

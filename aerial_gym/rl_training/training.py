@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from aerial_gym.config.changes import Changes
 from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import AerialGymError, ConfigError, StorageError, TrainingError
@@ -28,7 +29,6 @@ from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
 from aerial_gym.rl_training.trainers.summaries import require_wandb, send_scalars
-from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 
@@ -153,12 +153,12 @@ def _train_session(
 
 def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
     """Raise an error for an unknown name or an unreadable file before anything is written."""
-    task_registry.get(cfg.task)
+    changes = Changes(cfg.settings)
+    task_registry.configurations(cfg.task, changes, num_envs=cfg.num_envs, robot=cfg.robot, controller=cfg.controller)
+    changes.finish()
     TRAINERS.get(cfg.trainer).check(cfg)
     if cfg.initial is not None and not resume:
         find_checkpoint(cfg.initial)
-    if cfg.robot is not None:
-        robot_by_name(cfg.robot)
     if cfg.encoder is not None:
         load_encoder(cfg.encoder)
     if cfg.controller is not None:
@@ -181,7 +181,7 @@ def _run_trainer(
     made = task_registry.make_task(
         cfg.task, num_envs=cfg.num_envs, device=process_device(cfg.device), seed=cfg.seed,
         first_env=ranks.rank * cfg.num_envs, robot=cfg.robot, controller=cfg.controller, backend=cfg.backend,
-        encoder=cfg.encoder, capture=trainer.captures_task, differentiable=trainer.differentiable,
+        encoder=cfg.encoder, settings=cfg.settings, capture=trainer.captures_task, differentiable=trainer.differentiable,
     )  # fmt: skip
     with made as task, on_device(task.device), contextlib.nullcontext() if observer is None else observer.follow(task):
         interruption.check()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aerial_gym.config import dump_yaml
+from aerial_gym.config.changes import Changes
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
@@ -51,6 +52,7 @@ def close_loop(
     joints: bool = False,
     learn_residual: bool = False,
     ranges: bool = False,
+    settings: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Verdict:
     """Identify errors of the declared robot, and write verdict.json, robot.yaml, report.html, report.md and tables.
@@ -70,6 +72,7 @@ def close_loop(
         joints: Whether to fit the joint springs to the training flights as well (``fit_joints_to_flights``).
         learn_residual: Whether a small network may be added for the unexplained residual. It does not change the verdict.
         ranges: Whether robot.yaml also draws identified parameters from their uncertainty at every reset (``randomize:``).
+        settings: Changed settings ``KEY=VALUE`` of ``robot``, ``tolerances`` and ``criteria``: ``robot.body.mass=0.3``.
         progress: Called with each stage and the completed share.
 
     Raises:
@@ -77,7 +80,11 @@ def close_loop(
         ConfigError, UnknownNameError: If robot or mapping is invalid or unknown.
     """
     check_out_dir(Path(out_dir))
-    declared = robot_by_name(robot)
+    changes = Changes(settings)
+    declared = changes.apply("robot", robot_by_name(robot))
+    tolerances = changes.apply("tolerances", tolerances or Tolerances())
+    criteria = changes.apply("criteria", criteria or Criteria())
+    changes.finish()
     if joints and mapping is not None:
         raise ConfigError(
             "joints are found in logs of the package's own layout: leave the mapping out, or convert the logs"
@@ -113,6 +120,7 @@ def close_loop(
             "seed": seed,
             "effects": None if effects is None else list(effects),
             **{"failures": failures, "joints": joints, "learn_residual": learn_residual, "ranges": ranges},
+            "settings": list(settings),
             "criteria": vars(judged.selection.criteria),
             "tolerances": vars(judged.declared.tolerances),
         }

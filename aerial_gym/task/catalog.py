@@ -1,6 +1,7 @@
 """The registry that builds tasks, with those of ``config/tasks``."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
 from importlib import import_module
@@ -10,6 +11,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from aerial_gym.config import family_files, read_summary
+from aerial_gym.config.changes import Changes
 from aerial_gym.config.loader import load_extended
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
@@ -21,6 +23,9 @@ from aerial_gym.task.gymnasium_ids import register_task
 if TYPE_CHECKING:
     import torch
 
+    from aerial_gym.config.environment import EnvironmentCfg
+    from aerial_gym.config.robot import RobotCfg
+    from aerial_gym.config.sim import SimCfg
     from aerial_gym.task.task import Task
 
 
@@ -37,7 +42,7 @@ class TaskRegistry(Registry[TaskCfg]):
         robot: str | None = None, controller: str | None = None, sim: str | None = None, env: str | None = None,
         level: int | None = None, capture: bool | None = None, first_env: int = 0, first_episode: int = 0,
         backend: str | None = None, differentiable: bool = False, dtype: "torch.dtype | None" = None,
-        encoder: str | None = None,
+        encoder: str | None = None, settings: Sequence[str] = (),
     ) -> "Task":  # fmt: skip
         """Return a task, built and not yet reset.
 
@@ -61,6 +66,7 @@ class TaskRegistry(Registry[TaskCfg]):
             dtype: Float type of gradients; float32 if not given.
             encoder: Encoder file, or one that comes with the package, in place of the task's own; where the task shows the
                 nearest distances of 8 x 8 cells, its latents are shown instead.
+            settings: Changed settings ``KEY=VALUE`` of ``task``, ``robot``, ``env`` and ``sim``: ``robot.body.mass=0.3``.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -71,12 +77,11 @@ class TaskRegistry(Registry[TaskCfg]):
 
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.interop import usual_settings
-        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.task.task import Task
 
-        cfg = self.get(name)
-        changes = {"num_envs": num_envs, "robot": robot, "controller": controller, "sim": sim, "env": env}
-        cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
+        changes, given = Changes(settings), {"robot": robot, "controller": controller, "sim": sim, "env": env}
+        cfg, built_robot, built_env, built_sim = self.configurations(name, changes, num_envs=num_envs, **given)
+        changes.finish()
         if encoder is not None:
             cfg = task_with_encoder(cfg, encoder)
         if level is not None:
@@ -89,15 +94,29 @@ class TaskRegistry(Registry[TaskCfg]):
                 f'task {name} had then. Give level, which stood in gtd["curriculum_level"] when the episode began'
             )
         built = SimBuilder().build_env(
-            sim_name=cfg.sim, env_name=cfg.env,
-            robot_name=cfg.robot if cfg.start is None else replace(robot_by_name(cfg.robot), initial_state=cfg.start),
-            controller_name=cfg.controller, num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env,
-            first_episode=first_episode, backend=backend, randomize=cfg.randomize, differentiable=differentiable,
-            dtype=dtype or torch.float32,
+            sim_name=built_sim, env_name=built_env, robot_name=built_robot, controller_name=cfg.controller,
+            num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode,
+            backend=backend, randomize=cfg.randomize, differentiable=differentiable, dtype=dtype or torch.float32,
         )  # fmt: skip
         make = import_object(name) if ":" in name else None
         made = make if isinstance(make, type) else Task
         return usual_settings(lambda: made(cfg, built, capture=capture))()  # also for a user's class
+
+    def configurations(
+        self, name: str, changes: Changes, **given: object
+    ) -> "tuple[TaskCfg, RobotCfg, EnvironmentCfg, SimCfg]":
+        """Return a task and its robot, environment and sim, with changed settings and given fields of the task."""
+        from aerial_gym.env_manager.catalog import SIMS
+        from aerial_gym.env_manager.sim_builder import environment_by_name
+        from aerial_gym.robots.catalog import robot_by_name
+
+        given = {key: value for key, value in given.items() if value is not None}
+        for key in given:
+            changes.refuse(f"task.{key}", f"it is given as {key} already. Leave one out")
+        cfg = replace(changes.apply("task", self.get(name)), **given)
+        robot = robot_by_name(cfg.robot)
+        robot = changes.apply("robot", robot if cfg.start is None else replace(robot, initial_state=cfg.start))
+        return cfg, robot, changes.apply("env", environment_by_name(cfg.env)), changes.apply("sim", SIMS.get(cfg.sim))
 
     def get(self, name: str) -> TaskCfg:
         """Return the configuration of a task: a registered one, that of a file, or that of ``module:Name``.

@@ -81,7 +81,7 @@ def _count_environments(flags: Tensor) -> int:
 
 
 def make_flight(
-    *, backend: str, robot: str, controller: str, effects: Sequence[str], integrator: str, num_envs: int,
+    *, backend: str, robot: str | RobotCfg, controller: str, effects: Sequence[str], integrator: str, num_envs: int,
     substeps: int, dt: float, device: torch.device, seed: int = 0,
 ) -> HoverFlight:  # fmt: skip
     """Return a batch near hover, built from names."""

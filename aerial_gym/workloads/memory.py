@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from types import FunctionType, MethodType
 from typing import TYPE_CHECKING
 
+from aerial_gym.config.set_option import SetOption
+
 if TYPE_CHECKING:
     import torch
     import warp as wp
@@ -18,6 +20,7 @@ class MemoryBench:
     robot: str = "base_quadrotor_with_camera"  # Registered robot, or a robot file, with its sensors
     num_envs: int = 1024  # Environments side by side
     largest: int = 12  # Number of arrays in the list
+    set: SetOption = ()  # Setting of robot, env or sim, such as robot.body.mass=0.3; can be repeated
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
     device: str = "auto"  # Torch device; auto takes the GPU if there is one
     json: bool = False  # Print one JSON object a line
@@ -39,16 +42,25 @@ class MemoryBench:
         """Return the total with everything it depends on, then a row for each of the largest arrays."""
         import torch
 
-        from aerial_gym.env_manager import SimBuilder
+        from aerial_gym.config.changes import Changes
+        from aerial_gym.env_manager import SIMS, SimBuilder
+        from aerial_gym.env_manager.sim_builder import environment_by_name
         from aerial_gym.interop import resolve_device
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.workloads.measure import device_name, packages_of_backend, provenance, require_at_least
 
         require_at_least(1, num_envs=self.num_envs)
         require_at_least(0, largest=self.largest)
         device = resolve_device(self.device)
-        free = _free_bytes(device)
+        free, changes = _free_bytes(device), Changes(self.set)
+        sim, scene = (
+            changes.apply("sim", SIMS.get("base_sim")),
+            changes.apply("env", environment_by_name(self.env_name)),
+        )
+        robot = changes.apply("robot", robot_by_name(self.robot))
+        changes.finish()
         env = SimBuilder().build_env(
-            sim_name="base_sim", env_name=self.env_name, robot_name=self.robot, controller_name="no_control",
+            sim_name=sim, env_name=scene, robot_name=robot, controller_name="no_control",
             num_envs=self.num_envs, device=device, backend=self.backend,
         )  # fmt: skip
         env.reset()
@@ -62,7 +74,7 @@ class MemoryBench:
             "case": "memory", "name": "total", "env_name": self.env_name, "robot": self.robot,
             "backend": self.backend or "auto", "device": device_name(device), "num_envs": self.num_envs,
             "arrays_bytes": total, "images_bytes": images, "images_bytes_per_env": images / self.num_envs,
-            "others_bytes_per_env": (total - images) / self.num_envs, "device_bytes": taken,
+            "settings": list(self.set), "others_bytes_per_env": (total - images) / self.num_envs, "device_bytes": taken,
             **provenance(*packages_of_backend(self.backend)),
         }  # fmt: skip
         rows = sorted(arrays.items(), key=lambda entry: -entry[1])[: self.largest]

@@ -6,6 +6,8 @@ Letters: E environments, R rotors, P parameters of an effect, U entries of an ac
 import statistics
 from dataclasses import dataclass
 
+from aerial_gym.config.set_option import SetOption
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsBench:
@@ -23,6 +25,7 @@ class PhysicsBench:
     repeats: int = 5  # Figures of which the median is printed
     repeat_time_s: float = 0.5  # About how long each is measured [s]
     dt_s: float = 0.002  # Length of a substep [s]
+    set: SetOption = ()  # Setting of the robot, such as robot.body.mass=0.3; can be repeated
     json: bool = False  # Print one JSON object
 
     def run(self) -> int:
@@ -34,7 +37,9 @@ class PhysicsBench:
 
     def measure(self) -> dict[str, object]:
         """Return the figures with everything they depend on."""
+        from aerial_gym.config.changes import Changes
         from aerial_gym.interop import resolve_device
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.workloads.flight import make_flight
         from aerial_gym.workloads.measure import (
             device_name,
@@ -47,16 +52,20 @@ class PhysicsBench:
         )
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
-        device = resolve_device(self.device)
+        device, changes = resolve_device(self.device), Changes(self.set)
+        robot = changes.apply("robot", robot_by_name(self.robot))
+        changes.finish()
         versions = provenance(*packages_of_backend(self.backend))
         with torch_threads(self.threads) as threads:  # no progress bar: its thread would take part of a measured core
-            names = ("backend", "robot", "controller", "effects", "integrator", "num_envs", "substeps")
-            flight = make_flight(**{name: getattr(self, name) for name in names}, dt=self.dt_s, device=device)
+            names = ("backend", "controller", "effects", "integrator", "num_envs", "substeps")
+            flight = make_flight(
+                **{name: getattr(self, name) for name in names}, robot=robot, dt=self.dt_s, device=device
+            )
             seconds = time_launches(flight, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
         return {
             "case": "physics", "backend": self.backend, "device": device_name(device), "num_envs": self.num_envs,
             "substeps": self.substeps, "integrator": self.integrator, "controller": self.controller,
-            "robot": self.robot, "effects": list(self.effects), "dt_s": self.dt_s, "threads": threads,
-            **rate_figures("steps_per_s", seconds, self.num_envs * self.substeps),
+            "robot": self.robot, "effects": list(self.effects), "settings": list(self.set),
+            "dt_s": self.dt_s, "threads": threads, **rate_figures("steps_per_s", seconds, self.num_envs * self.substeps),
             "launch_us": 1e6 * statistics.median(seconds), **versions,
         }  # fmt: skip

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from aerial_gym.config.set_option import SetOption
 from aerial_gym.sensors.mounts import Carrier
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ class RenderBench:
     segmentation: bool = False  # Whether the camera also writes segmentation ids
     lidar: bool = False  # Whether a lidar of a full turn, 45 degrees high, sees the scene instead of the camera
     scan_columns: int | None = None  # Columns of a lidar with one pose, turning in 0.1 s, at 1 m/s; None: all at once
+
+    set: SetOption = ()  # Setting of the camera or lidar, such as sensor.max_range=5; can be repeated
 
     against: tuple[str, ...] = ()
     """Renderers measured beside ours: merged (one triangle mesh per environment), shared_mesh (one for all, where they
@@ -117,6 +120,7 @@ class RenderBench:
             "scene": self.scene,
             "device": device_name(device),
             **{name: getattr(self, name) for name in settings},
+            "settings": list(self.set),
             "threads": threads,
             **rates,
             "rays_per_s": median * self.width * self.height,
@@ -129,18 +133,25 @@ class RenderBench:
 
     def _sensor_cfg(self, max_range: float) -> "RangeSensorCfg":
         """Return the camera or the lidar."""
+        from aerial_gym.config.changes import Changes
         from aerial_gym.config.sensor import CameraCfg, LidarCfg
         from aerial_gym.errors import ConfigError
 
+        changes = Changes(self.set)
         if self.scan_columns is not None and not self.lidar:
             raise ConfigError(f"--scan-columns {self.scan_columns}: needs --lidar; a camera does not turn")
         shared = {"width": self.width, "height": self.height, "min_range": 0.0, "max_range": max_range}
         shared |= {"summary": "sensor of bench render", "segmentation": self.segmentation}
         if not self.lidar:
-            return CameraCfg(**shared, hfov_deg=87.0, source="the depth camera of base_quadrotor_with_camera")
+            source = "the depth camera of base_quadrotor_with_camera"
+            camera = changes.apply("sensor", CameraCfg(**shared, hfov_deg=87.0, source=source))
+            changes.finish()
+            return camera
         scan = {} if self.scan_columns is None else {"scan_s": 0.1, "scan_columns": self.scan_columns}
         angles = {"elevation_low_deg": -22.5, "elevation_high_deg": 22.5, "source": "the angles of os1_64"}
-        return LidarCfg(**shared, **scan, **angles)
+        lidar = changes.apply("sensor", LidarCfg(**shared, **scan, **angles))
+        changes.finish()
+        return lidar
 
     def _call_times(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
         """Return the time of one call in each repeat [s]."""

@@ -3,6 +3,8 @@
 import statistics
 from dataclasses import dataclass
 
+from aerial_gym.config.set_option import SetOption
+
 
 @dataclass(frozen=True, kw_only=True)
 class TaskBench:
@@ -16,6 +18,7 @@ class TaskBench:
     repeats: int = 5  # Figures of which the median is printed
     repeat_time_s: float = 0.5  # About how long each is measured [s]
     seed: int = 0  # Seed of the task and of the actions
+    set: SetOption = ()  # Setting of task, robot, env or sim, such as robot.body.mass=0.3; can be repeated
     parts: bool = False  # Also time physics, collision, reset of 1 % of the environments and rendering, each alone
     json: bool = False  # Print one JSON object
 
@@ -41,7 +44,7 @@ class TaskBench:
         )
 
         device = resolve_device(self.device)
-        options = {"num_envs": self.num_envs, "seed": self.seed, "backend": self.backend}
+        options = {"num_envs": self.num_envs, "seed": self.seed, "backend": self.backend, "settings": self.set}
         versions = provenance(*packages_of_backend(self.backend))
         with (
             torch_threads(self.threads) as threads,
@@ -59,6 +62,7 @@ class TaskBench:
             "num_envs": self.num_envs,
             "threads": threads,
             "captured": captured,
+            "settings": list(self.set),
             **rate_figures("env_steps_per_s", seconds, self.num_envs),
             "step_us": 1e6 * statistics.median(seconds),
             **{f"{name}_us": 1e6 * span for name, span in parts.items()},

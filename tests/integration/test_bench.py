@@ -23,7 +23,7 @@ from tests.repetitions import frequent_values
 
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
 CPU = torch.device("cpu")
-SHARED_KEYS = {"case", "device", "num_envs", "threads", "versions", "commit", "load1"}
+SHARED_KEYS = {"case", "device", "num_envs", "threads", "versions", "commit", "load1", "settings"}
 
 
 def small_flight(**changes: object) -> HoverFlight:

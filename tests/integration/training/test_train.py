@@ -16,6 +16,7 @@ from aerial_gym.cli.record import FlightRecorder
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.storage import read_archive, write_archive
 from aerial_gym.errors import TrainingError
+from aerial_gym.export.layout import Layout
 from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.progress import Progress, Report
@@ -134,6 +135,8 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(tmp_path, capsys)
     (("--num-envs", "0"), "num_envs"),
     (("--trainer", "rl_games", "--config", str(settings_for("ppo", "tracking_task"))), "are of ppo. Leave one out"),
     (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
+    (("--set", "ppo.horizn=8", "--set", "robot.body.mas=1", "--device", "cpu"), "2 settings are wrong:\n  ppo.horizn: no"),
+    (("--set", "task.num_envs=8", "--device", "cpu"), "task.num_envs: it is given as num_envs already"),
 ])  # fmt: skip
 def test_wrong_trainings_end_with_status_2_and_leave_nothing(more, message, tmp_path, capsys) -> None:
     out = tmp_path / "run"
@@ -201,16 +204,9 @@ def test_a_resumed_run_refuses_a_checkpoint_of_another_network(trainer, tmp_path
     assert f"checkpoint {path}: does not fit the settings of its run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("given", "limits"), [
-    ((), (120.0, None)),
-    (("--max-env-steps", "5000"), (None, 5000)),
-    (("--max-time-s", "7"), (7.0, None)),
-    (("--max-env-steps", "5000", "--max-time-s", "7"), (7.0, 5000)),
-])  # fmt: skip
-def test_limits_on_the_command_line_replace_those_of_the_settings(given, limits, tmp_path, monkeypatch) -> None:
-    settings = tmp_path / "settings.yaml"
-    cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
-    settings.write_text(dump_yaml(replace(cfg, max_time_s=120.0, max_env_steps=None)))
+@pytest.fixture
+def trainings(monkeypatch: pytest.MonkeyPatch) -> list[TrainingCfg]:
+    """The settings of trainings, which end at once."""
     seen: list[TrainingCfg] = []
 
     def train(cfg: TrainingCfg, out: Path, **_: object) -> None:
@@ -218,5 +214,58 @@ def test_limits_on_the_command_line_replace_those_of_the_settings(given, limits,
         raise TrainingError("stopped here")
 
     monkeypatch.setattr("aerial_gym.rl_training.training.train", train)
+    return seen
+
+
+@pytest.mark.parametrize(("given", "limits"), [
+    ((), (120.0, None)),
+    (("--max-env-steps", "5000"), (None, 5000)),
+    (("--max-time-s", "7"), (7.0, None)),
+    (("--max-env-steps", "5000", "--max-time-s", "7"), (7.0, 5000)),
+])  # fmt: skip
+def test_limits_on_the_command_line_replace_those_of_the_settings(given, limits, tmp_path, trainings) -> None:
+    settings = tmp_path / "settings.yaml"
+    cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
+    settings.write_text(dump_yaml(replace(cfg, max_time_s=120.0, max_env_steps=None)))
     assert main(["train", "--config", str(settings), "--out", str(tmp_path / "run"), *given]) != 0
-    assert (seen[0].max_time_s, seen[0].max_env_steps) == limits
+    assert (trainings[0].max_time_s, trainings[0].max_env_steps) == limits
+
+
+def test_a_partial_training_file_extends_the_settings_of_its_task(tmp_path, trainings) -> None:
+    file, out = tmp_path / "partial.yaml", str(tmp_path / "run")
+    file.write_text("task: racing_task\nnum_envs: 64\nppo: {learning_rate: 3.0e-4}\n")
+    main(["train", "--config", str(file), "--device", "cpu", "--out", out, "--set", "ppo.gae_lambda=0.9"])
+    own = load_settings(settings_for("ppo", "racing_task", device="cpu"))
+    ppo = replace(own.ppo, learning_rate=3e-4, gae_lambda=0.9)
+    assert trainings == [replace(own, num_envs=64, device="cpu", ppo=ppo)]
+    file.write_text("trainer: apg\nappg: {}\n")
+    assert main(["train", "--config", str(file), "--out", out]) == 2
+
+
+def test_a_complete_training_file_stands_alone_and_keeps_its_task(tmp_path, trainings) -> None:
+    file, cfg = tmp_path / "whole.yaml", load_settings(settings_for("ppo", "racing_task"))
+    file.write_text(dump_yaml(cfg))
+    main(["train", "--config", str(file), "--out", str(tmp_path / "run")])
+    main(["train", "--config", str(file), "--out", str(tmp_path / "run"), "--task", "tracking_task"])
+    assert trainings == [cfg, replace(cfg, task="tracking_task")]
+
+
+def test_settings_are_stored_with_the_run_and_hold_in_its_evaluation(tmp_path, capsys) -> None:
+    out, heavy = tmp_path / "run", ("--set", "robot.body.mass=0.3", "--set", "ppo.horizon=16")
+    limits = ("--num-envs", "32", "--device", "cpu", "--max-env-steps", "512", "--set", "task.episode_len_steps=20")
+    assert main(["train", "--out", str(out), *limits, *heavy]) == 0
+    capsys.readouterr()
+    cfg = load_settings(out / "config.yaml")
+    assert cfg.settings == ("task.episode_len_steps=20", "robot.body.mass=0.3")
+    assert cfg.ppo.horizon == 16
+    assert main(["train", "--out", str(out), "--resume", *heavy]) == 2
+    assert "--set: a resumed run keeps its own settings" in capsys.readouterr().err
+    changed = ("--num-envs", "4", "--json", "--set", "task.rewards.near.weight=0")
+    assert main(["evaluate", "--policy", str(out), *changed]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["episode_s"] == 0.2
+    assert main(["export", "--policy", str(out), "--to", "torchscript", "--no-check"]) == 0
+    assert Layout.read(out / "export").settings == cfg.settings
+    capsys.readouterr()
+    assert main(["play", "--policy", str(out), "--num-envs", "1", "--num-steps", "1", "--set", "env.bonds=1"]) == 2
+    assert "env.bonds: no setting 'bonds' here" in capsys.readouterr().err
