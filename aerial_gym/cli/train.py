@@ -141,6 +141,8 @@ class TrainCmd:
                 rows = f"{result.non_finite:,} rows were NaN or infinite and ended as crashes"
                 console.print(f"{rows}: see {watched if self.watch else log}")
             console.print(f"checkpoint: {result.checkpoint or 'none yet'}")
+            if any(self.out.rglob("events.out.tfevents.*")):
+                console.print(f"curves: tensorboard --logdir {self.out}", soft_wrap=True)
             again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
             console.print(f"next: aerial-gym {again}")
 

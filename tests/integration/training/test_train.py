@@ -254,7 +254,7 @@ def test_settings_are_stored_with_the_run_and_hold_in_its_evaluation(tmp_path, c
     out, heavy = tmp_path / "run", ("--set", "robot.body.mass=0.3", "--set", "ppo.horizon=16")
     limits = ("--num-envs", "32", "--device", "cpu", "--max-env-steps", "512", "--set", "task.episode_len_steps=20")
     assert main(["train", "--out", str(out), *limits, *heavy]) == 0
-    capsys.readouterr()
+    assert f"curves: tensorboard --logdir {out}" in capsys.readouterr().out
     cfg = load_settings(out / "config.yaml")
     assert cfg.settings == ("task.episode_len_steps=20", "robot.body.mass=0.3")
     assert cfg.ppo.horizon == 16
