@@ -10,7 +10,7 @@ from aerial_gym.config.set_option import SetOption
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCmd:
-    """Measure success, crash and timeout rates, final position error and settling time of a policy."""
+    """Measure success and crash rates of a policy, its returns by term, the ends of its episodes, and position errors."""
 
     policy: Path
     """Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, or an exported file (.onnx, .pt,
@@ -59,5 +59,11 @@ class EvaluateCmd:
         if self.json:
             print(json.dumps(asdict(result)))
             return 0
-        print_table((name, "-" if value is None else f"{value:.4g}") for name, value in asdict(result).items())
+        figures = {name: value for name, value in asdict(result).items() if not isinstance(value, dict)}
+        print_table((name, f"{value:.4g}") for name, value in figures.items() if value is not None)
+        for head, means in (
+            (("reward term", "mean return"), result.reward_terms),
+            (("ended by", "share of flights"), result.ended_by),
+        ):
+            print_table(((name, f"{value:.4g}") for name, value in means.items()), head)
         return 0

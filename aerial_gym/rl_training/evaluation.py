@@ -41,6 +41,8 @@ class Evaluation:
     gates_passed_mean: float | None  # Mean number of gates passed per flight; None without gates
     return_mean: float  # Mean sum of rewards
     success_radius_m: float  # The radius [m]
+    reward_terms: dict[str, float]  # Mean return of each reward term of the task; their sum is `return_mean`
+    ended_by: dict[str, float]  # Share of flights that each termination of the task ended; `time_out` is its length
 
 
 @torch.no_grad()
@@ -74,6 +76,7 @@ def evaluate(
     succeeded = torch.zeros_like(flying)
     passed, ended_at = torch.zeros_like(total), torch.full_like(total, steps)
     no_gates = True
+    earlier, tallies = task.tallies.clone(), torch.zeros_like(task.tallies)
     distance = torch.zeros_like(total)
     nowhere = torch.full_like(total, inf)  # of a task without a target
     outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
@@ -91,6 +94,7 @@ def evaluate(
             passed, no_gates = passed + (flying & info[GATE_PASSED]), False
         ended = terminated | truncated
         ended_at = torch.where(flying & ended, step, ended_at)
+        tallies = torch.where((flying & ended).unsqueeze(-1), task.tallies - earlier, tallies)
         flying &= ~ended
         outside_until = torch.where(distance < radius, outside_until, step)
         if step > steps - final_steps:
@@ -103,6 +107,7 @@ def evaluate(
         (error_sum / final_steps)[~crashed & error_sum.isfinite()],
         (outside_until * dt)[~crashed & (outside_until < steps)],
     )
+    means = task.means_of_tallies(tallies)
     return Evaluation(
         num_starts=task.num_envs, episode_s=steps * dt, success_rate=float(succeeded.sum()) / task.num_envs,
         crash_rate=float(crashed.sum()) / task.num_envs,
@@ -113,8 +118,12 @@ def evaluate(
         settling_time_p95_s=_percentile95_or_none(settling),
         success_time_mean_s=_mean_or_none((ended_at * dt)[succeeded]),
         gates_passed_mean=None if no_gates else float(passed.mean()), return_mean=float(total.mean()),
-        success_radius_m=radius,
+        success_radius_m=radius, reward_terms=_part(means, "reward/"), ended_by=_part(means, "ended/"),
     )  # fmt: skip
+
+
+def _part(means: dict[str, float], prefix: str) -> dict[str, float]:
+    return {name.removeprefix(prefix): mean for name, mean in means.items() if name.startswith(prefix)}
 
 
 def _mean_or_none(values: Tensor) -> float | None:

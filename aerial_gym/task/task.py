@@ -373,6 +373,15 @@ class Task:
         """
         return self._judge.episode_means()
 
+    @property
+    def tallies(self) -> Tensor:
+        """Returns by term, number and ends of the episodes ended since the last ``episode_means``, (E, N)."""
+        return self.values.own[TALLIES]
+
+    def means_of_tallies(self, tallies: Tensor) -> dict[str, float]:
+        """Return the means of ``episode_means`` from rows of ``tallies``. Waits for the device."""
+        return self._judge.means_of_tallies(tallies)
+
     def _make_values(self, num_commands: int) -> Values:
         env = self.env
         sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}

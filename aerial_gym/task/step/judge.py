@@ -111,9 +111,14 @@ class Judge:
 
     def episode_means(self) -> dict[str, float]:
         """Return ``Task.episode_means``."""
-        tallies = self._tallies.double().sum(dim=0).tolist()
-        terms, (episodes, *ended) = tallies[: len(self.reward_names)], tallies[len(self.reward_names) :]
+        result = self.means_of_tallies(self._tallies)
         self._tallies.zero_()
+        return result
+
+    def means_of_tallies(self, tallies: Tensor) -> dict[str, float]:
+        """Return ``Task.means_of_tallies``."""
+        sums = tallies.double().sum(dim=0).tolist()
+        terms, (episodes, *ended) = sums[: len(self.reward_names)], sums[len(self.reward_names) :]
         result = {"episodes": episodes}
         if episodes:
             result |= {f"reward/{name}": term / episodes for name, term in zip(self.reward_names, terms, strict=True)}

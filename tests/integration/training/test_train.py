@@ -263,7 +263,8 @@ def test_settings_are_stored_with_the_run_and_hold_in_its_evaluation(tmp_path, c
     changed = ("--num-envs", "4", "--json", "--set", "task.rewards.near.weight=0")
     assert main(["evaluate", "--policy", str(out), *changed]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["episode_s"] == 0.2
+    assert (result["episode_s"], result["reward_terms"]["near"]) == (0.2, 0.0)
+    assert result["ended_by"]["time_out"] == 1.0
     assert main(["export", "--policy", str(out), "--to", "torchscript", "--no-check"]) == 0
     assert Layout.read(out / "export").settings == cfg.settings
     capsys.readouterr()

@@ -78,6 +78,9 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(separate, norma
     torch.testing.assert_close(policy({"observations": observation}), expected.detach(), atol=1e-6, rtol=1e-6)
 
 
+FAST_CRASH = ("task.terminations.far_away.params.distance=1.5", "task.episode_len_steps=200")
+
+
 class ScriptPilot:
     """A function that flies, and what it was told to forget."""
 
@@ -100,7 +103,7 @@ class ScriptTask:
 
     cfg = replace(task_registry.get("position_setpoint_task"), episode_len_steps=6)
     env = Clock(dt=0.5)
-    num_envs, device = 4, torch.device("cpu")
+    num_envs, device, tallies = 4, torch.device("cpu"), torch.zeros(4, 1)
     distances = torch.tensor(
         [
             [0.9, 0.05, 0.9, 0.05, 0.04, 0.02],  # in, out again, and back after step 3: settles at 1.5 s, error 0.03
@@ -113,6 +116,9 @@ class ScriptTask:
     def reset(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
         self.step_count = 0
         return {"observations": torch.zeros(4, 2)}, {}
+
+    def means_of_tallies(self, tallies: torch.Tensor) -> dict[str, float]:
+        return {}
 
     def step(self, actions: torch.Tensor):
         assert actions.shape == (4, 1)
@@ -168,6 +174,18 @@ def test_a_task_without_a_target_has_returns_alone() -> None:
     assert (result.gates_passed_mean, result.success_time_mean_s) == (None, None)
     assert (result.settled_rate, result.success_rate) == (0.0, 0.0)
     assert (result.crash_rate, result.return_mean) == (pytest.approx(1 / 4), pytest.approx((3 * 6 + 2) / 4))
+
+
+def test_an_evaluation_states_the_terms_and_ends_of_the_first_episodes() -> None:
+    """An environment that crashes flies on in a second episode, which does not count."""
+    with task_registry.make_task("position_setpoint_task", num_envs=8, device="cpu", settings=FAST_CRASH) as task:
+        climb = ScriptPilot(lambda obs: torch.full((8, task.num_actions), 1.0))
+        result = evaluate(climb, task)
+        assert task.episode_means()["episodes"] > 8
+    assert set(result.reward_terms) == set(task.reward_names)
+    assert sum(result.reward_terms.values()) == pytest.approx(result.return_mean, rel=1e-5)
+    assert result.reward_terms["crash"] == -20.0 * result.crash_rate
+    assert result.ended_by == {"contact": 0.0, "far_away": 1.0, "time_out": 0.0}
 
 
 def test_a_policy_that_is_not_there_or_elsewhere_is_refused(tmp_path: Path) -> None:
