@@ -27,10 +27,11 @@ ENDS = ("crash", "success")  # Names under which rewards of ends are logged, res
 
 @dataclass(frozen=True, kw_only=True)
 class CurriculumCfg:
-    """Number of obstacles per environment as a function of the share of successful episodes.
+    """Difficulty, and number of obstacles per environment, as a function of the share of successful episodes.
 
     The level is the number of obstacle rows in use, those that are always present included. After every ``check_after``
-    finished episodes of all environments together it is raised, lowered or left, and holds from the next resets on.
+    finished episodes of all environments together it is raised, lowered or left, and holds from the next resets on. Without
+    obstacles it is a number whose share of the range, ``difficulty``, weighs rewards and is an input of terms.
     """
 
     min_level: int  # Fewest rows, >= 0; at least the rows that the environment always keeps

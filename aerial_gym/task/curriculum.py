@@ -1,4 +1,4 @@
-"""The curriculum: the number of obstacles, decided on the device from the share of episodes that succeed.
+"""The curriculum: difficulty and number of obstacles, decided on the device from the share of episodes that succeed.
 
 Letters: E environments.
 """
@@ -43,7 +43,7 @@ class Curriculum:
         self, cfg: CurriculumCfg, env: EnvironmentCfg, assets: AssetManager, gtd: GlobalTensorDictionary
     ) -> None:
         """Declare ``curriculum_level`` in the GTD and set the first level."""
-        if cfg.max_level > env.num_assets:
+        if env.num_assets and cfg.max_level > env.num_assets:
             raise ConfigError(
                 f"CurriculumCfg.max_level = {cfg.max_level}: this environment has {env.num_assets} obstacle rows. Lower it"
             )
@@ -52,7 +52,8 @@ class Curriculum:
                 f"CurriculumCfg.min_level = {cfg.min_level}: this environment always keeps {env.num_kept} obstacle rows. "
                 "Raise it"
             )
-        self.cfg, self._assets, self._num_kept = cfg, assets, env.num_kept
+        self.cfg, self._num_kept = cfg, env.num_kept
+        self._assets = assets if env.num_assets else None  # without obstacles the level is the difficulty alone
         self.level = gtd.declare(TensorSpec(
             key="curriculum_level", shape=(1,), dtype=torch.int32, unit="-", frame="-", owner="task",
             meaning="obstacle rows in use from the next reset on, those always kept included",
@@ -77,7 +78,8 @@ class Curriculum:
         self._succeeded.add_(succeeded)
         kept = (self.level, self._finished, self._succeeded)
         *_, count = self._decide(*kept, out=(*kept, self.difficulty.view(1)))
-        self._assets.take_num_obstacles(count)
+        if self._assets is not None:
+            self._assets.take_num_obstacles(count)
 
     def state(self) -> dict[str, int]:
         """Return level and counts of a saved state; waits for the device."""
@@ -98,7 +100,8 @@ class Curriculum:
         self._succeeded.fill_(state["succeeded"])
         difficulty, count = self._difficulty_and_obstacles(self.level)
         self.difficulty.copy_(difficulty.squeeze(0))
-        self._assets.take_num_obstacles(count)
+        if self._assets is not None:
+            self._assets.take_num_obstacles(count)
 
     def _next_level_and_difficulty(self, level: Tensor, finished: Tensor, succeeded: Tensor) -> tuple[Tensor, ...]:
         """Return level and counts after the decision, the difficulty and the number of obstacles, each (1,)."""

@@ -155,3 +155,22 @@ def test_an_episode_is_replayed_alone_with_the_level_that_it_had() -> None:
     for key in ("robot_position", "obstacle_position", "env_bounds_max"):
         assert torch.equal(alone.env.gtd[key][0], many.env.gtd[key][2]), key
     assert_refused(ConfigError, "Give level, which stood", task_registry.make_task, "navigation_task", **numbers)
+
+
+def test_without_obstacles_the_level_is_the_difficulty_alone(tmp_path) -> None:
+    """A task file of one's own: every episode of 3 steps succeeds, and after 4 of them the level rises."""
+    file = tmp_path / "own.yaml"
+    file.write_text(
+        "summary: own\nextends: position_setpoint_task\nepisode_len_steps: 3\nterminations:\n"
+        "  there: {term: at_target, kind: success, when: at_end, params: {radius: 9.0}}\n"
+        "curriculum: {min_level: 1, max_level: 5, check_after: 4, raise_above: 0.7, lower_below: 0.3,\n"
+        "  raise_by: 1, lower_by: 1}\n"
+    )
+    with task_registry.make_task(str(file), num_envs=4, device="cpu") as task:
+        task.reset()
+        for _ in range(6):
+            task.step(HOVER.expand(4, 4))
+        assert int(task.env.gtd["curriculum_level"]) == 3
+        assert float(task.values["difficulty"]) == 0.5
+    with task_registry.make_task(str(file), num_envs=4, device="cpu", level=5) as task:
+        assert float(task.values["difficulty"]) == 1.0
