@@ -35,6 +35,7 @@ class CheckRobotCmd:
     def run(self) -> int:
         """Check and print; return 0, or 1 if a robot cannot fly as described."""
         from aerial_gym.errors import ConfigError
+        from aerial_gym.interop.warp_start import silent_compilations
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.check import check_robot, draw_rotors, rotor_views
 
@@ -45,7 +46,7 @@ class CheckRobotCmd:
         sections, failed = [], False
         for name in self.robots:
             robot = robot_by_name(name)
-            with progress_bar() as progress:
+            with progress_bar() as progress, silent_compilations():
                 report = check_robot(robot, name=name, controllers=controllers, progress=progress)
                 progress("done", 1.0)
             failed |= bool(report.problems)

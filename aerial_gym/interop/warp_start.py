@@ -52,6 +52,17 @@ class KernelLog:
         _log.error(message)
 
 
+@contextmanager
+def silent_compilations() -> Iterator[None]:
+    """Log no compiled modules meanwhile, because a command shows its progress itself."""
+    level = _log.level
+    _log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        _log.setLevel(level)
+
+
 CHOOSE_CACHE = "Set WARP_CACHE_PATH to a folder that can be written"  # Remedy for a cache that cannot be written
 
 

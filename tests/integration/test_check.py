@@ -1,6 +1,7 @@
 """``aerial-gym robot``: output, pictures, files and exit status of its verbs."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,10 @@ from aerial_gym import CONTROLLERS, ROBOTS
 from aerial_gym.cli.main import main
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.control.stability import ClosedLoop
+from aerial_gym.errors import ConfigError
+from aerial_gym.interop.warp_start import KernelLog
 from aerial_gym.robots.check import flights
+from aerial_gym.sensors import SENSORS
 from tests.unit.robots.importers.files import x500
 
 
@@ -27,7 +31,7 @@ def test_a_robot_by_name_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_time_step_that_is_named_has_the_gain_margin(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever flights say: the gain margin of 6 dB is gone beyond 5.5 ms."""
     robot, controller = ROBOTS.get("crazyflie_2x_arpl"), CONTROLLERS.get("crazyflie_mellinger_control")
-    monkeypatch.setattr(flights, "_comes_to_rest", lambda *_: True)
+    monkeypatch.setattr(flights.RestFlights, "end_at_rest", lambda _: True)
     result = flights.largest_stable_step(robot, controller, name="mellinger")
     loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("it", "mellinger"))
     assert not result.little_margin
@@ -63,6 +67,34 @@ def test_one_that_cannot_hover_ends_with_status_1(capsys: pytest.CaptureFixture[
     path.write_text(dump_yaml(replace(robot, body=replace(robot.body, mass=9.0))), encoding="utf-8")
     assert main(["robot", "check", str(path)]) == 1
     assert "problem: to hover, rotor 1 must give 22.1 N" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("sensor", "message"), [
+    ("cam.yaml", "sensor cam: .*cam.yaml: unknown field 'wide'. Did you mean 'width'"),
+    ("none.yaml", "sensor none: .*none.yaml: no such file"),
+    ("velodyne", "sensor velodyne: no sensor 'velodyne'"),
+])  # fmt: skip
+def test_a_broken_sensor_ends_with_status_1(sensor, message, capsys, tmp_path) -> None:
+    cam = dump_yaml(SENSORS.get("base_depth_camera")).replace("width:", "wide:", 1)
+    (tmp_path / "cam.yaml").write_text(f"kind: camera\n{cam}", encoding="utf-8")
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"summary: mine\nextends: lmf1\nsensors: [{sensor}]\n", encoding="utf-8")
+    assert main(["robot", "check", str(path), "--json"]) == 1
+    (problem,) = json.loads(capsys.readouterr().out)["problems"]
+    assert re.search(message, problem)
+
+
+def test_the_check_of_a_new_robot_prints_no_compilations(monkeypatch, capsys, caplog) -> None:
+    def check(robot: object, **_: object) -> None:
+        KernelLog().info("Module it 0123 load on device 'cpu' took 12.00 ms  (compiled)")
+        raise ConfigError("stopped here")
+
+    monkeypatch.setattr("aerial_gym.robots.check.report.check_robot", check)
+    monkeypatch.setattr("aerial_gym.robots.check.check_robot", check)
+    assert main(["robot", "check", "lmf1"]) == 2
+    assert not caplog.records
+    KernelLog().info("Module it 0123 load on device 'cpu' took 12.00 ms  (compiled)")
+    assert "compiled it for cpu" in caplog.text
 
 
 def test_wrong_files_and_requests_end_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ tail servo, which then holds the heading.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors, U entries of an action.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import atan2, ceil, exp, hypot, log
 
@@ -179,25 +179,54 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     differs by less than ``AT_REST`` of the disturbance between flights and times. The rest pose may differ from declared
     hover: a slung load lowers it. Wind effects are left out, as gusts prevent rest.
     """
+    (step,) = largest_stable_steps(robot, {name: controller}, gravity=gravity)
+    return step
+
+
+def largest_stable_steps(
+    robot: RobotCfg, controllers: Mapping[str, ControllerCfg], *, gravity: float = 9.81,
+    progress: Callable[[str, float], None] = lambda _text, _share: None,
+) -> list[StableStep]:  # fmt: skip
+    """Return ``largest_stable_step`` of several controllers by name; their kernels are compiled side by side."""
+    searches, steps = [], []
+    for number, (name, controller) in enumerate(controllers.items()):
+        progress(f"analysing {name}", 0.5 * number / len(controllers))
+        searches.append(_search_step(robot, controller, name, gravity))
+        steps.append(next(searches[-1]))
+    for number, (name, search) in enumerate(zip(controllers, searches, strict=True)):
+        progress(f"flying {name}", 0.5 + 0.5 * number / len(controllers))
+        *_, steps[number] = (steps[number], *search)
+    return steps
+
+
+def _search_step(robot: RobotCfg, controller: ControllerCfg, name: str, gravity: float) -> Iterator[StableStep]:
+    """Yield the largest time step of the linearised loop, while its flights are compiled, and then that of flights."""
     axes = trim_axes(controller)
-    if axes is None:
-        return StableStep(controller=name, refused="its law states no trim: the axes that it controls")
     if not axes:
-        return StableStep(controller=name, refused="commands rotors, and holds nothing")
+        unknown = "its law states no trim: the axes that it controls"
+        yield StableStep(controller=name, refused=unknown if axes is None else "commands rotors, and holds nothing")
+        return
     try:
         loop = ClosedLoop(robot, controller, gravity=gravity, integrator="euler", names=("this", name))
-
-        def converges(dt: float) -> bool:
-            return _comes_to_rest(robot, controller, dt, loop, gravity)
-
-        largest = _largest_passing_step(lambda dt: loop.is_stable_with_margin(dt) and converges(dt))
-        little_margin = largest is None
-        if largest is None:
-            largest = _largest_passing_step(lambda dt: loop.is_stable(dt) and converges(dt))
+        for is_stable, little_margin in ((loop.is_stable_with_margin, False), (loop.is_stable, True)):
+            largest = _largest_passing_step(is_stable)
+            if largest is None:
+                continue
+            flights = RestFlights(robot, controller, largest, loop, gravity)
+            yield _stable_step(name, largest, little_margin=little_margin)
+            if not flights.end_at_rest():
+                largest = _largest_passing_step(
+                    lambda dt: is_stable(dt) and RestFlights(robot, controller, dt, loop, gravity).end_at_rest()  # noqa: B023
+                )
+            if largest is not None:
+                yield _stable_step(name, largest, little_margin=little_margin)
+                return
+        yield StableStep(controller=name)
     except ConfigError as error:
-        return StableStep(controller=name, refused=str(error))
-    if largest is None:
-        return StableStep(controller=name)
+        yield StableStep(controller=name, refused=str(error))
+
+
+def _stable_step(name: str, largest: float, *, little_margin: bool) -> StableStep:
     at_least = largest == STEP_RANGE[1]
     return StableStep(controller=name, largest_s=largest, at_least=at_least, little_margin=little_margin)
 
@@ -215,22 +244,6 @@ def _largest_passing_step(holds: Callable[[float], bool]) -> float | None:
     return low
 
 
-def _comes_to_rest(robot: RobotCfg, controller: ControllerCfg, dt: float, loop: ClosedLoop, gravity: float) -> bool:
-    """Return whether all flights with a time step [s] end at one and the same rest on the axes that law and rotors control.
-
-    A slow integrator takes minutes to settle without instability: flights may be ``SLOW`` times as far from rest as the
-    linearised loop at that time.
-    """
-    size = torch.tensor(DISTURBANCE).repeat_interleave(3)
-    tail = make_tail_servo(robot, dt, gravity)
-    held = (*loop.axes.split(), *(() if tail is None else HEADING))
-    kept = torch.tensor([name in held for name in AXES])
-    last = _distances_in_last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity, tail) / size
-    apart = last.amax((0, 1)) - last.amin((0, 1))
-    left = SLOW * loop.deviation_bound(dt, 90 * _steps_between_samples(dt), torch.where(kept, size, 0.0)).float() / size
-    return bool((apart < left.clamp_min(AT_REST))[kept].all())  # written so that NaN fails as well
-
-
 def _steps_between_samples(dt: float) -> int:
     """Return the physics steps of a hundredth of a flight."""
     return ceil(0.01 * (SPAN / dt + STEPS))
@@ -244,39 +257,62 @@ def make_tail_servo(robot: RobotCfg, dt: float, gravity: float) -> TailServo | N
         return None
 
 
-def _distances_in_last_tenth(
-    robot: RobotCfg, controller: ControllerCfg, dt: float, size: Tensor, gravity: float, tail: TailServo | None
-) -> Tensor:
-    """Return distances from hover at ten moments at the end of flights, (10, E, 12), with starts of a size on ``AXES``."""
-    vehicle = vehicle_from_config(robot, num_envs=NUM_FLIGHTS)
-    model = build_model(
-        vehicle, _effects_without_wind(robot), gravity=gravity, ceiling_height=CEILING,
-        articulation=None if tail is None else build_articulation(robot, like=vehicle.mass),
-    )  # fmt: skip
-    law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
-    backend = choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"), integrator="euler"))
-    backend.allocate(model, law, integrator="euler")
-    backend.prepare(dt)
-    felt = apparent_gravity(robot.control, robot.body.mass, gravity)
-    state = _starts_with_disturbance(size, _hover_speeds(vehicle, felt))
-    action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
-    if tail is not None:
-        action, state = torch.nn.functional.pad(action, (0, 1)), _add_tail_state(state, tail)
+class RestFlights:
+    """Flights with a time step [s] from different disturbances near hover; the kernel is compiled from construction on."""
 
-    def fly(steps: int) -> None:
-        if tail is None:
-            backend.step(state, action, dt, steps)
+    def __init__(self, robot: RobotCfg, controller: ControllerCfg, dt: float, loop: ClosedLoop, gravity: float) -> None:
+        self._dt, self._loop, self._tail = dt, loop, make_tail_servo(robot, dt, gravity)
+        held = (*loop.axes.split(), *(() if self._tail is None else HEADING))
+        self._kept = torch.tensor([name in held for name in AXES])
+        self._size = torch.tensor(DISTURBANCE).repeat_interleave(3)
+        vehicle = vehicle_from_config(robot, num_envs=NUM_FLIGHTS)
+        model = build_model(
+            vehicle, _effects_without_wind(robot), gravity=gravity, ceiling_height=CEILING,
+            articulation=None if self._tail is None else build_articulation(robot, like=vehicle.mass),
+        )  # fmt: skip
+        law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
+        self._backend = choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"), integrator="euler"))
+        self._backend.allocate(model, law, integrator="euler")
+        self._backend.prepare(dt)
+        felt = apparent_gravity(robot.control, robot.body.mass, gravity)
+        self._start = torch.where(self._kept, self._size, 0.0)
+        self._state: BodyState = _starts_with_disturbance(self._start, _hover_speeds(vehicle, felt))
+        self._action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
+        if self._tail is not None:
+            self._action = torch.nn.functional.pad(self._action, (0, 1))
+            self._state = _add_tail_state(self._state, self._tail)
+
+    def end_at_rest(self) -> bool:
+        """Fly, and return whether all end at one and the same rest on the axes that law and rotors control.
+
+        A slow integrator takes minutes to settle without instability: flights may be ``SLOW`` times as far from rest as the
+        linearised loop at that time.
+        """
+        last = self._distances_in_last_tenth() / self._size
+        apart = last.amax((0, 1)) - last.amin((0, 1))
+        steps = 90 * _steps_between_samples(self._dt)
+        left = SLOW * self._loop.deviation_bound(self._dt, steps, self._start).float() / self._size
+        return bool((apart < left.clamp_min(AT_REST))[self._kept].all())  # written so that NaN fails as well
+
+    def _distances_in_last_tenth(self) -> Tensor:
+        """Return distances from hover at ten moments at the end of the flights, (10, E, 12)."""
+        steps, distances, state = _steps_between_samples(self._dt), [], self._state
+        self._fly(90 * steps)
+        for _ in range(10):
+            self._fly(steps)
+            distances.append(
+                torch.cat((state.position, quat_log(state.attitude), state.lin_vel, state.ang_vel), dim=-1)
+            )
+        return torch.stack(distances)
+
+    def _fly(self, steps: int) -> None:
+        if self._tail is None:
+            self._backend.step(self._state, self._action, self._dt, steps)
             return
+        ahead = torch.zeros(NUM_FLIGHTS)
         for _ in range(steps):
-            action[:, -1] = tail.command_angle(state.attitude, state.ang_vel, ahead)
-            backend.step(state, action, dt, 1)
-
-    ahead, steps, distances = torch.zeros(NUM_FLIGHTS), _steps_between_samples(dt), []
-    fly(90 * steps)
-    for _ in range(10):
-        fly(steps)
-        distances.append(torch.cat((state.position, quat_log(state.attitude), state.lin_vel, state.ang_vel), dim=-1))
-    return torch.stack(distances)
+            self._action[:, -1] = self._tail.command_angle(self._state.attitude, self._state.ang_vel, ahead)
+            self._backend.step(self._state, self._action, self._dt, 1)
 
 
 def _hover_speeds(vehicle: Vehicle, gravity: float) -> Tensor:

@@ -17,10 +17,13 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.gains import apparent_gravity
 from aerial_gym.control.hover import trim_axes
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.interop import one_thread
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_maps import rotor_state_for_thrust
-from aerial_gym.robots.check.flights import StableStep, TailRotorModel, largest_stable_step, tail_rotor_model
+from aerial_gym.robots.check.flights import StableStep, TailRotorModel, largest_stable_steps, tail_rotor_model
+from aerial_gym.sensors.mounts import mounted_sensors
 
 AXES = ("x", "y", "z")
 
@@ -88,13 +91,15 @@ def check_robot(
         rotor + 1 if given > 0.0 and rotor is not None else None
         for rotor, given in zip(limiting, authority.tolist(), strict=True)
     )
-    problems = (*_hover_problems(hover, low, high, wrench, held, weight), *_problems_of_coupling(matrix))
+    problems = (
+        *_hover_problems(hover, low, high, wrench, held, weight), *_problems_of_coupling(matrix),
+        *_sensor_problems(robot),
+    )  # fmt: skip
     if controllers is None:
         controllers = [n for n in CONTROLLERS.names() if trim_axes(c := CONTROLLERS.get(n)) and c.gains is None]
-    steps = []
-    for number, controller in enumerate(controllers if not problems else ()):
-        progress(controller, number / len(controllers))
-        steps.append(largest_stable_step(robot, CONTROLLERS.get(controller), name=controller, gravity=gravity))
+    flown = {name: CONTROLLERS.get(name) for name in (controllers if not problems else ())}
+    with one_thread():
+        steps = largest_stable_steps(robot, flown, gravity=gravity, progress=progress)
     turn = authority[3:] / vehicle.inertia[0].diagonal()
     return RobotReport(
         name=name,
@@ -154,6 +159,15 @@ def _problems_of_coupling(matrix: torch.Tensor) -> Iterator[str]:
             f"{' and '.join(together)} come only together, so that it cannot be steered: check the spins of the mounts (rotors "
             "that turn one way all on one side?) and their positions"
         )
+
+
+def _sensor_problems(robot: RobotCfg) -> Iterator[str]:
+    """Yield the reasons why sensors cannot be mounted: a missing or wrong file, or an impossible setting of the mount."""
+    for mount in robot.sensor_mounts:
+        try:
+            mounted_sensors([mount])
+        except (ConfigError, UnknownNameError) as error:
+            yield f"sensor {mount.key}: {error}"
 
 
 def _control_warnings(ratio: float, turn: Sequence[float]) -> Iterator[str]:

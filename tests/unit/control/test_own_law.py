@@ -86,8 +86,10 @@ def test_robot_check_finds_the_largest_time_step_of_an_own_law(own_law: str, mon
     loop = ClosedLoop(ROBOT, controller, gravity=9.81, integrator="euler", names=("quad", own_law))
     assert loop.is_stable_with_margin(step.largest_s)
     assert loop.spectral_radius(4.0 * step.largest_s) > 1.0
-    report_module = "aerial_gym.robots.check.report.largest_stable_step"
-    monkeypatch.setattr(report_module, lambda robot, controller, *, name, gravity: StableStep(controller=name))
+    report_module = "aerial_gym.robots.check.report.largest_stable_steps"
+    monkeypatch.setattr(
+        report_module, lambda _, controllers, **__: [StableStep(controller=name) for name in controllers]
+    )
     assert own_law in {each.controller for each in check_robot(ROBOT, name="quad").stable_steps}
 
 
