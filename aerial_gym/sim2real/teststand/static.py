@@ -138,9 +138,12 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     measured = {"speed": bench.values_of_quantity("speed"), "thrust": bench.values_of_quantity("thrust") / num_motors}
     if bench.column_of_quantity("torque") is not None:
         measured["torque"] = bench.values_of_quantity("torque") / num_motors
-    if "test" not in bench.table.columns:
+    elif (power := bench.electric_power()) is not None:
+        measured["power"] = power / num_motors
+    named = bench.tests()
+    if named is None:
         return [_fit_both_directions(bench.path, measured)], []
-    tests = np.asarray(bench.table["test"].astype(str))
+    tests = np.asarray(named)
     fits, left_out = [], []
     for test in dict.fromkeys(tests):
         part = {quantity: values[tests == test] for quantity, values in measured.items()}
@@ -165,7 +168,7 @@ def _fit_both_directions(name: str, measured: dict[str, Array]) -> StaticFit:
 
 def _fit_one_direction(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
     speed, thrust = measured["speed"], measured["thrust"]
-    check_plausibility_of_rotor_data(name, speed, thrust, measured.get("torque"))
+    check_plausibility_of_rotor_data(name, speed, thrust, measured.get("torque"), measured.get("power"))
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
     notes = (Finding("rows_without_speed", name, {"rows": int(dead.sum())}),) if dead.any() else ()
     kept = {quantity: values[~dead] for quantity, values in measured.items()}

@@ -185,6 +185,53 @@ def test_tables_that_are_not_what_they_claim(tmp_path: Path, change: object, mes
         fit_static(bench(table, tmp_path))
 
 
+SPEEDS = np.linspace(400.0, 2200.0, 9)  # [rad/s]
+RPM, GRAMS = SPEEDS * 30.0 / np.pi, 8.6e-7 * SPEEDS**2 / 9.80665e-3
+WATTS = 25.0 * GRAMS * 9.80665e-3
+FORMS = {  # As motor makers and test stands print them
+    "g, rpm": {"Throttle": [f"{n}0%" for n in range(1, 10)], "Thrust(g)": GRAMS, "RPM": RPM, "Efficiency(g/W)": GRAMS / WATTS},
+    "pull": {"Propeller": ["5 inch", *[""] * 8], "Voltage (V)": 16.0, "Load Current (A)": WATTS / 16.0, "Pull(g)": GRAMS,
+             "RPM": [f"{round(n):,}" for n in RPM], "Power(W)": WATTS},
+    "kgf": {"Time (s)": SPEEDS, "ESC signal (µs)": 1500, "Torque (N·m)": 1e-8 * SPEEDS**2, "Thrust (kgf)": GRAMS / 1e3,
+            "Motor Electrical Speed (RPM)": 0, "Motor Optical Speed (RPM)": RPM, "Overall Efficiency (kgf/W)": 0.01},
+    "letters": {"PWM(us)": 1500, "N(RPM)": RPM, "F(KG)": GRAMS / 1e3, "T(N.M)": 1e-8 * SPEEDS**2},
+    "short": {"Thr (%)": 50, "Thr (g)": GRAMS, "RPM": RPM, "Vol (V)": 11.1, "Cur (A)": WATTS / 11.1, "Pow (w)": WATTS},
+    "imperial": {"Thrust [oz]": GRAMS / 28.349523, "Speed [rpm]": RPM, "Torque [oz-in]": 1e-8 * SPEEDS**2 / 7.0615518e-3},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_tables_of_motor_makers_and_test_stands_are_known_by_their_columns(form, tmp_path) -> None:
+    (fit,), _ = fit_static(bench(pd.DataFrame(FORMS[form]), tmp_path))
+    assert fit.thrust_coefficient.value == pytest.approx(8.6e-7, rel=1e-4)
+    if fit.torque is not None:
+        assert fit.torque == pytest.approx(1e-8 * SPEEDS**2)
+
+
+def test_a_row_of_units_and_several_propellers_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "two.csv"
+    pairs = list(enumerate(zip(GRAMS, RPM, strict=True)))
+    rows = [f"{prop if n == 0 else ''},{g:.3f},{rpm:.1f}" for prop in ("5x4", "6x4") for n, (g, rpm) in pairs]
+    path.write_text("\n".join(["Prop,Thrust,Speed", "inch,g,r/min", *rows]), encoding="utf-8")
+    fits, _ = fit_static(read_columns(path, given={}, units={}))
+    assert [fit.name for fit in fits] == [f"{path}, test 5x4", f"{path}, test 6x4"]
+    assert fits[1].thrust_coefficient.value == pytest.approx(8.6e-7, rel=1e-3)
+
+
+def test_the_electric_power_of_a_table_shows_a_wrong_unit_of_thrust(tmp_path: Path) -> None:
+    table = pd.DataFrame({"Thrust (N)": GRAMS, "RPM": RPM, "Voltage (V)": 16.0, "Current (A)": WATTS / 16.0})
+    with pytest.raises(
+        DataError, match=r"power over thrust is 0.245 m/s .* It would fit with thrust in gf or thrust in ozf"
+    ):
+        fit_static(bench(table, tmp_path))
+
+
+def test_a_table_without_speeds_says_so(tmp_path: Path) -> None:
+    table = pd.DataFrame({"Throttle (%)": range(10, 100, 10), "Thrust (g)": GRAMS, "Current (A)": 3.0})
+    with pytest.raises(DataError, match="has no column for the speed"):
+        fit_static(bench(table, tmp_path))
+
+
 def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(tmp_path: Path) -> None:
     table = static_table(np.random.default_rng(6), 0.005)
     table = pd.concat([table.assign(test="a"), table.assign(test="b"), table.assign(test="c", thrust_N=-1.0)])
