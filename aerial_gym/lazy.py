@@ -105,18 +105,45 @@ class ImportPath:
         """Import the class and call it."""
         return self.load()()
 
-    def summary(self) -> str:
-        """Return the ``summary`` in the body, or else the first line of the docstring, without an import."""
+    def file(self) -> Path:
+        """Return the file of the module, or of ``package:file.yaml``, without an import of the module."""
         module, _, name = self.place.partition(":")
         top, *inner = module.split(".")
         spec = find_spec(top)  # of the inner modules, it would import their packages
-        if spec is None or not spec.submodule_search_locations:
-            raise ModuleNotFoundError(f"no module {module!r}")
-        file = Path(spec.submodule_search_locations[0]).joinpath(*inner)
-        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        body = next(n for n in tree.body if isinstance(n, (ast.ClassDef, ast.FunctionDef)) and n.name == name)
-        for node in body.body:
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "summary":
-                return ast.literal_eval(node.value)
-        return (ast.get_docstring(body) or "").partition("\n")[0]
+        paths = [Path(spec.origin)] if spec is not None and spec.origin is not None and not inner else []
+        for root in spec.submodule_search_locations or () if spec is not None else ():
+            folder = Path(root).joinpath(*inner)
+            own = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+            paths.insert(0, folder / name if name.endswith((".yaml", ".yml")) else own)
+        for path in paths:
+            if path.is_file():
+                return path
+        raise ModuleNotFoundError(f"no file {name!r} in {module!r}" if "." in name else f"no module {module!r}")
+
+    def summary(self) -> str:
+        """Return one line about the object without an import; empty if its source does not state it.
+
+        This is the ``summary`` in the body of a class or in the call that makes the object, else the first line of a docstring.
+        """
+        module, _, name = self.place.partition(":")
+        source = self.file().read_text(encoding="utf-8")
+        for node in ast.parse(source).body:
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == name:
+                given = [
+                    n.value for n in node.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "summary"
+                ]
+                return _first_text(given) or (ast.get_docstring(node) or "").partition("\n")[0]
+            if (
+                isinstance(node, ast.Assign)
+                and ast.unparse(node.targets[0]) == name
+                and isinstance(node.value, ast.Call)
+            ):
+                return _first_text([each.value for each in node.value.keywords if each.arg == "summary"])
+        if name not in source:
+            raise AttributeError(f"module {module!r} has no {name!r}")
+        return ""
+
+
+def _first_text(nodes: Sequence[ast.expr]) -> str:
+    """Return the first of the nodes that is a text; empty without one."""
+    return next((n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)), "")

@@ -6,9 +6,11 @@ into sums, so that rounding differs."""
 import gc
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import cache
+from importlib import invalidate_caches
+from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -23,12 +25,13 @@ import pytest  # noqa: E402
 import torch  # noqa: E402
 import warp as wp  # noqa: E402
 
-from aerial_gym.assets import ENVIRONMENTS  # noqa: E402
+from aerial_gym.assets import ENVIRONMENTS, FAMILIES  # noqa: E402
 from aerial_gym.control import CONTROL_LAWS, CONTROLLERS  # noqa: E402
 from aerial_gym.env_manager import SIMS  # noqa: E402
 from aerial_gym.interop import launches  # noqa: E402
 from aerial_gym.physics import BACKENDS, EFFECTS, ROTOR_MAPS, warp_backend  # noqa: E402
 from aerial_gym.physics.fused.kernel import make_kernel  # noqa: E402
+from aerial_gym.registry import plugins  # noqa: E402
 from aerial_gym.registry.log_formats import LOG_READERS  # noqa: E402
 from aerial_gym.rl_training import TRAINERS  # noqa: E402
 from aerial_gym.robots import ROBOTS  # noqa: E402
@@ -126,7 +129,7 @@ launches._workers = cache(CompileAtLaunch)
 REGISTRIES = (
     SIMS, ENVIRONMENTS, ROBOTS, CONTROLLERS, SENSORS, IMUS, task_registry,
     ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS,
-    BACKENDS, CONTROL_LAWS, EFFECTS, LOG_READERS, ROTOR_MAPS, TRAINERS,
+    BACKENDS, CONTROL_LAWS, EFFECTS, FAMILIES, LOG_READERS, ROTOR_MAPS, TRAINERS,
 )  # fmt: skip
 
 
@@ -148,6 +151,7 @@ def own_names() -> Iterator[None]:
     for registry, names in zip(REGISTRIES, before, strict=True):
         for name in set(registry.names()) - names:
             del registry._entries[name]
+            registry._plugins.pop(name, None)
     for name in [name for name in sys.modules if name.startswith("aerial_gym_task_")]:
         del sys.modules[name]
 
@@ -156,7 +160,36 @@ def own_names() -> Iterator[None]:
 def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
     """Restore all registries after a test."""
     for registry in REGISTRIES:
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+        for name in ("_entries", "_plugins"):
+            monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> Iterator[Callable[..., Path]]:
+    """Return ``install(package, points, **files)``: write a package with its metadata, and forget all plug-ins known."""
+    folder, before = tmp_path / "site", set(sys.modules)
+    monkeypatch.syspath_prepend(str(folder))
+
+    def add(package: str, points: dict[str, str], version: str = "1.0", **files: str) -> Path:
+        metadata = folder / f"{package.replace('-', '_')}-{version}.dist-info"
+        metadata.mkdir(parents=True)
+        text = f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n"
+        (metadata / "METADATA").write_text(text, encoding="utf-8")
+        lines = (f"{name} = {value}" for name, value in points.items())
+        (metadata / "entry_points.txt").write_text("\n".join((f"[{plugins.GROUP}]", *lines, "")), encoding="utf-8")
+        for name, content in files.items():
+            (folder / f"{name}.py").write_text(content, encoding="utf-8")
+        invalidate_caches()
+        plugins.find_plugins.cache_clear()
+        for registry in REGISTRIES:
+            monkeypatch.setattr(registry, "_has_plugins", not registry._plugin_kinds)
+        return folder
+
+    yield add
+    plugins.find_plugins.cache_clear()
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(folder)):
+            del sys.modules[name]
 
 
 @pytest.fixture(autouse=True)

@@ -38,15 +38,18 @@ UNREGISTERED = {
 }  # fmt: skip
 """Names outside a registry: a learned residual has the numbers of its robot file; laws of this package are in ``LAWS``."""
 
-PARTS_OF_TASKS = {
+ON_REQUEST = {
     "observation-terms": (ImportPath("aerial_gym.task:OBSERVATIONS"),),
     "reward-terms": (ImportPath("aerial_gym.task:REWARDS"),),
     "termination-terms": (ImportPath("aerial_gym.task:TERMINATIONS"),),
     "task-buffers": (ImportPath("aerial_gym.task:BUFFERS"),),
     "commands": (ImportPath("aerial_gym.task:COMMANDS"),),
     "actions": (ImportPath("aerial_gym.task:ACTIONS"),),
+    "shapes": (ImportPath("aerial_gym.assets:FAMILIES"),),
 }
-"""Parts of tasks, listed only on request, as their functions import torch."""
+"""Parts of tasks and shapes, listed only on request, as their functions import torch or NumPy."""
+
+PACKAGES = "packages"  # Key of the JSON object with the packages of plug-ins, by kind and name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +58,8 @@ class ListCmd:
 
     kind: str | None = None
     """sims, environments, robots, controllers, control-laws, sensors, imus, effects, rotor-maps, backends, tasks, trainers or
-    log-formats; all of these if not given. Or parts of tasks: observation-terms, reward-terms, termination-terms,
-    task-buffers, commands, actions."""
+    log-formats; all of these if not given. Or observation-terms, reward-terms, termination-terms, task-buffers, commands,
+    actions, shapes."""
 
     json: bool = False  # Print one JSON object instead of a table
 
@@ -65,22 +68,31 @@ class ListCmd:
         """Return the command of its arguments. Without tyro, whose import alone takes as long as everything here."""
         parser = ArgumentParser(prog="aerial-gym list", description=cls.__doc__, allow_abbrev=False)
         parser.add_argument(
-            "kind", nargs="?", help=f"one of {', '.join(KINDS)}, all if not given; or {', '.join(PARTS_OF_TASKS)}"
+            "kind", nargs="?", help=f"one of {', '.join(KINDS)}, all if not given; or {', '.join(ON_REQUEST)}"
         )
         parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
         return cls(**vars(parser.parse_args(argv)))
 
     def run(self) -> int:
-        """Print names and summaries by kind."""
-        kinds = KINDS if self.kind is None else KINDS | PARTS_OF_TASKS
+        """Print names and summaries by kind, with the packages of plug-ins."""
+        kinds = KINDS if self.kind is None else KINDS | ON_REQUEST
         if self.kind is not None and self.kind not in kinds:
             raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(kinds)}")
         chosen = kinds if self.kind is None else {self.kind: kinds[self.kind]}
         summaries = {kind: _name_summaries(kind, homes) for kind, homes in chosen.items()}
+        packages = {
+            kind: {name: package for home in homes for name, package in home.load().packages().items()}
+            for kind, homes in chosen.items()
+        }
         if self.json:
-            print(json_line(summaries, indent=2))
+            plugins = {kind: names for kind, names in packages.items() if names}
+            print(json_line(summaries | ({PACKAGES: plugins} if plugins else {}), indent=2))
             return 0
-        rows = [(kind, name, line) for kind, lines in summaries.items() for name, line in lines.items()]
+        rows = [
+            (kind, name, f"{line} (package {packages[kind][name]})".lstrip() if name in packages[kind] else line)
+            for kind, lines in summaries.items()
+            for name, line in lines.items()
+        ]
         widths = [max(len(row[column]) for row in rows) + 2 for column in (0, 1)]
         for kind, name, line in rows:
             print(_wrap_row(f"{kind:<{widths[0]}}{name:<{widths[1]}}", line))

@@ -13,6 +13,7 @@ from aerial_gym.cli import process
 from aerial_gym.config.console import accept_any_console
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
 from aerial_gym.lazy import ImportPath
+from aerial_gym.registry.plugins import SWITCH
 
 RENAMED: dict[str, str] = {"import-robot": "robot import", "check": "robot check", "tune": "robot tune"}
 """Names of 0.1.0, each with its replacement; they warn for one release."""
@@ -44,13 +45,17 @@ COMMANDS: dict[str, ImportPath] = {
 }
 
 
+NO_PLUGINS = "--no-plugins"
+
+
 def _command_overview(noun: str = "") -> str:
     names = [name for name in COMMANDS if name.startswith(noun)]
     width = max(map(len, names))
     rows = [f"  {name:<{width}} {COMMANDS[name].summary()}" for name in names]
     usage = f"usage: aerial-gym {f'{noun}VERB' if noun else 'COMMAND'} [options]"
     end = "aerial-gym COMMAND --help lists the options; --version prints the version."
-    return "\n".join([usage, "", *rows, "", end])
+    plugins = f"{NO_PLUGINS} leaves out parts of other packages, in any command."
+    return "\n".join([usage, "", *rows, "", end, plugins])
 
 
 def _split_command_name(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
@@ -65,6 +70,9 @@ def _split_command_name(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
 
 def _run_command(argv: Sequence[str]) -> int:
     """Run the command of a command line, or print help or the refusal of a wrong request; return the exit status."""
+    if NO_PLUGINS in argv:
+        os.environ[SWITCH] = "1"  # also for processes that the command starts
+        argv = [word for word in argv if word != NO_PLUGINS]
     if not argv or argv[0] in ("-h", "--help"):
         print(_command_overview())
         return 0 if argv else 2

@@ -16,7 +16,7 @@ def start_clock_and_preload() -> None:
     global _started
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
     cache_bytecode()
-    if sys.argv[1:2] == ["train"] and not {"-h", "--help"} & set(sys.argv):
+    if "train" in sys.argv[1:3] and not {"-h", "--help"} & set(sys.argv):
         preload(_training_device(sys.argv))
 
 

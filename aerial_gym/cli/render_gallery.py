@@ -34,9 +34,9 @@ class RenderGalleryCmd:
         from aerial_gym.sensors import SENSORS
         from aerial_gym.sim2real.report.page import write_page
 
-        furnished = (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).num_assets)
+        furnished = (name for name in sorted(ENVIRONMENTS) if ENVIRONMENTS.get(name).num_assets)
         environments = self.environments or tuple(furnished)
-        sensors = {name: SENSORS.get(name) for name in self.sensors or SENSORS.names()}
+        sensors = {name: SENSORS.get(name) for name in self.sensors or sorted(SENSORS)}
         sections, total = [], len(environments) * len(sensors)
         with progress_bar() as progress:
             for name in environments:

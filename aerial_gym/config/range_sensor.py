@@ -7,11 +7,15 @@ Letters: E environments, S sensors of one kind, H x W pixels (row 0 on top, colu
 
 from dataclasses import dataclass
 from math import inf
+from typing import TYPE_CHECKING
 
 from aerial_gym.config import checks
 from aerial_gym.config.checks import MAX_MADE, NO_SOURCE
 from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
 from aerial_gym.config.sensor_mount import PlacementCfg
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 __all__ = ["FRAMES", "KINDS", "LightCfg", "NoiseCfg", "RangeSensorCfg"]
 
@@ -99,6 +103,10 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
         self.check_placement()
         checks.require_positive(self, "rate_hz")
         checks.require_not_negative(self, "latency_s")
+
+    def rays(self) -> "Tensor | None":
+        """Return the directions of the rays, sensor frame, (H, W, 3), of a class of another package; None of all others."""
+        return None
 
     @property
     def active_noise(self) -> NoiseCfg | None:

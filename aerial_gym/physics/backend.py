@@ -42,7 +42,7 @@ class EffectSupport(Collection[str]):
         return named or name == LearnedResidual.name
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name in (*EFFECTS.names(), LearnedResidual.name) if name in self)
+        return (name for name in (*sorted(EFFECTS), LearnedResidual.name) if name in self)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

@@ -101,7 +101,7 @@ def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -
     lacking = list(_unmet_needs(backend.capabilities, needs))
     if not lacking:
         return
-    known = dict.fromkeys((*BACKEND_PREFERENCE, *BACKENDS.names()))
+    known = dict.fromkeys((*BACKEND_PREFERENCE, *sorted(BACKENDS)))
     alternatives = [
         n for n in known if n != name and n in BACKENDS and not any(_unmet_needs(BACKENDS.get(n)().capabilities, needs))
     ]

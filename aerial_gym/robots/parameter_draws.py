@@ -148,7 +148,7 @@ def quantity_table() -> str:
     rows = ["| name | unit | numbers | how | what is drawn |", "| --- | --- | --- | --- | --- |"]
     for name, each in QUANTITIES.items():
         rows.append(f"| `{name}` | {each.unit} | {widths[each.width]} | {', '.join(each.how)} | {each.meaning} |")
-    for name in EFFECTS.names():
+    for name in sorted(EFFECTS):
         for each in EFFECTS.get(name).parameters:
             how = "value, integer" if each.kind == "rotor" else "scale, offset, value"
             rows.append(f"| `effects.{name}.{each.name}` | {each.unit} | 1 | {how} | {each.meaning} |")

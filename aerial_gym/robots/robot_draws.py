@@ -45,7 +45,7 @@ def quantity_names(robot: RobotCfg, *, gains: Iterable[str]) -> list[str]:
     """Return the names of everything that may be drawn of a robot and ``gains``; any effect may, though the file lacks it."""
     names = [name for name in QUANTITIES if robot.battery is not None or not name.startswith("battery.")]
     names += [f"mounts.{i + 1}.{field}" for i in range(robot.num_rotors) for field in ("position", "axis")]
-    names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in _effect_parameters(name, robot)]
+    names += [f"effects.{name}.{p.name}" for name in sorted(EFFECTS) for p in _effect_parameters(name, robot)]
     return names + [f"gains.{name}" for name in gains]
 
 

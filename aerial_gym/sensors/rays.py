@@ -33,8 +33,14 @@ def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
         return rosette_rays(cfg, device=device, frames=1)[0]
     elif isinstance(cfg, RayTableCfg):
         rays = custom_rays(cfg, device=device)
+    elif (own := cfg.rays()) is not None:
+        rays = _unit_float32(own, device)
+        if tuple(rays.shape) != (cfg.height, cfg.width, 3) or not bool(rays.isfinite().all()):
+            raise ConfigError(
+                f"{type(cfg).__name__}.rays: {tuple(rays.shape)}: must be finite, (H, W, 3) = {(cfg.height, cfg.width, 3)}"
+            )
     else:
-        raise ConfigError(f"{type(cfg).__name__} has no ray table. Give the rays by a RayTableCfg instead")
+        raise ConfigError(f"{type(cfg).__name__} has no ray table. Give them by its method rays, or take a RayTableCfg")
     least = float(rays[..., 0].min())
     if cfg.kind == "depth" and least < _LEAST_COSINE:
         raise ConfigError(

@@ -95,10 +95,10 @@ def _as_vec3(numbers: Sequence[float]) -> Vec3:
 
 
 def _make_sim(freq: float) -> str:
-    for name in SIMS.names():
+    for name in sorted(SIMS):
         if abs(SIMS.get(name).dt * freq - 1.0) < 1e-9:
             return name
-    known = ", ".join(dict.fromkeys(f"{1.0 / SIMS.get(name).dt:.0f}" for name in SIMS.names()))
+    known = ", ".join(dict.fromkeys(f"{1.0 / SIMS.get(name).dt:.0f}" for name in sorted(SIMS)))
     raise ConfigError(f"sim.freq = {freq!r}: no sim has this frequency. Known: {known} Hz")
 
 

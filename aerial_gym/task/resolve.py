@@ -12,7 +12,16 @@ from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError, Unkn
 from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.observations import tensor_term
-from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind_term, check_params
+from aerial_gym.task.terms.term import (
+    ACTION,
+    BoundTerm,
+    Term,
+    TermRegistry,
+    bind_term,
+    call_term,
+    check_params,
+    check_result,
+)
 from aerial_gym.task.values import Values
 
 Observed = list[tuple[BoundTerm, ObservationCfg, int]]  # Terms of a group with their widths
@@ -155,23 +164,3 @@ def term_width(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, widt
         width = value.shape[1]
     check_result(term.label, value, (rows, width), "(E, width)")
     return width
-
-
-@torch.no_grad()
-def call_term(term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
-    """Return the value of a term; raise ``ConfigError`` if it cannot be computed."""
-    try:
-        return term.evaluate(values)
-    except Exception as error:
-        reason = (str(error).strip().splitlines() or [""])[0]
-        raise ConfigError(f"{term.label}: cannot be computed ({type(error).__name__}: {reason})") from error
-
-
-def check_result(label: str, value: object, expected: tuple[int, ...], letters: str, *, truth: bool = False) -> None:
-    """Raise ``ConfigError`` unless a value is a tensor of a shape, of truth values or else of floating point numbers."""
-    needs = f"needs a tensor {letters} = {expected} of {'torch.bool' if truth else 'floating point numbers'}"
-    if not isinstance(value, Tensor):
-        raise ConfigError(f"{label}: returns a {type(value).__name__}, {needs}")
-    fits = value.dtype == torch.bool if truth else value.is_floating_point()
-    if tuple(value.shape) != expected or not fits:
-        raise ConfigError(f"{label}: returns {tuple(value.shape)} {value.dtype}, {needs}")

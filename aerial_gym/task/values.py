@@ -8,16 +8,26 @@ Letters: E environments, U entries of a command, V entries of an action.
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
+from aerial_gym.errors import DuplicateNameError, ShapeError, UnknownNameError, suggest_name
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
+from aerial_gym.registry.plugins import instances_of
 from aerial_gym.task.step.row_kernels import GradientGraph
 from aerial_gym.task.terms.gate_path import gate_path_length
-from aerial_gym.task.terms.term import BoundTerm, Function, Term, bind_term
+from aerial_gym.task.terms.term import (
+    BoundTerm,
+    Function,
+    Term,
+    bind_term,
+    call_term,
+    check_result,
+    term_from_function,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +38,21 @@ class Buffer:
     shape: tuple[int | str, ...]  # Of a row
     unit: str
     frame: str
+
+    def __post_init__(self) -> None:
+        sizes = self.shape if isinstance(self.shape, tuple) else (0,)
+        if not all(isinstance(size, str) or (type(size) is int and size > 0) for size in sizes):
+            raise ShapeError(
+                f"{self.label}: shape = {self.shape!r}: must be a tuple of letters and whole numbers > 0, such as (3,), "
+                "or () for one number"
+            )
+
+    @property
+    def label(self) -> str:
+        """Name and place of the declaration, for messages."""
+        code = getattr(self.term.value, "__code__", None)
+        place = f" ({Path(code.co_filename).name}:{code.co_firstlineno})" if code is not None else ""
+        return f"task buffer {self.term.name!r}{place}"
 
     @property
     def summary(self) -> str:
@@ -51,9 +76,7 @@ class BufferRegistry(Registry[Buffer]):
 
         def add(function: Function) -> Function:
             known = name or function.__name__
-            term = Term(name=known, value=function)
-            _ = term.reads
-            self.register(known, Buffer(term=term, shape=shape, unit=unit, frame=frame))
+            self.register(known, Buffer(term=term_from_function(known, function), shape=shape, unit=unit, frame=frame))
             return function
 
         return add
@@ -99,6 +122,9 @@ def policy_action(policy_action: Tensor, begun: Tensor) -> Tensor:
 def previous_way(target_position: Tensor, target_orientation: Tensor, robot_position: Tensor) -> Tensor:
     """Return the way to the next gate of a track one step before, or at the reset, (E,): see ``way.gate_path_length``."""
     return gate_path_length(target_position, target_orientation, robot_position)
+
+
+BUFFERS.accept_plugins(buffer=instances_of("aerial_gym.task.values:Buffer"))
 
 
 class Values(Mapping[str, Tensor]):
@@ -152,11 +178,15 @@ class Values(Mapping[str, Tensor]):
 
     def _make_registered_buffer(self, name: str) -> Tensor:
         entry = BUFFERS.get(name)
-        made = self.declare(name, entry.shape, unit=entry.unit, frame=entry.frame, meaning=entry.summary)
-        label = f"task buffer {name!r}"
-        for read in entry.term.reads:
-            self.find(read, label)
-        self.updates[name] = bind_term(entry.term, {}, label)
+        try:
+            made = self.declare(name, entry.shape, unit=entry.unit, frame=entry.frame, meaning=entry.summary)
+        except ShapeError as error:
+            raise ShapeError(f"{entry.label}: shape = {entry.shape!r}: {error}") from None
+        update = bind_term(entry.term, {}, f"task buffer {name!r}")
+        values = self.term_inputs(update)
+        self.updates[name] = update
+        letters = f"of its declared shape ({', '.join(map(str, ('E', *entry.shape)))})"
+        check_result(entry.label, call_term(replace(update, label=entry.label), values), tuple(made.shape), letters)
         return made
 
     def term_inputs(self, *terms: BoundTerm) -> dict[str, Tensor]:

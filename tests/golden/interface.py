@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import aerial_gym
-from aerial_gym.cli.list_names import KINDS, PARTS_OF_TASKS
+from aerial_gym.cli.list_names import KINDS, ON_REQUEST
 from aerial_gym.cli.main import COMMANDS, main
 from aerial_gym.lazy import ImportPath
 from aerial_gym.physics import EFFECTS
@@ -73,7 +73,7 @@ def _command_output(*argv: str) -> str:
 def _names() -> dict[str, Any]:
     """Return the names of each kind, whose summaries must not be empty, and the parameters of each effect."""
     result: dict[str, Any] = {}
-    for kind in (*KINDS, *PARTS_OF_TASKS):
+    for kind in (*KINDS, *ON_REQUEST):
         told = json.loads(_command_output("list", kind, "--json"))
         for name, lines in told.items():
             result[name] = list(lines)

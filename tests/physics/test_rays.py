@@ -265,5 +265,5 @@ def test_an_unknown_class_of_sensor_is_refused() -> None:
     class Sonar(RangeSensorCfg):
         model = "sonar"
 
-    with pytest.raises(ConfigError, match="Sonar has no ray table. Give the rays by a RayTableCfg instead"):
+    with pytest.raises(ConfigError, match="Sonar has no ray table. Give them by its method rays"):
         ray_table(Sonar(**COMMON, model="sonar", width=1, height=1), device=CPU)

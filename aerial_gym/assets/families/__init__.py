@@ -7,6 +7,7 @@ from aerial_gym.assets.families import rules
 from aerial_gym.assets.families.rules import Draw, Family
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, ShapeCfg
 from aerial_gym.registry import Registry
+from aerial_gym.registry.plugins import instances_of
 
 __all__ = ["FAMILIES", "Draw", "Family", "assets_with_family_shapes", "family_shapes"]
 
@@ -18,6 +19,8 @@ for _name, _family in {
     "thin_rods": rules.THIN_RODS, "trees": rules.TREES, "walls": rules.WALLS,
 }.items():  # fmt: skip
     FAMILIES.register(_name, _family)
+
+FAMILIES.accept_plugins(shape=instances_of("aerial_gym.assets.families.rules:Family"))
 
 
 def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:

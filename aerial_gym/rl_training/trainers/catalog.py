@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
+from aerial_gym.registry.plugins import instances_of
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.trainers.trainer import Trainer
@@ -23,6 +24,8 @@ for _name, _class in (
 ):
     _home = ImportPath(f"aerial_gym.rl_training.trainers.{_class}")
     TRAINERS.register_later(_name, _home.make, summary=_home.summary)
+
+TRAINERS.accept_plugins(trainer=instances_of("aerial_gym.rl_training.trainers.trainer:Trainer"))
 
 
 def trainers_with_feature(feature: str) -> str:

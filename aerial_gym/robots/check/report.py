@@ -96,7 +96,7 @@ def check_robot(
         *_sensor_problems(robot),
     )  # fmt: skip
     if controllers is None:
-        controllers = [n for n in CONTROLLERS.names() if trim_axes(c := CONTROLLERS.get(n)) and c.gains is None]
+        controllers = [n for n in sorted(CONTROLLERS) if trim_axes(c := CONTROLLERS.get(n)) and c.gains is None]
     flown = {name: CONTROLLERS.get(name) for name in (controllers if not problems else ())}
     with one_thread():
         steps = largest_stable_steps(robot, flown, gravity=gravity, progress=progress)

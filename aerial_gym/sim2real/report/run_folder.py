@@ -11,6 +11,7 @@ from pathlib import Path
 
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import DataError
+from aerial_gym.registry.plugins import loaded_versions
 
 RECORD = "run.json"  # File name of the record, which also marks a folder as the output of a run
 
@@ -72,7 +73,8 @@ def write_record(folder: Path, config: dict[str, object], inputs: dict[str, str]
     """Write configuration, package versions and the checksums of the input files, taken at reading."""
     record = {
         "config": config,
-        "versions": {name: _version(name) for name in ("aerial-gym", "torch", "numpy", "scipy", "pandas")},
+        "versions": {name: _version(name) for name in ("aerial-gym", "torch", "numpy", "scipy", "pandas")}
+        | loaded_versions(),
         "python": platform.python_version(),
         "inputs": inputs,
     }

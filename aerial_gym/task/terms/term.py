@@ -10,6 +10,7 @@ from functools import partial
 from inspect import Parameter, signature
 from typing import Any, TypeVar, get_type_hints
 
+import torch
 from torch import Tensor
 
 from aerial_gym.config.loader import convert
@@ -94,6 +95,35 @@ def _signature_parameters(function: Callable[..., object]) -> Iterator[tuple[str
         yield name, each
 
 
+@torch.no_grad()
+def call_term(term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
+    """Return the value of a term; raise ``ConfigError`` if it cannot be computed."""
+    try:
+        return term.evaluate(values)
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [""])[0]
+        raise ConfigError(f"{term.label}: cannot be computed ({type(error).__name__}: {reason})") from error
+
+
+def check_result(label: str, value: object, expected: tuple[int, ...], letters: str, *, truth: bool = False) -> None:
+    """Raise ``ConfigError`` unless a value is a tensor of a shape, of truth values or else of floating point numbers."""
+    needs = f"needs a tensor {letters} = {expected} of {'torch.bool' if truth else 'floating point numbers'}"
+    if not isinstance(value, Tensor):
+        raise ConfigError(f"{label}: returns a {type(value).__name__}, {needs}")
+    fits = value.dtype == torch.bool if truth else value.is_floating_point()
+    if tuple(value.shape) != expected or not fits:
+        raise ConfigError(f"{label}: returns {tuple(value.shape)} {value.dtype}, {needs}")
+
+
+def term_from_function(name: str, function: Any) -> Term:
+    """Return the term of a function, or the term itself; raise ``ConfigError`` for anything else."""
+    term = function if isinstance(function, Term) or not callable(function) else Term(name=name, value=function)
+    if not isinstance(term, Term):
+        raise ConfigError(f"term {name!r}: is a {type(function).__name__}, needs a function of tensors")
+    _ = term.reads  # refuses a signature without names
+    return term
+
+
 class TermRegistry(Registry[Term]):
     """Terms of one kind by name."""
 
@@ -114,8 +144,7 @@ class TermRegistry(Registry[Term]):
             known = name or function.__name__
             needs = None if command is None else tuple(command)
             term = Term(name=known, value=function, width=width, command=needs, named=dict(named or {}))
-            _ = term.reads  # refuses a signature without names
-            self.register(known, term)
+            self.register(known, term_from_function(known, term))
             return function
 
         return add
