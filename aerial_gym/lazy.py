@@ -129,21 +129,20 @@ class ImportPath:
         source = self.file().read_text(encoding="utf-8")
         for node in ast.parse(source).body:
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == name:
-                given = [
-                    n.value for n in node.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "summary"
-                ]
+                given = [_value_of(statement, "summary") for statement in node.body]
                 return _first_text(given) or (ast.get_docstring(node) or "").partition("\n")[0]
-            if (
-                isinstance(node, ast.Assign)
-                and ast.unparse(node.targets[0]) == name
-                and isinstance(node.value, ast.Call)
-            ):
-                return _first_text([each.value for each in node.value.keywords if each.arg == "summary"])
+            if isinstance(call := _value_of(node, name), ast.Call):
+                return _first_text([each.value for each in call.keywords if each.arg == "summary"])
         if name not in source:
             raise AttributeError(f"module {module!r} has no {name!r}")
         return ""
 
 
-def _first_text(nodes: Sequence[ast.expr]) -> str:
+def _value_of(node: ast.stmt, name: str) -> ast.expr | None:
+    """Return the value that a statement assigns to a name; None of another statement."""
+    return node.value if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name else None
+
+
+def _first_text(nodes: Sequence[ast.expr | None]) -> str:
     """Return the first of the nodes that is a text; empty without one."""
     return next((n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)), "")

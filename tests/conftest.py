@@ -6,6 +6,7 @@ into sums, so that rounding differs."""
 import gc
 import os
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import cache
@@ -17,6 +18,8 @@ from weakref import WeakKeyDictionary
 _CORES = len(os.sched_getaffinity(0))
 _WANTED = int(os.environ.get("OMP_NUM_THREADS", "2"))
 _THREADS = max(1, min(2, _WANTED, _CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
+
+os.environ["AERIAL_GYM_NO_PLUGINS"] = "1"  # No test depends on installed plug-ins; the fixture `install` turns them on
 
 # Workers with more threads than cores wait for each other. Processes that tests start inherit the number.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(_THREADS)))
@@ -167,10 +170,13 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> Iterator[Callable[..., Path]]:
     """Return ``install(package, points, **files)``: write a package with its metadata, and forget all plug-ins known."""
-    folder, before = tmp_path / "site", set(sys.modules)
+    folder, packages = tmp_path / "site", set[str]()
     monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delenv(plugins.SWITCH)
 
     def add(package: str, points: dict[str, str], version: str = "1.0", **files: str) -> Path:
+        """Return the folder that holds all packages; ``files``: source by module."""
+        packages.update(value.partition(":")[0].partition(".")[0] for value in points.values())
         metadata = folder / f"{package.replace('-', '_')}-{version}.dist-info"
         metadata.mkdir(parents=True)
         text = f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n"
@@ -187,9 +193,20 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: Non
 
     yield add
     plugins.find_plugins.cache_clear()
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(folder)):
-            del sys.modules[name]
+    for name in [name for name in sys.modules if name.partition(".")[0] in packages]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def install_project(install: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """Return a replacement for ``pip install FOLDER``: it reads ``pyproject.toml`` and leaves the modules in their folder."""
+
+    def add(home: Path) -> None:
+        project = tomllib.loads((home / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        monkeypatch.syspath_prepend(str(home.resolve()))
+        install(project["name"], project["entry-points"][plugins.GROUP], project["version"])
+
+    return add
 
 
 @pytest.fixture(autouse=True)

@@ -49,8 +49,6 @@ ON_REQUEST = {
 }
 """Parts of tasks and shapes, listed only on request, as their functions import torch or NumPy."""
 
-PACKAGES = "packages"  # Key of the JSON object with the packages of plug-ins, by kind and name
-
 
 @dataclass(frozen=True, kw_only=True)
 class ListCmd:
@@ -86,7 +84,7 @@ class ListCmd:
         }
         if self.json:
             plugins = {kind: names for kind, names in packages.items() if names}
-            print(json_line(summaries | ({PACKAGES: plugins} if plugins else {}), indent=2))
+            print(json_line(summaries | ({"packages": plugins} if plugins else {}), indent=2))
             return 0
         rows = [
             (kind, name, f"{line} (package {packages[kind][name]})".lstrip() if name in packages[kind] else line)

@@ -54,8 +54,7 @@ def _command_overview(noun: str = "") -> str:
     rows = [f"  {name:<{width}} {COMMANDS[name].summary()}" for name in names]
     usage = f"usage: aerial-gym {f'{noun}VERB' if noun else 'COMMAND'} [options]"
     end = "aerial-gym COMMAND --help lists the options; --version prints the version."
-    plugins = f"{NO_PLUGINS} leaves out parts of other packages, in any command."
-    return "\n".join([usage, "", *rows, "", end, plugins])
+    return "\n".join([usage, "", *rows, "", end, f"{NO_PLUGINS} leaves out parts of other packages, in any command."])
 
 
 def _split_command_name(argv: Sequence[str]) -> tuple[str, Sequence[str]]:

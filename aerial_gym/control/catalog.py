@@ -8,7 +8,7 @@ from aerial_gym.config import CONFIG_DIR, autopilots, family_files, load
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import classes_of, instances_of
+from aerial_gym.registry.plugins import class_converter, instance_converter
 
 if TYPE_CHECKING:
     from aerial_gym.control.controllers import Controller
@@ -18,7 +18,7 @@ CONTROLLERS: Registry[ControllerCfg] = Registry("controller")
 CONTROL_LAWS: "Registry[Callable[..., Controller]]" = Registry("control law")
 """Laws of other packages by their names in ``ControllerCfg.law``: classes, called like those of ``WITH_MEMORY``."""
 
-CONTROL_LAWS.accept_plugins(control_law=classes_of())
+CONTROL_LAWS.accept_plugins(control_law=class_converter())
 
 AERIAL_GYM_GAINS = load(LeeGainsCfg, CONFIG_DIR / "controllers" / "lee_gains.yaml")
 """Explicit gains of the Aerial Gym Simulator, one set for every robot: ``replace(controller, gains=AERIAL_GYM_GAINS)``."""
@@ -107,6 +107,6 @@ def _controller_of_law(name: str, law: Callable[..., "Controller"]) -> Controlle
 
 
 CONTROLLERS.accept_plugins(
-    controller=instances_of("aerial_gym.config.controller:ControllerCfg"),
+    controller=instance_converter("aerial_gym.config.controller:ControllerCfg"),
     control_law=_controller_of_law,  # a plug-in's law is flown under its own name
 )

@@ -5,9 +5,9 @@ from functools import partial
 from aerial_gym.config import family_files, load, read_summary
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 from aerial_gym.registry.registry import register_files
 
 SIMS: Registry[SimCfg] = Registry("sim")
 register_files(SIMS, family_files("sims"), partial(load, SimCfg), summary=read_summary)
-SIMS.accept_plugins(sim=instances_of("aerial_gym.config.sim:SimCfg"))
+SIMS.accept_plugins(sim=instance_converter("aerial_gym.config.sim:SimCfg"))

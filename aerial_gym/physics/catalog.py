@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import classes_of, instances_of
+from aerial_gym.registry.plugins import class_converter, instance_converter
 
 if TYPE_CHECKING:
     from aerial_gym.physics.backend import PhysicsBackend
@@ -22,9 +22,9 @@ for _name, _place in (
     _home = ImportPath(_place)
     BACKENDS.register_later(_name, _home.load, summary=_home.summary)
 
-BACKENDS.accept_plugins(backend=classes_of())
+BACKENDS.accept_plugins(backend=class_converter())
 
 ROTOR_MAPS: "Registry[RotorMap]" = Registry("rotor map")  # Functions of a rotor's speed by name (`RotorCfg.rotor_map`)
 _home = ImportPath("aerial_gym.physics.rotor_maps:PolynomialMap")
 ROTOR_MAPS.register_later("polynomial", _home.make, summary=_home.summary)
-ROTOR_MAPS.accept_plugins(rotor_map=instances_of("aerial_gym.physics.rotor_maps:RotorMap"))
+ROTOR_MAPS.accept_plugins(rotor_map=instance_converter("aerial_gym.physics.rotor_maps:RotorMap"))

@@ -3,7 +3,7 @@
 from typing import Any
 
 from aerial_gym.lazy import ImportPath
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 from aerial_gym.registry.registry import Registry
 
 LOG_READERS: Registry[Any] = Registry("log format")  # Readers of binary logs, each a `LogReader`
@@ -27,7 +27,7 @@ for _name, (_place, _marks) in READERS.items():
     _home = ImportPath(f"aerial_gym.sim2real.logs.readers.{_place}")
     LOG_READERS.register_later(_name, _home.make, summary=_home.summary)
 
-LOG_READERS.accept_plugins(log_reader=instances_of("aerial_gym.sim2real.logs.readers.log_readers:LogReader"))
+LOG_READERS.accept_plugins(log_reader=instance_converter("aerial_gym.sim2real.logs.readers.log_readers:LogReader"))
 
 
 def reader_names(head: bytes) -> list[str]:

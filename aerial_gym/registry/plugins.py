@@ -29,7 +29,7 @@ KINDS = (
 
 Convert = Callable[[str, Any], Any]  # From the name and the object of a part to the entry of a registry
 
-_versions: dict[str, str] = {}
+plugin_versions: dict[str, str] = {}  # Versions of the packages whose parts this process has used, by name
 
 
 @dataclass(frozen=True)
@@ -52,22 +52,16 @@ class Plugin:
         """Whether its module is imported, so that it may have registered the part itself."""
         return not self.is_file and self.place.partition(":")[0] in sys.modules
 
-    def summary(self) -> str:
+    def summary(self, summarise_file: Callable[[Path], str]) -> str:
         """Return one line about the part, without an import."""
-        if not self.is_file:
-            return ImportPath(self.place).summary()
-        from aerial_gym.config.loader import read_summary
+        place = ImportPath(self.place)
+        return summarise_file(place.file()) if self.is_file else place.summary()
 
-        return read_summary(ImportPath(self.place).file())
-
-    def load(self, load_file: Callable[[Path], Any] | None) -> Any:
-        """Return the object of the part; ``load_file`` reads its configuration file."""
-        _versions[self.package] = self.version
-        if not self.is_file:
-            return ImportPath(self.place).load()
-        if load_file is None:
-            raise ConfigError(f"a {self.kind} is no file. Give module:object")
-        return load_file(ImportPath(self.place).file())
+    def load(self, load_file: Callable[[Path], Any]) -> Any:
+        """Return the object of the part; ``load_file`` reads a configuration file."""
+        plugin_versions[self.package] = self.version
+        place = ImportPath(self.place)
+        return load_file(place.file()) if self.is_file else place.load()
 
     def failure(self, error: BaseException) -> str:
         """Return the line on an error of this part."""
@@ -87,11 +81,6 @@ def log_fault(line: str) -> None:
     logging.getLogger(__name__).warning(line)
 
 
-def loaded_versions() -> dict[str, str]:
-    """Return the versions of the packages whose parts this process has used, by name."""
-    return dict(sorted(_versions.items()))
-
-
 @cache
 def find_plugins() -> Mapping[str, tuple[Plugin, ...]]:
     """Return the plug-ins of all installed packages by kind; parts that cannot be understood are reported."""
@@ -105,30 +94,29 @@ def find_plugins() -> Mapping[str, tuple[Plugin, ...]]:
 
 def _packages_with_plugins() -> "Iterator[Distribution]":
     """Yield the packages with the group, by name. The text is searched first, as ``importlib.metadata`` takes 50 ms."""
-    packages = {}
-    for folder in map(Path, dict.fromkeys(sys.path)):
-        names = os.listdir(folder) if folder.is_dir() else ()
-        for path in (folder / name for name in sorted(names) if name.endswith(("-info", ".egg-info"))):
-            try:
-                is_one = GROUP.encode() in (path / "entry_points.txt").read_bytes()
-            except OSError:
-                continue
-            if is_one:
-                from importlib.metadata import Distribution
+    packages: dict[str, Any] = {}
+    for folder in dict.fromkeys(sys.path):
+        for file in Path(folder).glob("*-info/entry_points.txt"):
+            if GROUP.encode() in file.read_bytes():
+                from importlib import metadata
 
-                package = Distribution.at(path)
-                packages.setdefault(package.name or path.stem, package)
+                package = metadata.Distribution.at(file.parent)
+                packages.setdefault(package.name, package)
     yield from (packages[name] for name in sorted(packages))
 
 
 def _plugins_of_package(package: "Distribution") -> Iterator[Plugin]:
-    for point in package.entry_points:
-        if point.group == GROUP:
-            kind, _, name = point.name.partition(".")
-            if fault := _fault_of_entry_point(point, kind, name):
-                log_fault(_describe_fault(package.name, package.version, f"{point.name} = {point.value!r}: {fault}"))
-            else:
-                yield Plugin(kind, name, package.name, package.version, point.value)
+    try:
+        points = [point for point in package.entry_points if point.group == GROUP]
+    except (TypeError, ValueError) as error:
+        log_fault(_describe_fault(package.name, package.version, f"entry_points.txt cannot be read ({error})"))
+        return
+    for point in points:
+        kind, _, name = point.name.partition(".")
+        if fault := _fault_of_entry_point(point, kind, name):
+            log_fault(_describe_fault(package.name, package.version, f"{point.name} = {point.value!r}: {fault}"))
+        else:
+            yield Plugin(kind, name, package.name, package.version, point.value)
 
 
 def _fault_of_entry_point(point: "EntryPoint", kind: str, name: str) -> str:
@@ -140,40 +128,33 @@ def _fault_of_entry_point(point: "EntryPoint", kind: str, name: str) -> str:
     return "" if module.strip() and attribute.strip() else "must be module:object or package:file.yaml"
 
 
-def instances_of(place: str) -> Convert:
+def instance_converter(place: str) -> Convert:
     """Return the conversion to an instance of the class at ``place``; a class derived from it is called."""
 
     def convert(name: str, part: Any) -> Any:
         base = ImportPath(place).load()
         entry = part() if isinstance(part, type) and issubclass(part, base) else part
-        if not isinstance(entry, base):
-            raise ConfigError(f"is {_describe_type(part)}, needs {base.__name__}")
-        return _require_name(name, entry)
+        return _require_fit(name, entry, isinstance(entry, base), base.__name__)
 
     return convert
 
 
-def classes_of(place: str | None = None) -> Convert:
-    """Return the conversion to a class derived from the one at ``place``; anything that can be called without one."""
+def class_converter(place: str | None = None) -> Convert:
+    """Return the conversion to a class derived from the one at ``place``; without one, to anything that can be called."""
 
     def convert(name: str, part: Any) -> Any:
-        base = None if place is None else ImportPath(place).load()
-        if not (callable(part) if base is None else isinstance(part, type) and issubclass(part, base)):
-            raise ConfigError(
-                f"is {_describe_type(part)}, needs a class{f' derived from {base.__name__}' if base else ''}"
-            )
-        return _require_name(name, part)
+        base = object if place is None else ImportPath(place).load()
+        fits = callable(part) if place is None else isinstance(part, type) and issubclass(part, base)
+        return _require_fit(name, part, fits, f"class derived from {base.__name__}")
 
     return convert
 
 
-def _describe_type(part: object) -> str:
-    return f"the class {part.__name__}" if isinstance(part, type) else f"a {type(part).__name__}"
-
-
-def _require_name(name: str, entry: Any) -> Any:
-    """Return an entry; refuse one that states another name."""
+def _require_fit(name: str, entry: Any, fits: bool, needs: str) -> Any:
+    """Return an entry; refuse one of a wrong type, or one that states another name."""
     own = getattr(entry, "name", None)
+    if not fits:
+        raise ConfigError(f"{entry!r} is no {needs}")
     if isinstance(own, str) and own not in ("", name):
         raise ConfigError(f"its name is {own!r}. Give both the same name")
     return entry

@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, NoReturn, TypeVar, cast
 
-from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
+from aerial_gym.errors import ConfigError, DuplicateNameError, UnknownNameError, suggest_name
 from aerial_gym.registry.plugins import Plugin, find_plugins, log_fault
 
 T = TypeVar("T")
@@ -28,8 +28,10 @@ class Registry(Generic[T]):
         self._entries: dict[str, T | _LazyEntry[T]] = {}
         self._plugin_kinds: dict[str, Callable[[str, Any], T]] = {}
         self._plugins: dict[str, Plugin] = {}
+        self._own_names: frozenset[str] = frozenset()
         self._has_plugins = True
-        self.load_file: Callable[[Path], T] | None = None  # Reads a configuration file of a plug-in
+        self.load_file: Callable[[Path], T] = _refuse_file  # Reads an entry from a configuration file
+        self.summarise_file: Callable[[Path], str] = _refuse_file  # Reads only the line about it
 
     @property
     def kind(self) -> str:
@@ -54,7 +56,7 @@ class Registry(Generic[T]):
         Args:
             kinds: For each kind of plug-in the conversion from its name and object to an entry, which raises ``ConfigError``.
         """
-        self._plugin_kinds, self._has_plugins = kinds, False
+        self._plugin_kinds, self._has_plugins, self._own_names = kinds, False, frozenset(self._entries)
 
     def _all_entries(self) -> dict[str, T | _LazyEntry[T]]:
         """Return the entries, with those of plug-ins."""
@@ -68,7 +70,7 @@ class Registry(Generic[T]):
     def _add_plugin(self, plugin: Plugin, convert: Callable[[str, Any], T]) -> None:
         if plugin.name not in self._entries:
             make = partial(self._make_plugin, plugin, convert)
-            self._entries[plugin.name] = _LazyEntry(make, plugin.summary)
+            self._entries[plugin.name] = _LazyEntry(make, partial(plugin.summary, self.summarise_file))
         elif not plugin.is_imported:  # an imported module may have registered its part itself
             taken = DuplicateNameError(f"the name is taken by {self._owner(plugin.name)}. Choose another one")
             log_fault(plugin.failure(taken))
@@ -76,9 +78,9 @@ class Registry(Generic[T]):
         self._plugins[plugin.name] = plugin
 
     def _owner(self, name: str) -> str:
-        return (
-            f"package {self._plugins[name].package}" if name in self._plugins else "package aerial-gym or this program"
-        )
+        if name in self._plugins:
+            return f"package {self._plugins[name].package}"
+        return "package aerial-gym" if name in self._own_names else "this program"
 
     def _make_plugin(self, plugin: Plugin, convert: Callable[[str, Any], T]) -> T:
         part = plugin.load(self.load_file)
@@ -152,10 +154,14 @@ class Registry(Generic[T]):
         return len(self._all_entries())
 
 
+def _refuse_file(path: Path) -> NoReturn:
+    raise ConfigError(f"{path.name}: entries of this kind are no files. Give module:object")
+
+
 def register_files(
     registry: Registry[T], files: Mapping[str, Path], load: Callable[[Path], T], *, summary: Callable[[Path], str]
 ) -> None:
     """Add files by name, each loaded at its first use; ``summary`` returns one line about a file without loading it."""
-    registry.load_file = load
+    registry.load_file, registry.summarise_file = load, summary
     for name, path in files.items():
         registry.register_later(name, partial(load, path), summary=partial(summary, path))

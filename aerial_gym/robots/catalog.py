@@ -5,12 +5,12 @@ from pathlib import Path
 from aerial_gym.config import family_files, read_summary
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 from aerial_gym.registry.registry import register_files
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
 register_files(ROBOTS, family_files("robots"), load_robot, summary=read_summary)
-ROBOTS.accept_plugins(robot=instances_of("aerial_gym.config.robot:RobotCfg"))
+ROBOTS.accept_plugins(robot=instance_converter("aerial_gym.config.robot:RobotCfg"))
 
 
 def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:

@@ -17,7 +17,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 from aerial_gym.registry.registry import register_files
 from aerial_gym.task.gymnasium_ids import register_task
 
@@ -218,4 +218,4 @@ def task_with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
 
 task_registry = TaskRegistry("task")
 register_files(task_registry, family_files("tasks"), load_task, summary=read_summary)
-task_registry.accept_plugins(task=instances_of("aerial_gym.config.task:TaskCfg"))
+task_registry.accept_plugins(task=instance_converter("aerial_gym.config.task:TaskCfg"))

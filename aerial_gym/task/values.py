@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, ShapeError, UnknownNameError, suggest_name
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 from aerial_gym.task.step.row_kernels import GradientGraph
 from aerial_gym.task.terms.gate_path import gate_path_length
 from aerial_gym.task.terms.term import (
@@ -124,7 +124,7 @@ def previous_way(target_position: Tensor, target_orientation: Tensor, robot_posi
     return gate_path_length(target_position, target_orientation, robot_position)
 
 
-BUFFERS.accept_plugins(buffer=instances_of("aerial_gym.task.values:Buffer"))
+BUFFERS.accept_plugins(buffer=instance_converter("aerial_gym.task.values:Buffer"))
 
 
 class Values(Mapping[str, Tensor]):

@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from glob import glob
 from html.parser import HTMLParser
@@ -68,7 +69,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None
     return tmp_path
 
 
-def run_commands(text: str) -> None:
+def run_commands(text: str, install_project: Callable[[Path], None]) -> None:
     for line in text.replace("\\\n", " ").splitlines():
         program, *words = shlex.split(line, comments=True) or [""]
         words = [path for word in words for path in (sorted(glob(word)) if "*" in word else [word])]
@@ -76,11 +77,13 @@ def run_commands(text: str) -> None:
             assert main(words) == 0, line
         elif program == "python":
             subprocess.run([sys.executable, *words], check=True)
+        elif program == "pip" and len(words) == 2 and Path(words[1]).is_dir():
+            install_project(Path(words[1]))
         else:
             assert not program, f"{line}: give the block the mark 'not run: REASON'"
 
 
-def run_page(page: Path, *, slow: bool) -> None:
+def run_page(page: Path, install_project: Callable[[Path], None], *, slow: bool) -> None:
     names: dict = {"__name__": "__main__"}
     for block in filter(lambda block: block.runs, page_blocks(page)):
         if block.mark.startswith("file: "):
@@ -92,20 +95,20 @@ def run_page(page: Path, *, slow: bool) -> None:
         elif block.language == "python":
             exec(compile(block.text, page_name(page), "exec"), names)
         else:
-            run_commands(block.text)
+            run_commands(block.text, install_project)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if any(b.runs for b in page_blocks(page))], ids=page_name)
 @pytest.mark.usefixtures("folder")
-def test_blocks_of_a_page_run(page: Path) -> None:
-    run_page(page, slow=False)
+def test_blocks_of_a_page_run(page: Path, install_project: Callable[[Path], None]) -> None:
+    run_page(page, install_project, slow=False)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", find_pages("slow"), ids=page_name)
 @pytest.mark.usefixtures("folder")
-def test_all_blocks_of_a_page_run(page: Path) -> None:
-    run_page(page, slow=True)
+def test_all_blocks_of_a_page_run(page: Path, install_project: Callable[[Path], None]) -> None:
+    run_page(page, install_project, slow=True)
 
 
 @pytest.mark.slow

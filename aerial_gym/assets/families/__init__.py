@@ -7,7 +7,7 @@ from aerial_gym.assets.families import rules
 from aerial_gym.assets.families.rules import Draw, Family
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, ShapeCfg
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 
 __all__ = ["FAMILIES", "Draw", "Family", "assets_with_family_shapes", "family_shapes"]
 
@@ -20,7 +20,7 @@ for _name, _family in {
 }.items():  # fmt: skip
     FAMILIES.register(_name, _family)
 
-FAMILIES.accept_plugins(shape=instances_of("aerial_gym.assets.families.rules:Family"))
+FAMILIES.accept_plugins(shape=instance_converter("aerial_gym.assets.families.rules:Family"))
 
 
 def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 
 if TYPE_CHECKING:
     from aerial_gym.physics.effects.base import Effect
@@ -74,4 +74,4 @@ for _name, _place in (
     _home = ImportPath(f"aerial_gym.physics.effects.{_place}")
     EFFECTS.register_later(_name, _home.make, summary=_home.summary)
 
-EFFECTS.accept_plugins(effect=instances_of("aerial_gym.physics.effects.base:Effect"))
+EFFECTS.accept_plugins(effect=instance_converter("aerial_gym.physics.effects.base:Effect"))

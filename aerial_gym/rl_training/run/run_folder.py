@@ -31,7 +31,7 @@ from typing import Any
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.storage import read_archive, storage_errors, write_archive, write_atomic
 from aerial_gym.errors import ConfigError, StorageError
-from aerial_gym.registry.plugins import loaded_versions
+from aerial_gym.registry.plugins import plugin_versions
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 
@@ -183,4 +183,4 @@ def _package_versions() -> dict[str, str]:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             versions[name] = "not installed"
-    return versions | loaded_versions()
+    return versions | plugin_versions

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.trainers.trainer import Trainer
@@ -25,7 +25,7 @@ for _name, _class in (
     _home = ImportPath(f"aerial_gym.rl_training.trainers.{_class}")
     TRAINERS.register_later(_name, _home.make, summary=_home.summary)
 
-TRAINERS.accept_plugins(trainer=instances_of("aerial_gym.rl_training.trainers.trainer:Trainer"))
+TRAINERS.accept_plugins(trainer=instance_converter("aerial_gym.rl_training.trainers.trainer:Trainer"))
 
 
 def trainers_with_feature(feature: str) -> str:

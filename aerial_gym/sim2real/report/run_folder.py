@@ -11,7 +11,7 @@ from pathlib import Path
 
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import DataError
-from aerial_gym.registry.plugins import loaded_versions
+from aerial_gym.registry.plugins import plugin_versions
 
 RECORD = "run.json"  # File name of the record, which also marks a folder as the output of a run
 
@@ -74,7 +74,7 @@ def write_record(folder: Path, config: dict[str, object], inputs: dict[str, str]
     record = {
         "config": config,
         "versions": {name: _version(name) for name in ("aerial-gym", "torch", "numpy", "scipy", "pandas")}
-        | loaded_versions(),
+        | plugin_versions,
         "python": platform.python_version(),
         "inputs": inputs,
     }

@@ -2,7 +2,7 @@
 
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.registry.plugins import classes_of
+from aerial_gym.registry.plugins import class_converter
 from aerial_gym.task.commands import gates, points, polynomial, track
 from aerial_gym.task.commands.command import COMMANDS, Command
 from aerial_gym.task.terms.term import check_params
@@ -10,7 +10,7 @@ from aerial_gym.task.values import Values
 
 __all__ = ["COMMANDS", "gates", "make_command", "points", "polynomial", "track"]
 
-COMMANDS.accept_plugins(command=classes_of("aerial_gym.task.commands.command:Command"))
+COMMANDS.accept_plugins(command=class_converter("aerial_gym.task.commands.command:Command"))
 
 
 def make_command(cfg: CommandCfg | None, values: Values, env: EnvManager) -> Command:

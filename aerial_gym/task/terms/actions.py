@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aerial_gym.control.laws import LAWS
 from aerial_gym.registry import Registry
-from aerial_gym.registry.plugins import instances_of
+from aerial_gym.registry.plugins import instance_converter
 from aerial_gym.task.terms.term import Function
 
 
@@ -124,4 +124,4 @@ def four_places(
 
 ACTIONS.register("forward_flight_3", Action(value=forward_flight, width=3, command=LAWS["velocity"].action))
 ACTIONS.register(ROTOR_RANGE, Action(value=affine))  # of which a task fills in the numbers
-ACTIONS.accept_plugins(action=instances_of("aerial_gym.task.terms.actions:Action"))
+ACTIONS.accept_plugins(action=instance_converter("aerial_gym.task.terms.actions:Action"))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from inspect import Parameter, signature
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, cast, get_type_hints
 
 import torch
 from torch import Tensor
@@ -115,11 +115,11 @@ def check_result(label: str, value: object, expected: tuple[int, ...], letters: 
         raise ConfigError(f"{label}: returns {tuple(value.shape)} {value.dtype}, {needs}")
 
 
-def term_from_function(name: str, function: Any) -> Term:
+def term_from_function(name: str, function: object) -> Term:
     """Return the term of a function, or the term itself; raise ``ConfigError`` for anything else."""
-    term = function if isinstance(function, Term) or not callable(function) else Term(name=name, value=function)
-    if not isinstance(term, Term):
+    if not (isinstance(function, Term) or callable(function)):
         raise ConfigError(f"term {name!r}: is a {type(function).__name__}, needs a function of tensors")
+    term = function if isinstance(function, Term) else Term(name=name, value=cast("Callable[..., Tensor]", function))
     _ = term.reads  # refuses a signature without names
     return term
 

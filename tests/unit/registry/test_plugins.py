@@ -51,11 +51,11 @@ def test_an_effect_is_known_by_metadata_and_imported_at_its_first_use(install: I
     assert EFFECTS.packages() == {"cable_weight": "my-lab"}
     assert "cable" not in sys.modules
     assert EFFECTS.get("cable_weight").parameters[0].name == "w"
-    assert plugins.loaded_versions()["my-lab"] == "1.0"
+    assert plugins.plugin_versions["my-lab"] == "1.0"
     assert list(EFFECTS)[-1] == "cable_weight"  # after those of this package
 
 
-def test_a_list_imports_neither_torch_nor_the_plug_in(install: Install) -> None:
+def test_the_list_imports_neither_torch_nor_the_package(install: Install) -> None:
     folder = install("my-lab", POINT, cable=CABLE)
     code = (
         "import sys, aerial_gym.cli.main as m; status = m.main(['list', 'effects', '--json']); "
@@ -75,7 +75,7 @@ def test_a_list_imports_neither_torch_nor_the_plug_in(install: Install) -> None:
     assert "--no-plugins" in out.stdout
 
 
-def test_the_list_says_which_package_a_name_is_of(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_says_the_package_of_a_name(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
     install("my-lab", POINT, cable=CABLE)
     assert main(["list", "effects"]) == 0
     assert "cable_weight            weight of a cable (package my-lab)\n" in capsys.readouterr().out
@@ -93,10 +93,13 @@ def test_a_flag_and_a_variable_turn_plug_ins_off(
 
 
 BROKEN = {
-    "no kind": ({"efect.a": "cable:A"}, "efect.a = 'cable:A': no kind 'efect'. Did you mean 'effect'? Known: action"),
+    "no kind": (
+        {"effects.a": "cable:A"},
+        "effects.a = 'cable:A': no kind 'effects'. Did you mean 'effect'? Known: action",
+    ),
     "no name": ({"effect": "cable:A"}, "effect = 'cable:A': the name must be KIND.NAME, such as effect.my_effect"),
     "no object": ({"effect.a": "cable"}, "effect.a = 'cable': must be module:object or package:file.yaml"),
-    "own name": ({"effect.rotor_drag": "cable:A"}, "the name is taken by package aerial-gym"),
+    "own name": ({"effect.rotor_drag": "cable:A"}, "the name is taken by package aerial-gym. Choose another one"),
     "no module": ({"effect.a": "nowhere:A"}, "effect 'a' (nowhere:A): ModuleNotFoundError: no module 'nowhere'"),
     "no class": ({"effect.a": "cable:Cabel"}, "AttributeError: module 'cable' has no 'Cabel'"),
     "no file": ({"robot.a": "lab:a.yaml"}, "robot 'a' (lab:a.yaml): ModuleNotFoundError: no file 'a.yaml' in 'lab'"),
@@ -134,7 +137,7 @@ def test_two_packages_with_one_name_are_both_named(install: Install, caplog: pyt
 FAILING = {
     "an import": ("import no_such_library\n", "ModuleNotFoundError: No module named 'no_such_library'"),
     "an exit": ("raise SystemExit(3)\n", "SystemExit: 3"),
-    "no effect": ("class A: pass\n", "is the class A, needs Effect"),
+    "no effect": ("class A: pass\n", "<class 'failing.A'> is no Effect"),
     "another name": (CABLE.replace("CableWeight", "A"), "its name is 'cable_weight'. Give both the same name"),
 }
 
@@ -162,16 +165,16 @@ def test_a_module_may_register_its_own_part(install: Install) -> None:
     """So one file serves as a script and as a plug-in."""
     reward = (
         "from aerial_gym.task import REWARDS\n\n\n@REWARDS.term(command=('thrust',))\n"
-        "def calm(robot_linvel):\n    '''Return 1.'''\n    return robot_linvel[:, 0]\n"
+        "def smooth(robot_linvel):\n    '''Return 1.'''\n    return robot_linvel[:, 0]\n"
     )
     buffer = (
         "from aerial_gym.task import BUFFERS\n\n\n@BUFFERS.buffer(shape=(3,), unit='m')\n"
         "def place(robot_position):\n    '''Return the place.'''\n    return robot_position.clone()\n"
     )
-    install("my-lab", {"reward.calm": "calm:calm", "buffer.place": "place:place"}, calm=reward, place=buffer)
-    assert REWARDS.summaries()["calm"] == "Return 1."
-    assert REWARDS.get("calm").command == ("thrust",)
-    assert REWARDS.packages() == {"calm": "my-lab"}
+    install("my-lab", {"reward.smooth": "smooth:smooth", "buffer.place": "place:place"}, smooth=reward, place=buffer)
+    assert REWARDS.summaries()["smooth"] == "Return 1."
+    assert REWARDS.get("smooth").command == ("thrust",)
+    assert REWARDS.packages() == {"smooth": "my-lab"}
     assert BUFFERS.get("place").unit == "m"
 
 
@@ -186,14 +189,14 @@ def test_a_module_imported_before_the_plug_ins_are_looked_for_is_no_second_owner
 
 
 def test_functions_become_terms_and_a_law_is_a_controller(install: Install) -> None:
-    term = "def calm(robot_linvel, *, width: float):\n    '''Return 1.'''\n    return robot_linvel[:, 0]\n"
+    term = "def smooth(robot_linvel, *, width: float):\n    '''Return 1.'''\n    return robot_linvel[:, 0]\n"
     law = "class Climb:\n    '''Climb rate.'''\n\n    action_names = ('vz',)\n"
-    points = {"reward.calm": "parts:calm", "control_law.climb": "parts:Climb", "command.bad": "parts:Climb"}
+    points = {"reward.smooth": "parts:smooth", "control_law.climb": "parts:Climb", "command.bad": "parts:Climb"}
     install("my-lab", points, parts=term + law)
-    assert REWARDS.get("calm").reads == ("robot_linvel",)
+    assert REWARDS.get("smooth").reads == ("robot_linvel",)
     assert CONTROL_LAWS.get("climb").__name__ == "Climb"
     assert (CONTROLLERS.get("climb").law, CONTROLLERS.summaries()["climb"]) == ("climb", "Climb rate.")
-    assert_refused(UnknownNameError, "command 'bad' .*is the class Climb, needs a class derived", COMMANDS.get, "bad")
+    assert_refused(UnknownNameError, "command 'bad' .*Climb'> is no class derived from Command", COMMANDS.get, "bad")
 
 
 def test_configuration_files_are_parts(install: Install, caplog: pytest.LogCaptureFixture) -> None:
@@ -201,14 +204,16 @@ def test_configuration_files_are_parts(install: Install, caplog: pytest.LogCaptu
     folder = install("my-lab", points)
     (folder / "lab" / "robots").mkdir(parents=True)
     file = folder / "lab" / "robots" / "wide.yaml"
-    file.write_text("summary: a wide one\nextends: base_quadrotor\nsource: test\n", encoding="utf-8")
+    file.write_text("summary: a wide one\nextends: base_quadrotor\n", encoding="utf-8")
     (folder / "lab" / "bad.yaml").write_text("model: [\n", encoding="utf-8")
     (folder / "lab" / "wide.yaml").write_text("summary: no class\n", encoding="utf-8")
     assert ROBOTS.summaries()["wide"] == "a wide one"
     assert ROBOTS.get("wide").body == ROBOTS.get("base_quadrotor").body
     assert "bad" not in IMUS.summaries()
     assert "imu 'bad' (lab:bad.yaml): " in caplog.text
-    assert_refused(UnknownNameError, "a backend is no file. Give module:object", BACKENDS.get, "b")
+    assert_refused(
+        UnknownNameError, "wide.yaml: entries of this kind are no files. Give module:object", BACKENDS.get, "b"
+    )
     assert "wide" not in SENSORS
 
 

@@ -12,7 +12,7 @@ from aerial_gym import task_registry
 from aerial_gym.config import build
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
-from aerial_gym.errors import ConfigError, DuplicateNameError, UnknownNameError
+from aerial_gym.errors import ConfigError, DuplicateNameError, ShapeError, UnknownNameError
 from aerial_gym.task import BUFFERS, OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.term import Term, TermRegistry, bind_term
 from tests.refusals import assert_refused
@@ -111,6 +111,37 @@ def test_a_buffer_of_ones_own_remembers(monkeypatch: pytest.MonkeyPatch) -> None
         torch.testing.assert_close(reward, (height - expected).clamp_min(0.0))
     task.step(torch.zeros(2, 4))  # the next episode
     assert torch.equal(task.values["highest"], task.env.gtd["robot_position"][:, 2])
+
+
+@pytest.mark.parametrize(("shape", "message"), [
+    ((3,), r"returns \(2,\) torch.float32, needs a tensor of its declared shape \(E, 3\) = \(2, 3\)"),
+    (("Q",), r"shape = \('Q',\): shape letter 'Q' has no size. Known: E"),
+    (3, "shape = 3: must be a tuple of letters and whole numbers > 0"),
+    ((0,), "shape = \\(0,\\): must be a tuple of letters and whole numbers > 0"),
+])  # fmt: skip
+def test_a_buffer_of_a_wrong_shape_is_named_with_its_place(shape: tuple, message: str, own_registries: None) -> None:
+    """At the declaration or when the task is built, not in a later step."""
+
+    def build() -> None:
+        @BUFFERS.buffer(shape=shape, unit="m")
+        def low_point(robot_position: Tensor) -> Tensor:
+            return robot_position[:, 2]
+
+        make(2, policy=(ObservationCfg(term="low_point"),))
+
+    with pytest.raises((ConfigError, ShapeError), match=rf"task buffer 'low_point' \(test_term.py:\d+\): {message}"):
+        build()
+
+
+def test_a_buffer_whose_update_fails_is_named(own_registries: None) -> None:
+    @BUFFERS.buffer(shape=(3,))
+    def square(robot_position: Tensor) -> Tensor:
+        return robot_position @ robot_position
+
+    assert_refused(
+        ConfigError, r"'square' \(test_term.py:\d+\): cannot be computed \(RuntimeError", make, 2,
+        policy=(ObservationCfg(term="square"),),
+    )  # fmt: skip
 
 
 ROOT = Path(__file__).parents[4]
