@@ -86,14 +86,14 @@ def find_plugins() -> Mapping[str, tuple[Plugin, ...]]:
     """Return the plug-ins of all installed packages by kind; parts that cannot be understood are reported."""
     plugins: dict[str, list[Plugin]] = {kind: [] for kind in KINDS}
     if os.environ.get(SWITCH, "0") in ("", "0"):
-        for package in _packages_with_plugins():
-            for plugin in _plugins_of_package(package):
+        for name, package in _packages_with_plugins():
+            for plugin in _plugins_of_package(name, package):
                 plugins[plugin.kind].append(plugin)
     return {kind: tuple(each) for kind, each in plugins.items()}
 
 
-def _packages_with_plugins() -> "Iterator[Distribution]":
-    """Yield the packages with the group, by name. The text is searched first, as ``importlib.metadata`` takes 50 ms."""
+def _packages_with_plugins() -> "list[tuple[str, Distribution]]":
+    """Return the packages with the group, by name. The text is searched first, as ``importlib.metadata`` takes 50 ms."""
     packages: dict[str, Any] = {}
     for folder in dict.fromkeys(sys.path):
         for file in Path(folder).glob("*-info/entry_points.txt"):
@@ -101,22 +101,22 @@ def _packages_with_plugins() -> "Iterator[Distribution]":
                 from importlib import metadata
 
                 package = metadata.Distribution.at(file.parent)
-                packages.setdefault(package.name, package)
-    yield from (packages[name] for name in sorted(packages))
+                packages.setdefault(package.name or file.parent.name, package)
+    return sorted(packages.items())
 
 
-def _plugins_of_package(package: "Distribution") -> Iterator[Plugin]:
+def _plugins_of_package(package_name: str, package: "Distribution") -> Iterator[Plugin]:
     try:
         points = [point for point in package.entry_points if point.group == GROUP]
     except (TypeError, ValueError) as error:
-        log_fault(_describe_fault(package.name, package.version, f"entry_points.txt cannot be read ({error})"))
+        log_fault(_describe_fault(package_name, package.version, f"entry_points.txt cannot be read ({error})"))
         return
     for point in points:
         kind, _, name = point.name.partition(".")
         if fault := _fault_of_entry_point(point, kind, name):
-            log_fault(_describe_fault(package.name, package.version, f"{point.name} = {point.value!r}: {fault}"))
+            log_fault(_describe_fault(package_name, package.version, f"{point.name} = {point.value!r}: {fault}"))
         else:
-            yield Plugin(kind, name, package.name, package.version, point.value)
+            yield Plugin(kind, name, package_name, package.version, point.value)
 
 
 def _fault_of_entry_point(point: "EntryPoint", kind: str, name: str) -> str:

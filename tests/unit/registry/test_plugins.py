@@ -123,6 +123,19 @@ def test_a_fault_of_the_metadata_is_one_line_and_leaves_the_rest(
     assert line.endswith(". It is left out")
 
 
+def test_unreadable_metadata_is_one_line(install: Install, caplog: pytest.LogCaptureFixture) -> None:
+    folder = install("my-lab", POINT, cable=CABLE)
+    install("bad-lab", {})
+    (folder / "bad_lab-1.0.dist-info" / "entry_points.txt").write_text(f"[{plugins.GROUP}]\nno value\n")
+    nameless = folder / "lost-1.0.dist-info"
+    nameless.mkdir()
+    (nameless / "entry_points.txt").write_text(f"[{plugins.GROUP}]\neffects.a = x:A\n")
+    assert EFFECTS.packages() == {"cable_weight": "my-lab"}
+    assert [line.split(":")[0] for line in caplog.messages] == [
+        "plug-in package bad-lab 1.0", "plug-in package lost-1.0.dist-info None",
+    ]  # fmt: skip
+
+
 def test_two_packages_with_one_name_are_both_named(install: Install, caplog: pytest.LogCaptureFixture) -> None:
     install("a-lab", POINT, cable=CABLE)
     install("b-lab", POINT)
