@@ -10,6 +10,7 @@ from aerial_gym.lazy import ImportPath, call_after_import, exports
 
 if TYPE_CHECKING:
     from aerial_gym.assets import ENVIRONMENTS
+    from aerial_gym.cli.functions import check, close_loop, evaluate, play, train
     from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS, EnvManager, SimBuilder
@@ -34,7 +35,12 @@ __all__ = [
     "SimBuilder",
     "Task",
     "__version__",
+    "check",
+    "close_loop",
+    "evaluate",
+    "play",
     "task_registry",
+    "train",
 ]
 
 __getattr__, __dir__ = exports(__name__, __file__)

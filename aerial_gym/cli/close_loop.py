@@ -1,6 +1,6 @@
 """``aerial-gym close-loop``: flights in, a named effect and a corrected robot file out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class CloseLoopCmd:
     """Find what a declared robot lacks in measured flights, and write the corrected robot."""
 
-    robot: str  # Registered robot, or a robot file (.yaml)
+    robot: str = field(kw_only=False)  # Registered robot, or a robot file (.yaml)
     train: tuple[Path, ...]  # Flight logs to fit on; four or more with different motions are best
     test: tuple[Path, ...]  # Flight logs to judge on; nothing is fitted to them
 
@@ -71,6 +71,17 @@ class CloseLoopCmd:
 
     def run(self) -> int:
         """Run the loop and print the verdict; return the exit status."""
+        verdict = self.result()
+        if self.json:
+            from aerial_gym.sim2real.report.verdict_json import verdict_json
+
+            print(json_line(verdict_json(verdict)))
+        else:
+            _print_verdict(verdict, self.out)
+        return 0
+
+    def result(self) -> "Verdict":
+        """Run the loop and write the report and the corrected robot."""
         with pause_garbage_collection():
             from aerial_gym.config import load
             from aerial_gym.sim2real import close_loop
@@ -85,15 +96,9 @@ class CloseLoopCmd:
                 effects=self.effects, failures=self.failures, joints=self.joints, learn_residual=self.learn_residual,
                 ranges=self.ranges, settings=self.set, progress=progress,
             )  # fmt: skip
-        if self.json:
-            from aerial_gym.sim2real.report.verdict_json import verdict_json
-
-            print(json_line(verdict_json(verdict)))
-        else:
-            _print_verdict(verdict, self.out)
         if self.open:
             open_in_browser(self.out / "report.html")
-        return 0
+        return verdict
 
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:

@@ -1,20 +1,24 @@
 """``aerial-gym evaluate``: how well a trained policy flies from fresh random starts."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.config.set_option import SetOption
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training import Evaluation
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCmd:
     """Measure success and crash rates of a policy, its returns by term, the ends of its episodes, and position errors."""
 
-    policy: Path
-    """Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, or an exported file (.onnx, .pt,
-    .c)."""
+    policy: Path = field(kw_only=False)
+    """Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, pretrained/NAME (aerial-gym list
+    pretrained), or an exported file (.onnx, .pt, .c)."""
 
     task: str | None = None  # Registered task, task file (.yaml), module:Name or file.py:Name; else the training's
     robot: str | None = None  # Robot, or a robot file, in place of the training's: a policy on the corrected vehicle
@@ -32,7 +36,22 @@ class EvaluateCmd:
     json: bool = False  # Print one JSON object
 
     def run(self) -> int:
-        """Fly one episode from every start and print the figures; return the exit status."""
+        """Fly and print the figures; return the exit status."""
+        result = self.result()
+        if self.json:
+            print(json.dumps(asdict(result)))
+            return 0
+        figures = {name: value for name, value in asdict(result).items() if not isinstance(value, dict)}
+        print_table((name, f"{value:.4g}") for name, value in figures.items() if value is not None)
+        for head, means in (
+            (("reward term", "mean return"), result.reward_terms),
+            (("ended by", "share of flights"), result.ended_by),
+        ):
+            print_table(((name, f"{value:.4g}") for name, value in means.items()), head)
+        return 0
+
+    def result(self) -> "Evaluation":
+        """Return the figures of one episode from every start."""
         from aerial_gym.config.changes import Changes, settings_of_run
         from aerial_gym.export.pilot import load_pilot
         from aerial_gym.interop import one_thread
@@ -56,14 +75,4 @@ class EvaluateCmd:
             result = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
             if self.watch is not None:
                 task.dump(self.watch)
-        if self.json:
-            print(json.dumps(asdict(result)))
-            return 0
-        figures = {name: value for name, value in asdict(result).items() if not isinstance(value, dict)}
-        print_table((name, f"{value:.4g}") for name, value in figures.items() if value is not None)
-        for head, means in (
-            (("reward term", "mean return"), result.reward_terms),
-            (("ended by", "share of flights"), result.ended_by),
-        ):
-            print_table(((name, f"{value:.4g}") for name, value in means.items()), head)
-        return 0
+        return result

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 class ExportCmd:
     """Write a trained policy as ONNX, TorchScript or C99, with its normaliser, limits and layout."""
 
-    policy: Path  # Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it
+    policy: Path  # Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, or pretrained/NAME
     to: tuple[str, ...] = ("onnx",)  # onnx, torchscript, c99: one or more of them
-    out: Path | None = None  # Folder; export/ in the run folder if not given
+    out: Path | None = None  # Folder; export/ in the run folder, or here of pretrained/NAME, if not given
 
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's: the corrected vehicle, or yours for a policy of many."""
@@ -32,9 +32,11 @@ class ExportCmd:
     def run(self) -> int:
         """Write, compare, print; return 0, or 1 if a file is not the policy."""
         from aerial_gym.export.export import export_policy
+        from aerial_gym.rl_training.policies.pretrained import policy_path
         from aerial_gym.rl_training.run.run_folder import run_folder_of_checkpoint
 
-        folder = self.policy if self.policy.is_dir() else run_folder_of_checkpoint(self.policy).path
+        pretrained, given = policy_path(self.policy) != self.policy, self.policy.is_dir()
+        folder = Path() if pretrained else self.policy if given else run_folder_of_checkpoint(self.policy).path
         out = self.out or folder / "export"
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         with progress_bar() as progress, warnings.catch_warnings():

@@ -24,6 +24,7 @@ KINDS = {
     "backends": (ImportPath("aerial_gym.physics:BACKENDS"),),
     "tasks": (ImportPath("aerial_gym.task:task_registry"),),
     "log-formats": (ImportPath("aerial_gym.registry.log_formats:LOG_READERS"),),
+    "pretrained": (ImportPath("aerial_gym.rl_training.policies.pretrained:PRETRAINED"),),
     "trainers": (ImportPath("aerial_gym.rl_training:TRAINERS"),),
 }  # fmt: skip
 """Registries by kind. None of them imports torch or Warp for its names."""
@@ -55,9 +56,9 @@ class ListCmd:
     """List what is registered, with one line each."""
 
     kind: str | None = None
-    """sims, environments, robots, controllers, control-laws, sensors, imus, effects, rotor-maps, backends, tasks, trainers or
-    log-formats; all of these if not given. Or observation-terms, reward-terms, termination-terms, task-buffers, commands,
-    actions, shapes."""
+    """sims, environments, robots, controllers, control-laws, sensors, imus, effects, rotor-maps, backends, tasks, trainers,
+    pretrained (policies) or log-formats; all of these if not given. Or observation-terms, reward-terms, termination-terms,
+    task-buffers, commands, actions, shapes."""
 
     json: bool = False  # Print one JSON object instead of a table
 

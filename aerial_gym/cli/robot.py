@@ -3,7 +3,8 @@
 import json
 import sys
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
 from tempfile import mkdtemp
@@ -24,7 +25,9 @@ TEMPLATES = Path(__file__).parent / "templates"
 class CheckRobotCmd:
     """Say what a robot can do: hover, thrust to weight, authority about each axis, stable time steps of controllers."""
 
-    robots: Annotated[tuple[str, ...], tyro.conf.Positional]  # Registered robots, or robot files (.yaml)
+    robots: Annotated[tuple[str, ...], tyro.conf.Positional] = field(kw_only=False)
+    """Registered robots, or robot files (.yaml)."""
+
     controllers: tuple[str, ...] | None = None  # Registered controllers to fly it with; default: all that have gains
     fly: bool = True  # Find the largest stable time step of each controller by flying; --no-fly answers at once
     picture: Path | None = None  # Draw the rotors of the robot into this file (.png, .svg, .pdf); for one robot
@@ -34,6 +37,21 @@ class CheckRobotCmd:
 
     def run(self) -> int:
         """Check and print; return 0, or 1 if a robot cannot fly as described."""
+        failed = False
+        for report in self._reports():
+            failed |= bool(report.problems)
+            if self.json:
+                print(json_line(report.as_mapping()))
+            else:
+                _print_report(report)
+        return int(failed)
+
+    def result(self) -> "tuple[RobotReport, ...]":
+        """Return the report of each robot."""
+        return tuple(self._reports())
+
+    def _reports(self) -> "Iterator[RobotReport]":
+        """Yield the report of each robot, then write the page."""
         from aerial_gym.errors import ConfigError
         from aerial_gym.interop.warp_start import silent_compilations
         from aerial_gym.robots.catalog import robot_by_name
@@ -43,24 +61,19 @@ class CheckRobotCmd:
             raise ConfigError(f"--picture takes one robot, and there are {len(self.robots)}. Draw each by itself")
         controllers = self.controllers if self.fly else ()
         page = self.page or (Path(mkdtemp()) / "check.html" if self.open else None)
-        sections, failed = [], False
+        sections = []
         for name in self.robots:
             robot = robot_by_name(name)
             with progress_bar() as progress, silent_compilations():
                 report = check_robot(robot, name=name, controllers=controllers, progress=progress)
                 progress("done", 1.0)
-            failed |= bool(report.problems)
-            if self.json:
-                print(json_line(report.as_mapping()))
-            else:
-                _print_report(report)
+            yield report
             if self.picture is not None:
                 draw_rotors(robot, self.picture, name=name)
             if page is not None:
                 sections.append({"report": report, "rows": _report_rows(report), "views": rotor_views(robot)})
         if page is not None:
             self._write_page(page, sections)
-        return int(failed)
 
     def _write_page(self, page: Path, sections: list[dict[str, object]]) -> None:
         from aerial_gym.sim2real.report.page import write_page

@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,16 +29,16 @@ LIMITS = ("max_time_s", "max_env_steps")  # Limits of a training; those of the c
 class TrainCmd:
     """Train a policy with a learner of this package or of another library."""
 
-    task: str | None = None
+    task: str | None = field(default=None, kw_only=False)
     """Registered task, a task file (.yaml), a level of lsy_drone_racing (.toml), or
     module:Name or file.py:Name of a TaskCfg or a Task of your own; position_setpoint_task if not given."""
 
     trainer: str | None = None  # Registered trainer (aerial-gym list trainers); ppo if not given
-    teacher: Path | None = None  # Run folder, or one checkpoint in it, of the policy that distill hands on
+    teacher: Path | None = None  # Policy that distill hands on: a run folder, one checkpoint in it, or pretrained/NAME
 
     initial: Path | None = None
-    """Run folder, or one checkpoint in it, of a training with ppo with whose networks this one begins; observations of the task
-    begin with those of that one's."""
+    """Run folder, one checkpoint in it, or pretrained/NAME: a training with ppo with whose networks this one begins;
+    observations of the task begin with those of that one's."""
 
     out: Path = Path("runs/train")  # Run folder: settings, checkpoints, TensorBoard files. New, unless --resume
     resume: bool = False  # Continue the run in --out from its last checkpoint; only the limits given here change
@@ -77,10 +77,19 @@ class TrainCmd:
 
     def run(self) -> int:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
+        from aerial_gym.rl_training.ranks import torchrun_rank
+
+        result = self.result()
+        if torchrun_rank() == 0:
+            self._print_result(result)
+        return 1 if result.interrupted else 0
+
+    def result(self) -> "TrainingResult":
+        """Train."""
         with pause_garbage_collection():
             import_without_torch()
             from aerial_gym.config.changes import Changes, changes_simulation
-            from aerial_gym.rl_training.ranks import torchrun_rank
+            from aerial_gym.rl_training.policies.pretrained import policy_path
             from aerial_gym.rl_training.run.run_folder import RunFolder
             from aerial_gym.rl_training.settings import load_task_settings
             from aerial_gym.rl_training.training import train
@@ -98,7 +107,7 @@ class TrainCmd:
             given = dict.fromkeys(LIMITS) | given
         for name, run in (("teacher", self.teacher), ("initial", self.initial)):
             if run is not None:
-                given[name] = str(run.resolve())
+                given[name] = str(policy_path(run).resolve())
         changes = Changes(self.set)
         cfg = changes.apply("", replace(cfg, **given))
         names = {"num_envs": cfg.num_envs, "robot": cfg.robot, "controller": cfg.controller}
@@ -107,10 +116,7 @@ class TrainCmd:
         cfg = replace(cfg, settings=(*cfg.settings, *filter(changes_simulation, self.set)))
         more = {"resume": self.resume, "watch": self.watch, "wandb": self.wandb, "started": start_time()}
         with self._make_observer() as observer:
-            result = train(cfg, self.out, observer=observer, **more)
-        if torchrun_rank() == 0:
-            self._print_result(result)
-        return 1 if result.interrupted else 0
+            return train(cfg, self.out, observer=observer, **more)
 
     @contextmanager
     def _make_observer(self) -> "Iterator[TrainingObserver | None]":

@@ -26,7 +26,9 @@ class ViewCmd:
     task: str | None = None
     """Registered task, task file (.yaml), or module:Name; that of the policy, or a controller alone, if not given."""
 
-    policy: str | None = None  # Run folder or checkpoint of a training, or zero or random; zero with --task alone
+    policy: str | None = None
+    """Run folder or checkpoint of a training, pretrained/NAME, or zero or random; zero with --task alone."""
+
     env: str | None = None  # Registered environment, or an environment file; empty_env without a task
     robot: str | None = None  # Registered robot, or a robot file; base_quadrotor without a task
     controller: str | None = None  # Registered controller; lee_position_control without a task
@@ -111,12 +113,13 @@ class ViewCmd:
     def _build_task(self, folder: str) -> "tuple[Task, Pilot]":
         from aerial_gym.config.changes import settings_of_run
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
+        from aerial_gym.rl_training.policies.pretrained import policy_path
         from aerial_gym.task import task_registry
         from aerial_gym.viewer.simulation import constant_pilot, random_pilot
 
         policy = cfg = None
         if self.policy not in (None, *PILOTS):
-            if not Path(self.policy).exists():
+            if not policy_path(self.policy).exists():
                 raise ConfigError(f"--policy {self.policy}: no such run. Give a run folder, {' or '.join(PILOTS)}")
             policy, cfg = load_policy(self.policy, device=self.device)
         name = self.task or getattr(cfg, "task", "position_setpoint_task")

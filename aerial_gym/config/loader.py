@@ -256,6 +256,8 @@ def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
         if not -(2**63) <= value < 2**63:
             raise ConfigError(f"{where} = {format_value(value)}: must fit into 64 bits")
         return value
+    if hint is Path and isinstance(value, (str, Path)):
+        return Path(value)
     if hint in (str, bool) and isinstance(value, hint):
         return value
     raise ConfigError(f"{where} = {format_value(value)}: must be {getattr(hint, '__name__', hint)}")

@@ -47,7 +47,7 @@ def write_archive(path: str | Path, payload: Mapping[str, object]) -> None:
 
 
 def read_archive(path: str | Path, kind: str) -> dict[str, Any]:
-    """Return the content of an archive by ``write_archive``, on the CPU, without running code from the file."""
+    """Return the content of an archive by ``write_archive``, or of ``.npz``, on the CPU, without running code from the file."""
     import torch
 
     path = Path(path)
@@ -61,11 +61,29 @@ def read_archive(path: str | Path, kind: str) -> dict[str, Any]:
     if damaged is not None:
         raise ConfigError(f"{kind} {path}: is damaged, the check sum of {damaged!r} is another")
     try:
-        payload = torch.load(path, map_location="cpu", weights_only=True)
+        payload = (
+            _read_arrays(path) if path.suffix == ".npz" else torch.load(path, map_location="cpu", weights_only=True)
+        )
     except Exception:  # torch's own message advises to unpickle arbitrary code
         raise ConfigError(f"{kind} {path}: holds more than tensors, numbers and text: it is not opened") from None
     if not isinstance(payload, dict):
         raise ConfigError(f"{kind} {path}: must hold a mapping, found {type(payload).__name__}")
+    return payload
+
+
+def _read_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of an ``.npz`` file as tensors in nested mappings; a name is a path such as ``model/weight``."""
+    import numpy as np
+    import torch
+
+    payload = dict[str, Any]()
+    with np.load(path, allow_pickle=False) as arrays:
+        for name in arrays.files:
+            *above, last = name.split("/")
+            place = payload
+            for part in above:
+                place = place.setdefault(part, {})
+            place[last] = torch.from_numpy(arrays[name])
     return payload
 
 

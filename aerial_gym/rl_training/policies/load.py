@@ -18,6 +18,7 @@ from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import LIMIT, NetworkBodyCfg, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.policies.pretrained import policy_path
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of_checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
@@ -57,7 +58,7 @@ def format_shapes(shapes: Mapping[str, tuple[int, ...]]) -> str:
 
 @usual_settings
 def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tuple[Policy, TrainingCfg]:
-    """Return the policy and the settings of a run folder, or of one checkpoint inside a run folder.
+    """Return the policy and the settings of a run folder, of one checkpoint in it, or of ``pretrained/NAME``.
 
     Raises:
         ConfigError: If there is no such run or checkpoint or device, or it does not hold the network of its settings.
@@ -69,7 +70,7 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
 
 def find_checkpoint(source: str | Path) -> tuple[Path, TrainingCfg]:
     """Return the given checkpoint, or the last one of a run folder, and the settings of the run."""
-    source = Path(source)
+    source = policy_path(source)
     folder = RunFolder(source) if source.is_dir() else run_folder_of_checkpoint(source)
     return folder.last_checkpoint() if source.is_dir() else source, folder.config()
 

@@ -36,6 +36,7 @@ from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 
 VERSIONS = "versions.json"  # File with a line for every session: a folder without it holds no started training
+ARRAYS = "policy.npz"  # Weights of a pretrained policy, in place of checkpoints
 KEPT_CHECKPOINTS = 2  # The last one, and the one before it in case the disk damages the last
 
 _log = logging.getLogger(__name__)
@@ -52,6 +53,12 @@ class RunFolder:
         self.versions_file = self.path / VERSIONS
         self.checkpoint_folder = self.path / "checkpoints"
         self.encoder_file = self.path / "encoder.pt"
+
+    def __repr__(self) -> str:
+        if not self.config_file.exists():
+            return f"RunFolder {self.path}: no run"
+        cfg, last = self.config(), ", ".join(path.name for path in self.checkpoints()[-1:]) or "no checkpoint"
+        return f"RunFolder {self.path}: {cfg.task}, trainer {cfg.trainer}, {cfg.num_envs} environments; {last}"
 
     def create(self, cfg: TrainingCfg) -> None:
         """Make the folder and write the settings."""
@@ -84,7 +91,7 @@ class RunFolder:
         patterns = [pattern for name in TRAINERS for pattern in TRAINERS.get(name).earlier_checkpoints]
         earlier = [path for pattern in patterns for path in self.path.glob(pattern)]
         earlier.sort(key=lambda path: path.stat().st_mtime_ns)
-        return earlier + sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))
+        return earlier + sorted(self.checkpoint_folder.glob("checkpoint_*.pth")) + sorted(self.path.glob(ARRAYS))
 
     def last_checkpoint(self) -> Path:
         """Return the newest checkpoint; raise ``ConfigError`` if there is no checkpoint."""
