@@ -280,6 +280,13 @@ class RobotCfg:
         parts = (self.visual or self.collision.parts) if self.visible else ()
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
+    def __repr__(self) -> str:
+        joints = 0 if self.joints is None else len(self.link_names) - 1
+        parts = [f"{self.body.mass:.4g} kg", f"{self.num_rotors} rotors", *([f"{joints} joints"] if joints else [])]
+        for kind, names in (("sensors", [mount.key for mount in self.sensor_mounts]), ("effects", list(self.effects))):
+            parts += [f"{kind} {', '.join(names)}"] if names else []
+        return f"RobotCfg: {self.summary}; {'; '.join(parts)}"
+
     def __post_init__(self) -> None:
         for effect, params in self.effects.items():
             for name, value in params.items():

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds
@@ -23,7 +24,7 @@ from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop
 from aerial_gym.control.upside_down import check_starts
 from aerial_gym.env_manager.collision_tests import CollisionTests, make_trajectory
 from aerial_gym.errors import ClosedError, ConfigError
-from aerial_gym.interop import resolve_device, with_usual_settings
+from aerial_gym.interop import action_tensor, resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, ROTOR_MAPS
 from aerial_gym.physics.state import ArticulatedState
@@ -234,17 +235,17 @@ class EnvManager:
         """Length of an environment step [s]."""
         return self.sim_cfg.dt * self.cfg.physics_steps_per_env_step
 
-    def step(self, actions: Tensor, env_actions: Tensor | None = None) -> None:
+    def step(self, actions: Tensor | ArrayLike, env_actions: Tensor | ArrayLike | None = None) -> None:
         """Apply an action for one environment step, without resets or sensor readings.
 
         Args:
-            actions: Of the robots, (E, U).
+            actions: Of the robots, (E, U), a tensor or an array.
             env_actions: New twists of the obstacles that move by twist: velocity [m/s] and angular velocity [rad/s],
                 world, (E, A, 6). Without them obstacles keep the twists they have.
         """
-        self.robot_manager.act(actions)
+        self.robot_manager.act(action_tensor(actions, self.device))
         if env_actions is not None:
-            self.asset_manager.take_actions(env_actions)
+            self.asset_manager.take_actions(action_tensor(env_actions, self.device))
         self.fly()
         self.collide()
         self.robot_manager.refresh(self.dt)
@@ -357,6 +358,20 @@ class EnvManager:
         """Release device memory; a second call does nothing, other methods then raise ``ClosedError``."""
         for name in ("asset_manager", "robot_manager", "sensor_manager", "_collision"):
             vars(self).pop(name, None)
+
+    def __repr__(self) -> str:
+        head = f"EnvManager: {self.num_envs} environments on {self.device}"
+        if "robot_manager" not in vars(self):
+            return f"{head}, closed"
+        action = f"action: {', '.join(self.robot_manager.action_names)}"
+        lines = (
+            f"{head}, steps of {self.dt:g} s",
+            self.cfg.summary,
+            repr(self.robot_manager.cfg),
+            action,
+            repr(self.gtd),
+        )
+        return "\n  ".join(lines)
 
     def __getattr__(self, name: str) -> NoReturn:
         """Raise ``ClosedError`` for attributes that ``close`` dropped."""

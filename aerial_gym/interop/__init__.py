@@ -17,11 +17,17 @@ if TYPE_CHECKING:
         split,
         wait_for_kernel,
     )
-    from aerial_gym.interop.settings import plain_device, resolve_device, usual_settings, with_usual_settings
+    from aerial_gym.interop.settings import (
+        action_tensor,
+        plain_device,
+        resolve_device,
+        usual_settings,
+        with_usual_settings,
+    )
     from aerial_gym.interop.warp_start import start_warp
 
 __all__ = [
-    "ReusableLaunch", "compile_ahead", "launch_side_by_side", "make_struct", "on_device", "on_torch_stream",
+    "ReusableLaunch", "action_tensor", "compile_ahead", "launch_side_by_side", "make_struct", "on_device", "on_torch_stream",
     "one_thread", "plain_device", "record_graph", "resolve_device", "split", "start_warp", "usual_settings",
     "wait_for_kernel", "with_usual_settings",
 ]  # fmt: skip

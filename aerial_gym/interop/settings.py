@@ -11,10 +11,12 @@ from inspect import isfunction
 from threading import local
 from typing import ParamSpec, TypeVar
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, ShapeError
 
 
 def resolve_device(name: str | torch.device) -> torch.device:
@@ -45,6 +47,20 @@ def plain_device(name: str | torch.device) -> torch.device:
     """Return the torch device of a name, without the index of a CPU, as tensors report it: ``cpu:0`` becomes ``cpu``."""
     device = torch.device(name)
     return torch.device("cpu") if device.type == "cpu" else device
+
+
+def action_tensor(actions: Tensor | ArrayLike, device: torch.device) -> Tensor:
+    """Return a tensor unchanged, and an array or list as a float32 tensor on the device.
+
+    Raises:
+        ShapeError: If it is no array of numbers.
+    """
+    if isinstance(actions, Tensor):
+        return actions
+    try:
+        return torch.from_numpy(np.array(actions, dtype=np.float32)).to(device)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"actions: must be a tensor or an array of numbers ({error})") from None
 
 
 P = ParamSpec("P")

@@ -136,6 +136,9 @@ class Registry(Generic[T]):
         """Return the packages of the plug-ins by name."""
         return {name: self._plugins[name].package for name in self.names() if name in self._plugins}
 
+    def __repr__(self) -> str:
+        return f"Registry: {len(self)} entries of kind {self._kind}: {', '.join(self.names())}"
+
     def __contains__(self, name: object) -> bool:
         return name in self._all_entries()
 

@@ -7,6 +7,7 @@ loading is a copy. ``torch.save`` writes the dictionary, ``torch.load(..., weigh
 import hashlib
 import re
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import torch
@@ -20,8 +21,16 @@ IDENTITY = "identity."  # Prefix of the names of digests, which identify the sim
 
 def config_digest(config: object) -> Tensor:
     """Return a configuration as a number, int64, (1,), the same in every process and place of the package."""
-    text = re.sub(r" at 0x[0-9a-f]+", "", repr(config).replace(str(PACKAGE), ""))
+    text = re.sub(r" at 0x[0-9a-f]+", "", _text_of_fields(config).replace(str(PACKAGE), ""))
     return torch.tensor([int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")])
+
+
+def _text_of_fields(config: object) -> str:
+    """Return the names and values of all fields, also of a class with a short ``repr``."""
+    if not is_dataclass(config):
+        return repr(config)
+    values = ", ".join(f"{each.name}={getattr(config, each.name)!r}" for each in fields(config) if each.repr)
+    return f"{type(config).__qualname__}({values})"
 
 
 def config_digests(**configs: object) -> dict[str, Tensor]:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_map
 
-from aerial_gym.errors import DuplicateNameError, OwnershipError, ShapeError, UnknownNameError
+from aerial_gym.errors import DuplicateNameError, OwnershipError, ShapeError, UnknownNameError, suggest_name
 from aerial_gym.interop import plain_device
 
 KEPT = "memory and shape of a tensor in the GTD stay as declared: write its values in place, or take a view"
@@ -203,7 +203,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
             return self._tensors[key]
         except KeyError:
             known = ", ".join(sorted(self._tensors)) or "none"
-            raise UnknownNameError(f"no GTD key {key!r}. Known: {known}") from None
+            raise UnknownNameError(f"no GTD key {key!r}.{suggest_name(key, self._tensors)} Known: {known}") from None
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return all tensors except views of another one."""
@@ -232,6 +232,10 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
 
     def __len__(self) -> int:
         return len(self._tensors)
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{letter} = {size}" for letter, size in self._sizes.items())
+        return f"GlobalTensorDictionary: {len(self)} tensors on {self.device}, {sizes}; print shows all"
 
     def __str__(self) -> str:
         head = ("key", "shape", "dtype", "unit", "frame", "owner", "meaning")

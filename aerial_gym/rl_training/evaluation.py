@@ -44,6 +44,16 @@ class Evaluation:
     reward_terms: dict[str, float]  # Mean return of each reward term of the task; their sum is `return_mean`
     ended_by: dict[str, float]  # Share of flights that each termination of the task ended; `time_out` is its length
 
+    def __repr__(self) -> str:
+        rates = f"{self.success_rate:.1%} succeeded, {self.crash_rate:.1%} crashed, {self.timeout_rate:.1%} timed out"
+        parts = [f"Evaluation: of {self.num_starts} starts {rates}"]
+        for name, value, unit in (
+            ("mean final error", self.final_error_mean_m, " m"), ("mean settling time", self.settling_time_mean_s, " s"),
+            ("mean time to success", self.success_time_mean_s, " s"), ("mean gates passed", self.gates_passed_mean, ""),
+        ):  # fmt: skip
+            parts += [] if value is None else [f"{name} {value:.3g}{unit}"]
+        return "; ".join(parts)
+
 
 @torch.no_grad()
 @usual_settings

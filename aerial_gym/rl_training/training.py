@@ -49,6 +49,13 @@ class TrainingResult:
     interrupted: bool  # Whether the user ended it
     non_finite: int = 0  # Number of NaN or infinite rows in this session; each ended its episode
 
+    def __repr__(self) -> str:
+        steps = f"{self.env_steps:,} environment steps, {self.env_steps_per_s:,.0f} per second"
+        gained = "" if self.episode_return is None else f"; return {self.episode_return:.4g}"
+        ended = "; interrupted" if self.interrupted else ""
+        file = self.checkpoint or "no checkpoint"
+        return f"TrainingResult: {self.trainer}, {steps}, {self.time_s:.0f} s{gained}{ended}; {file}"
+
 
 @usual_settings
 def train(

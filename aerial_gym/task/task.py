@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from aerial_gym.config.task import OBSERVATIONS, POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import on_device, with_usual_settings
+from aerial_gym.interop import action_tensor, on_device, with_usual_settings
 from aerial_gym.math.random import Purpose, uniform_draw
 from aerial_gym.registry.state import add_prefix, check_state, config_digests, copy_tensors, restore_tensors
 from aerial_gym.robots.finite_watch import FiniteWatch
@@ -275,12 +276,16 @@ class Task:
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
         age.copy_(uniform_draw(self.env.random.on_host().stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
-    def step(self, actions: Tensor) -> StepResult:
-        """Advance by one action, (E, V); return observation, reward (E,), terminated, truncated (E,) bool, info.
+    def step(self, actions: Tensor | ArrayLike) -> StepResult:
+        """Advance by one action, (E, V), a tensor or an array.
+
+        Returns:
+            Observation, reward (E,), terminated, truncated (E,) bool, and info.
 
         Raises:
             ShapeError: If the action is not (E, V).
         """
+        actions = action_tensor(actions, self.device)
         if tuple(actions.shape) != (self.num_envs, self.num_actions):  # a kernel would read beside it
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, V) = {(self.num_envs, self.num_actions)}"
@@ -441,6 +446,12 @@ class Task:
         self._watch.count_rows(wait=True)
         self._graph, self._capture_at_reset = None, False
         self.env.close()
+
+    def __repr__(self) -> str:
+        cfg, shapes = self.cfg, ", ".join(f"{key} {shape}" for key, shape in self.observation_shapes.items())
+        size = f"{self.num_envs} environments on {self.device}, episodes of {cfg.episode_len_steps} steps"
+        spaces = f"each: {shapes}; action ({self.num_actions},); robot {cfg.robot}"
+        return "\n  ".join((f"Task: {cfg.summary}", f"{size} of {self.env.dt:g} s", spaces))
 
     def __enter__(self) -> "Task":
         return self

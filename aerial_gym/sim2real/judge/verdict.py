@@ -67,6 +67,16 @@ class NamedEffect:
     declared: dict[str, float] = field(default_factory=dict)  # Parameters in the declared robot file, or neutral ones
     place: str = ""  # Place of its rotor on the vehicle, such as ``front left``
 
+    def __repr__(self) -> str:
+        units = {each.name: each.unit for each in EFFECTS.get(self.name).parameters}
+        values = (
+            f"{name} = {value:.4g}{f' ± {1.96 * self.std[name]:.2g}' if name in self.std else ''} {units.get(name, '')}".rstrip(
+                " -"
+            )
+            for name, value in self.params.items()
+        )
+        return f"{self.name} ({', '.join(values)}), probability {min(self.confidence, MOST_CONFIDENT):.4g}"
+
     @property
     def material(self) -> bool | None:
         """Return whether it is material on the test flights; None if they do not show that."""
@@ -182,6 +192,11 @@ class Verdict:
 
     notes: tuple[Finding, ...] = ()
     """Further results, and changes that were made to the logs."""
+
+    def __repr__(self) -> str:
+        found = "; ".join(map(repr, self.effects)) or "no effect named"
+        judged = f"{len(self.flights)} test flights" if self.flights else "test flights"
+        return f"Verdict {self.verdict}: {found}; judged on {judged}; {len(self.not_testable)} effects not testable"
 
     @property
     def corrects(self) -> bool:

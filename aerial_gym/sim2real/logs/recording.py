@@ -95,6 +95,13 @@ class FlightLog(Recording):
         file, number = split_flight_number(self.path)
         return Path(file).stem + ("" if number is None else f"#{number}")
 
+    def __repr__(self) -> str:
+        known = [name for name in row_arrays(self) if name not in ("time", "lines", "lost")]
+        rows, span = len(self.time), float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+        rate = f" at {(rows - 1) / span:.4g} Hz" if span else ""
+        kind = f"{self.log_format}, {self.num_rotors} rotors"
+        return f"FlightLog {self.name}: {rows:,} rows in {span:.1f} s{rate}; {kind}; {', '.join(known)}"
+
     def row_name(self, row: int) -> str:
         """Return a row's name for messages: file, line if known, and time."""
         line = "" if self.lines is None else f", line {self.lines[row]}"

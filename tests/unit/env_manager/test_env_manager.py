@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -363,3 +364,26 @@ def test_own_code_is_told_apart_by_class_and_attributes() -> None:
     entries = (GentlePush(), GentlePush(1.0), GentlePush(2.0), *LAWS.values())
     assert len({str(config_digest(describe_own_code({"it": entry}))) for entry in entries}) == len(entries)
     assert describe_own_code({"drag": EFFECTS.get("rotor_drag"), "map": ROTOR_MAPS.get("polynomial")}) == {}
+
+
+def test_arrays_and_lists_act_as_tensors_do() -> None:
+    tensor = torch.full((2, 4), 0.3)
+    states = []
+    for actions in (tensor, tensor.double().numpy(), tensor.tolist()):
+        env = simulation("base_quadrotor", "lee_attitude_control")
+        env.reset()
+        env.step(actions)
+        states.append(env.gtd["robot_state_tensor"].clone())
+        assert torch.equal(states[0], states[-1])
+    assert_refused(ShapeError, "actions: must be a tensor or an array of numbers", env.step, "up")
+    assert_refused(ShapeError, "actions has shape \\(2, 3\\)", env.step, np.zeros((2, 3)))
+
+
+def test_text_of_a_simulation_says_size_robot_and_action() -> None:
+    env = simulation("base_quadrotor_with_payload", "lee_attitude_control")
+    lines = repr(env).splitlines()
+    assert lines[0] == "EnvManager: 2 environments on cpu, steps of 0.01 s"
+    assert lines[2].endswith("0.25 kg; 4 rotors; effects slung_payload")
+    assert lines[3].startswith("  action: thrust")
+    env.close()
+    assert repr(env) == "EnvManager: 2 environments on cpu, closed"

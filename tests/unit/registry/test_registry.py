@@ -41,6 +41,17 @@ def test_registry_refuses_a_second_entry_and_helps_with_a_missing_one() -> None:
         Registry("robot").get("a")
 
 
+def test_texts_of_registry_and_gtd_are_short_and_a_near_key_is_offered() -> None:
+    registry: Registry[int] = Registry("number")
+    registry.register("two", 2)
+    assert repr(registry) == "Registry: 1 entries of kind number: two"
+    gtd = GlobalTensorDictionary(device="cpu", sizes={"E": 4})
+    gtd.declare(spec())
+    assert repr(gtd) == "GlobalTensorDictionary: 1 tensors on cpu, E = 4; print shows all"
+    assert "how fast" in str(gtd)
+    assert_refused(UnknownNameError, "no GTD key 'sped'. Did you mean 'speed'\\? Known: speed", gtd.__getitem__, "sped")
+
+
 def test_gtd_allocates_once_and_refuses_replacement() -> None:
     gtd = GlobalTensorDictionary(device="cpu", sizes={"E": 4})
     tensor = gtd.declare(spec())
