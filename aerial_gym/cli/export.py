@@ -32,7 +32,7 @@ class ExportCmd:
     def run(self) -> int:
         """Write, compare, print; return 0, or 1 if a file is not the policy."""
         from aerial_gym.export.export import export_policy
-        from aerial_gym.rl_training.policies.pretrained import policy_path
+        from aerial_gym.rl_training.policies.catalog import policy_path
         from aerial_gym.rl_training.run.run_folder import run_folder_of_checkpoint
 
         pretrained, given = policy_path(self.policy) != self.policy, self.policy.is_dir()

@@ -19,7 +19,7 @@ Options = ParamSpec("Options")
 Result = TypeVar("Result", covariant=True)
 
 
-class Command(Protocol[Result]):
+class ResultCommand(Protocol[Result]):
     """A command that returns its result without printing it."""
 
     def result(self) -> Result:
@@ -27,9 +27,9 @@ class Command(Protocol[Result]):
         ...
 
 
-def command_function(command: Callable[Options, Command[Result]], name: str) -> Callable[Options, Result]:
+def command_function(command: Callable[Options, ResultCommand[Result]], name: str) -> Callable[Options, Result]:
     """Return the function of a command's dataclass; a list option takes a single entry, a path option also a string."""
-    cls = cast("type[Command[Result]]", command)
+    cls = cast("type[ResultCommand[Result]]", command)
     whole = signature(cls)
     lists = {key for key, hint in get_type_hints(cls).items() if get_origin(hint) is tuple}
 

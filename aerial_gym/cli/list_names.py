@@ -24,7 +24,7 @@ KINDS = {
     "backends": (ImportPath("aerial_gym.physics:BACKENDS"),),
     "tasks": (ImportPath("aerial_gym.task:task_registry"),),
     "log-formats": (ImportPath("aerial_gym.registry.log_formats:LOG_READERS"),),
-    "pretrained": (ImportPath("aerial_gym.rl_training.policies.pretrained:PRETRAINED"),),
+    "pretrained": (ImportPath("aerial_gym.rl_training.policies.catalog:PRETRAINED"),),
     "trainers": (ImportPath("aerial_gym.rl_training:TRAINERS"),),
 }  # fmt: skip
 """Registries by kind. None of them imports torch or Warp for its names."""

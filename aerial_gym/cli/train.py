@@ -89,7 +89,7 @@ class TrainCmd:
         with pause_garbage_collection():
             import_without_torch()
             from aerial_gym.config.changes import Changes, changes_simulation
-            from aerial_gym.rl_training.policies.pretrained import policy_path
+            from aerial_gym.rl_training.policies.catalog import policy_path
             from aerial_gym.rl_training.run.run_folder import RunFolder
             from aerial_gym.rl_training.settings import load_task_settings
             from aerial_gym.rl_training.training import train

@@ -112,8 +112,8 @@ class ViewCmd:
 
     def _build_task(self, folder: str) -> "tuple[Task, Pilot]":
         from aerial_gym.config.changes import settings_of_run
+        from aerial_gym.rl_training.policies.catalog import policy_path
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
-        from aerial_gym.rl_training.policies.pretrained import policy_path
         from aerial_gym.task import task_registry
         from aerial_gym.viewer.simulation import constant_pilot, random_pilot
 

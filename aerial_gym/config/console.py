@@ -1,9 +1,14 @@
-"""Text for consoles of any encoding, with plain letters for other characters."""
+"""Text for consoles of any encoding, with plain letters for other characters; the console of progress bars."""
 
 import codecs
 import json
 import sys
 import unicodedata
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 PLAIN = "aerial_gym.plain"  # Name of the error handler for characters that an encoding lacks
 
@@ -34,6 +39,16 @@ def accept_any_console() -> None:
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
             reconfigure(errors=PLAIN)
+
+
+def progress_console() -> "Console":
+    """Return a console on the present stderr; bars are text in a notebook without ipywidgets, of which rich would complain."""
+    from rich.console import Console
+
+    console = Console(file=sys.stderr)
+    if console.is_jupyter and find_spec("ipywidgets") is None:
+        return Console(file=sys.stderr, force_jupyter=False, force_terminal=True)
+    return console
 
 
 def json_line(content: object, *, indent: int | None = None, allow_nan: bool = True) -> str:

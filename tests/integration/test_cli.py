@@ -41,7 +41,7 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     assert status == 0
     result = json.loads(out)
     kinds = "sims environments robots controllers control-laws sensors imus effects rotor-maps backends tasks trainers"
-    assert {*kinds.split(), "log-formats"} == set(result)
+    assert {*kinds.split(), "log-formats", "pretrained"} == set(result)
     assert set(result["imus"]) == {"base_imu", "bmi088", "vn100"} < set(result["sensors"])
     assert result["controllers"]["no_control"] == "thrust of each rotor [N]"
     assert "base_sim_headless" in result["sims"]

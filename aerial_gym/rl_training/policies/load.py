@@ -17,8 +17,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import LIMIT, NetworkBodyCfg, RunningNormalizer
+from aerial_gym.rl_training.policies.catalog import policy_path
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.policies.pretrained import policy_path
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of_checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS

@@ -55,8 +55,8 @@ class RobotReport:
 
     def __repr__(self) -> str:
         hover = f"{self.mass_kg:.4g} kg, {self.num_rotors} rotors, hovers at {self.hover_share:.0%} of the thrust range"
-        found = [f"problem: {each}" for each in self.problems] + [f"note: {each}" for each in self.warnings]
-        return "; ".join([f"RobotReport {self.name}: {hover}, thrust to weight {self.thrust_to_weight:.2f}", *found])
+        remarks = [f"problem: {each}" for each in self.problems] + [f"note: {each}" for each in self.warnings]
+        return "; ".join([f"RobotReport {self.name}: {hover}, thrust to weight {self.thrust_to_weight:.2f}", *remarks])
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything as JSON takes it."""

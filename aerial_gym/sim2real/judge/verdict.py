@@ -194,9 +194,9 @@ class Verdict:
     """Further results, and changes that were made to the logs."""
 
     def __repr__(self) -> str:
-        found = "; ".join(map(repr, self.effects)) or "no effect named"
+        effects = "; ".join(map(repr, self.effects)) or "no effect named"
         judged = f"{len(self.flights)} test flights" if self.flights else "test flights"
-        return f"Verdict {self.verdict}: {found}; judged on {judged}; {len(self.not_testable)} effects not testable"
+        return f"Verdict {self.verdict}: {effects}; judged on {judged}; {len(self.not_testable)} effects not testable"
 
     @property
     def corrects(self) -> bool:

@@ -11,9 +11,9 @@ from aerial_gym.cli.main import main
 from aerial_gym.config.storage import read_archive
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.rl_training import load_policy
-from aerial_gym.rl_training.policies.pretrained import PREFIX, PRETRAINED, policy_path
+from aerial_gym.rl_training.policies.catalog import PREFIX, PRETRAINED, policy_path
 from aerial_gym.rl_training.run.run_folder import ARRAYS
-from benchmarks.learning.pretrained import pack_run
+from benchmarks.learning.policies import pack_run
 from tests.refusals import assert_refused
 
 NAMES = PRETRAINED.names()
@@ -50,7 +50,7 @@ def test_a_local_file_comes_before_a_name(tmp_path: Path, monkeypatch: pytest.Mo
     assert_refused(UnknownNameError, "no pretrained policy 'hover'. .*Known: ", policy_path, "pretrained/hover")
 
 
-def test_pretrained_policies_can_be_exported_and_trained_on(tmp_path, monkeypatch, capsys) -> None:
+def test_pretrained_policies_can_be_exported_and_begin_a_training(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     hover = "pretrained/position_setpoint_task"
     assert main(["export", "--policy", hover, "--to", "torchscript", "--no-check"]) == 0
@@ -62,7 +62,7 @@ def test_pretrained_policies_can_be_exported_and_trained_on(tmp_path, monkeypatc
 
 
 def test_packed_weights_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.learning.pretrained.CONFIG_DIR", tmp_path)
+    monkeypatch.setattr("benchmarks.learning.policies.CONFIG_DIR", tmp_path)
     source = PRETRAINED.get(NAMES[0])
     copy = pack_run(source, "aerial-gym train")
     first, second = (read_archive(folder / ARRAYS, "policy")["model"] for folder in (source, copy))

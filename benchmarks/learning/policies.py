@@ -1,4 +1,4 @@
-"""Pretrained policies of the package: ``python -m benchmarks.learning.pretrained`` evaluates all and prints a table.
+"""Pretrained policies of the package: ``python -m benchmarks.learning.policies`` evaluates all and prints a table.
 
 ``--pack RUN --command "aerial-gym train ..."`` copies settings and weights of a run folder into the package, without pickle.
 """
@@ -13,8 +13,8 @@ from aerial_gym import evaluate, task_registry
 from aerial_gym.config import CONFIG_DIR, dump_yaml
 from aerial_gym.config.storage import read_archive, write_atomic
 from aerial_gym.rl_training.evaluation import Evaluation
+from aerial_gym.rl_training.policies.catalog import PREFIX, PRETRAINED
 from aerial_gym.rl_training.policies.load import find_checkpoint
-from aerial_gym.rl_training.policies.pretrained import PREFIX, PRETRAINED
 from aerial_gym.rl_training.run.run_folder import ARRAYS
 
 STARTS = 1_000  # Random starts of each evaluation
@@ -40,7 +40,7 @@ def table_row(name: str, result: Evaluation) -> str:
     """Return the figures of a policy as a row of the table in docs/results/pretrained.md."""
     error, settling = result.final_error_mean_m, result.settling_time_mean_s
     rates = " | ".join(f"{100.0 * rate:.0f} %" for rate in (result.success_rate, result.crash_rate))
-    return f"| `{name}` | {rates} | {error or 0.0:.2f} m | {settling or 0.0:.1f} s |"
+    return f"| `{name}` | {rates} | {error or 0.0:.3f} m | {settling or 0.0:.1f} s |"
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Policies that come with the package, by name: run folders with settings, and weights as arrays. Imports no torch.
 
-Each ``source`` states the command that trained it. ``python -m benchmarks.learning.pretrained`` evaluates all.
+Each ``source`` states the command that trained it. ``python -m benchmarks.learning.policies`` evaluates all.
 """
 
 from pathlib import Path
