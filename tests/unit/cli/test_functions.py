@@ -14,6 +14,7 @@ import aerial_gym
 from aerial_gym import check, close_loop, evaluate, play, train
 from aerial_gym.cli.main import COMMANDS, main
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from tests.refusals import assert_refused
 
 FUNCTIONS = {"train": train, "evaluate": evaluate, "play": play, "close-loop": close_loop, "robot check": check}
@@ -61,6 +62,10 @@ def test_a_training_can_be_evaluated_and_played(tmp_path: Path, capsys: pytest.C
     run = tmp_path / "run"
     result = train(num_envs=64, max_env_steps=2048, device="cpu", seed=3, out=str(run))
     assert repr(result).startswith("TrainingResult: ppo, 2,048 environment steps")
+    assert repr(RunFolder(run)).startswith(
+        f"RunFolder {run}: position_setpoint_task, trainer ppo, 64 environments; checkpoint_"
+    )
+    assert repr(RunFolder(tmp_path)) == f"RunFolder {tmp_path}: no run"
     figures = evaluate(str(run), num_envs=8)
     assert main(["evaluate", "--policy", str(run), "--num-envs", "8", "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == vars(figures)

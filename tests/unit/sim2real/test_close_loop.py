@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym import SimBuilder
+from aerial_gym import close_loop as loop_function
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
@@ -259,6 +260,17 @@ def test_only_what_is_requested_is_searched(tmp_path: Path) -> None:
     assert set(verdict["inclusion"]) == {"rotor_drag"}
     assert verdict["verdict"] != "explained"
     assert json.loads((tmp_path / "out" / "run.json").read_text())["config"]["effects"] == ["rotor_drag"]
+
+
+@pytest.mark.slow
+def test_the_function_returns_the_verdict_that_the_command_writes(tmp_path: Path) -> None:
+    tables = [flight(60 + seed, drag=DRAG, seconds=4.0, rate=100.0, noise=1.0) for seed in range(3)]
+    written = verdict_of_command(tmp_path, ROBOT, tables, "--effects", "rotor_drag")
+    logs = [str(tmp_path / f"f{number}.csv") for number in range(3)]
+    out = tmp_path / "function"
+    verdict = loop_function(tmp_path / "robot.yaml", train=logs[:2], test=logs[2], out=out, effects="rotor_drag")
+    assert json.loads((out / "verdict.json").read_text()) == written
+    assert repr(verdict).startswith(f"Verdict {written['verdict']}: rotor_drag (dx = 0.2")
 
 
 def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -144,3 +144,17 @@ def test_a_reset_forgets_what_came_earlier(maker: Callable[..., Task]) -> None:
     expected = fly(task)
     task.reset(seed=1)
     assert_same(fly(task), expected, slice(None))
+
+
+def test_arrays_act_as_tensors_do_and_the_text_states_the_sizes() -> None:
+    actions, rewards = torch.full((2, 4), 0.2), []
+    for each in (actions, actions.double().numpy(), actions.tolist()):
+        task = make(2)
+        task.reset()
+        rewards.append(task.step(each)[1].clone())
+    assert torch.equal(rewards[0], rewards[1])
+    assert torch.equal(rewards[0], rewards[2])
+    assert repr(task).splitlines()[1:] == [
+        "  2 environments on cpu, episodes of 500 steps of 0.01 s",
+        "  each: observations (13,); action (4,); robot base_quadrotor",
+    ]
