@@ -22,8 +22,8 @@ def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.Mon
     if notebook.stem == "identify":
         verdict = json.loads((tmp_path / "corrected" / "verdict.json").read_text(encoding="utf-8"))
         (effect,) = verdict["effects"]
-        assert effect["name"] == "com_offset"
-        assert effect["params"]["x"] == pytest.approx(0.006, abs=0.0005)
+        assert effect["name"] == "rotor_drag"
+        assert [effect["params"][axis] for axis in ("dx", "dy")] == pytest.approx([0.15, 0.15], abs=0.01)
 
 
 def test_there_are_three_notebooks_without_outputs() -> None:
