@@ -15,6 +15,7 @@ from aerial_gym.rl_training.policies.catalog import PREFIX, PRETRAINED, policy_p
 from aerial_gym.rl_training.run.run_folder import ARRAYS
 from benchmarks.learning.policies import pack_run
 from tests.refusals import assert_refused
+from tests.repetitions import frequent_values
 
 NAMES = PRETRAINED.names()
 STARTS = 32
@@ -36,7 +37,7 @@ def test_a_policy_holds_plain_arrays_and_its_command(name: str) -> None:
     assert cfg.source.startswith(f"made by: aerial-gym train --task {name} ")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", frequent_values(NAMES, ("position_setpoint_task",)))
 def test_a_policy_flies_its_task(name: str) -> None:
     assert evaluate(PREFIX / name, num_envs=STARTS).success_rate >= 0.9
 
