@@ -4,6 +4,7 @@ Each ``source`` states the command that trained it. ``python -m benchmarks.learn
 """
 
 from pathlib import Path
+from types import SimpleNamespace
 
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.config.loader import read_summary
@@ -11,12 +12,15 @@ from aerial_gym.registry import Registry
 from aerial_gym.registry.registry import register_files
 
 PREFIX = Path("pretrained")  # In front of names: ``--policy pretrained/NAME``
-PRETRAINED: Registry[Path] = Registry("pretrained policy")  # Run folder of each policy, under the name of its task
+PRETRAINED: Registry[SimpleNamespace] = Registry("pretrained policy")  # `path` of the run folder and `summary` by task
 
-_settings = sorted(CONFIG_DIR.joinpath(PREFIX).glob("*/config.yaml"))
-register_files(
-    PRETRAINED, {file.parent.name: file for file in _settings}, lambda file: file.parent, summary=read_summary
-)
+
+def _read_entry(file: Path) -> SimpleNamespace:
+    return SimpleNamespace(path=file.parent, summary=read_summary(file))
+
+
+_settings = {file.parent.name: file for file in sorted(CONFIG_DIR.joinpath(PREFIX).glob("*/config.yaml"))}
+register_files(PRETRAINED, _settings, _read_entry, summary=read_summary)
 
 
 def policy_path(source: str | Path) -> Path:
@@ -26,4 +30,4 @@ def policy_path(source: str | Path) -> Path:
         UnknownNameError: If there is no pretrained policy of this name.
     """
     path = Path(source)
-    return PRETRAINED.get(path.name) if path.parent == PREFIX and not path.exists() else path
+    return PRETRAINED.get(path.name).path if path.parent == PREFIX and not path.exists() else path

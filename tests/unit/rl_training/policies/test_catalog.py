@@ -24,13 +24,15 @@ STARTS = 32
 def test_five_policies_take_less_than_a_megabyte() -> None:
     assert len(NAMES) == 5
     assert set(NAMES) <= set(task_registry.names())
-    files = [PRETRAINED.get(name) / ARRAYS for name in NAMES]
+    assert all(PRETRAINED.get(name).path.is_dir() for name in NAMES)
+    assert all(line.startswith("policy that can ") for line in PRETRAINED.summaries().values())
+    files = [policy_path(PREFIX / name) / ARRAYS for name in NAMES]
     assert sum(file.stat().st_size for file in files) < 1_000_000
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_policy_holds_plain_arrays_and_its_command(name: str) -> None:
-    with np.load(PRETRAINED.get(name) / ARRAYS, allow_pickle=False) as arrays:
+    with np.load(policy_path(PREFIX / name) / ARRAYS, allow_pickle=False) as arrays:
         assert all(np.isfinite(arrays[key]).all() for key in arrays.files)
     _, cfg = load_policy(PREFIX / name)
     assert cfg.task == name
@@ -64,7 +66,7 @@ def test_pretrained_policies_can_be_exported_and_begin_a_training(tmp_path, monk
 
 def test_packed_weights_are_those_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.learning.policies.CONFIG_DIR", tmp_path)
-    source = PRETRAINED.get(NAMES[0])
+    source = policy_path(PREFIX / NAMES[0])
     copy = pack_run(source, "aerial-gym train")
     first, second = (read_archive(folder / ARRAYS, "policy")["model"] for folder in (source, copy))
     assert first.keys() == second.keys()
