@@ -14,6 +14,7 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager import SimBuilder as Builder
+from aerial_gym.robots.catalog import robot_by_name
 
 
 class SimBuilder:
@@ -41,6 +42,8 @@ class SimBuilder:
             UnknownNameError: If a name is not registered; the message lists the registered ones.
             ConfigError: If a configuration class has a field that is unknown or means nothing here.
         """
+        if not isinstance(robot_name, str):
+            robot_by_name(robot_name)  # refuses several
         env_class = env_config_registry.config_class(env_name)
         default_envs, reset_on_collision = num_envs_and_crash_reset(env_class)
         robot_class = robot_registry.config_class(robot_name)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
+from typing import ClassVar
 
 from aerial_gym.config import checks
 from aerial_gym.config.checks import MAX_MADE, NO_SOURCE, Vec3, require, require_not_negative, require_positive
@@ -27,6 +28,9 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 
 GATES, POLES = "gates", "poles"  # First two assets of a track: an instance for each gate and for each pole
+
+# Answer to a request for several vehicles in one environment
+ONE_VEHICLE = "an environment has one vehicle; take num_envs environments for as many vehicles, which never meet"
 
 Vec2 = tuple[float, float]
 
@@ -240,6 +244,9 @@ class AssetCfg:
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentCfg:
     """A box of space with its obstacles. Each environment draws its bounds uniformly at reset."""
+
+    ABSENT: ClassVar[Mapping[str, str]] = dict.fromkeys(("robots", "vehicles"), ONE_VEHICLE)
+    """Fields that files of other simulators have."""
 
     summary: str  # One line for people who choose an environment
     physics_steps_per_env_step: int  # Physics steps for which an action is held, >= 1

@@ -90,7 +90,8 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
 
     Args:
         cls: A dataclass whose fields are numbers, strings, tuples, mappings, optional values or such dataclasses. Its
-            ``MOVED``, if it has one, says of fields that it no longer has what takes their place.
+            ``MOVED``, if it has one, says of fields that it no longer has what takes their place, ``ABSENT`` of fields that
+            it never had.
         where: Named at the start of every error message: a file, or the call.
     """
     if not isinstance(data, Mapping):
@@ -101,6 +102,8 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
     for key in data:
         if key in moved:
             faults.append(f"{where}: field {key!r} is gone: {moved[key]}")
+        elif key in getattr(cls, "ABSENT", {}):
+            faults.append(f"{where}: field {key!r}: {cls.ABSENT[key]}")  # type: ignore[attr-defined]
         elif key not in known:
             faults.append(f"{where}: unknown field {key!r}.{suggest_name(key, known)} Known: {', '.join(known)}")
     given = [key for key in data if key in known]

@@ -77,6 +77,8 @@ class TaskCfg:
     }
     """Fields that it no longer has."""
 
+    ABSENT: ClassVar[Mapping[str, str]] = EnvironmentCfg.ABSENT
+
     summary: str  # One line for people who choose a task
     sim: str  # Registered sim
     env: str | EnvironmentCfg  # Registered environment, path of an environment file, or an environment itself

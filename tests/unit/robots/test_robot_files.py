@@ -12,7 +12,7 @@ from aerial_gym.config import CONFIG_DIR
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.allocation import allocation_matrix
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import rotor_state_for_thrust, vehicle_from_config
 from aerial_gym.physics.model import check_effects, effects_on_rigid, robot_effects
 from aerial_gym.physics.rotors import rotor_thrust
@@ -23,6 +23,7 @@ from aerial_gym.sim2real.identify.selection.select import select_effects
 from aerial_gym.sim2real.judge.analysis import correct_robot, untestable_effects
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from tests.builders import simulation
+from tests.refusals import assert_refused
 from tests.unit.sim2real.judge.builders import make_excess, make_setup
 from tests.unit.sim2real.predict.test_scene import hover
 from tests.unit.sim2real.set_fits import make_selection
@@ -32,6 +33,12 @@ def test_every_file_is_a_registered_robot_and_every_robot_has_a_file() -> None:
     files = list((CONFIG_DIR / "robots").rglob("*.yaml"))
     assert sorted(file.stem for file in files) == sorted(ROBOTS)  # of each name one, in whichever room
     assert all(summary for summary in ROBOTS.summaries().values())
+
+
+@pytest.mark.parametrize("robots", [["x500", "lmf2"], ("x500",), {"leader": "x500"}])
+def test_several_robots_are_refused_with_the_alternative(robots: object) -> None:
+    words = "robot_name = .*: an environment has one vehicle; take num_envs environments for as many vehicles"
+    assert_refused(CapabilityError, words, simulation, robots)
 
 
 def test_drags_are_those_of_the_sources_for_each_kilogram() -> None:
