@@ -19,6 +19,27 @@ COMPONENTS = ("sensors", "viewer")  # Modes of `render`; the viewer shows nothin
 
 _FLAGS = ("crashes", "truncations")
 
+STAGES = ("reset_tensors", "simulate", "pre_physics_step", "physics_step", "post_physics_step", "compute_observations")
+"""Stages of a step that scripts call one by one there, on the manager and on its parts."""
+
+
+def _raise_missing(part: str, name: str) -> NoReturn:
+    remedy = "the simulation itself is env_manager.env, its tensors are env_manager.env.gtd"
+    if part == "IGE_env":
+        remedy = "there is no Isaac Gym here. Tensors are in global_tensor_dict; write_to_sim() takes states"
+    if name in STAGES:
+        remedy = (
+            "env_manager.step(actions, env_actions) does a whole step. A force on the robot is an effect of its file"
+        )
+    raise AttributeError(f"{part}.{name}: {remedy}. docs/guides/coming_from_aerial_gym.md has a table of names")
+
+
+class Part(SimpleNamespace):
+    """A part of the environment manager, with the attributes that scripts read; ``part`` is its name in messages."""
+
+    def __getattr__(self, name: str) -> NoReturn:
+        _raise_missing(self.__dict__.get("part", ""), name)
+
 
 class EnvManager:
     """A simulation by the names that scripts use; made by ``SimBuilder.build_env``."""
@@ -30,8 +51,12 @@ class EnvManager:
         self.num_envs, self.device = env.num_envs, env.device
         self.global_tensor_dict = TensorDict(env)
         self.robot_manager = RobotManager(self, robot_config)
-        self.asset_manager = SimpleNamespace(num_keep_in_env=env.cfg.num_kept)
-        self.IGE_env = Physics(env)
+        self.asset_manager = Part(part="asset_manager", num_keep_in_env=env.cfg.num_kept)
+        states = ("obstacle_position", "obstacle_orientation", "obstacle_linvel", "obstacle_angvel")
+        tensors = {key: env.gtd[key] for key in states if key in env.gtd}
+        self.obstacle_manager = Part(part="obstacle_manager", num_assets=env.cfg.num_assets, **tensors)
+        self.num_robot_actions = env.robot_manager.num_actions
+        self.IGE_env = Physics(env, self.global_tensor_dict)
         self.reset_on_collision = reset_on_collision
 
     @property
@@ -101,10 +126,7 @@ class EnvManager:
             self.env.gtd[key].copy_(flag)
 
     def __getattr__(self, name: str) -> NoReturn:
-        raise AttributeError(
-            f"EnvManager of aerial_gym.compat has no {name!r}. The simulation itself is .env, its tensors are .env.gtd; "
-            "docs/guides/coming_from_aerial_gym.md has a table of names"
-        )
+        _raise_missing("env_manager", name)
 
 
 class RobotManager:
@@ -116,8 +138,8 @@ class RobotManager:
         imu = "imu_measurement" in env.gtd
         self.imu_sensor = SimpleNamespace(cfg=config.sensor_config.imu_config) if imu and config is not None else None
         num_actions = env.robot_manager.num_actions
-        self.robot = SimpleNamespace(
-            cfg=config, num_actions=num_actions, controller=env.robot_manager.controller,
+        self.robot = Part(
+            part="robot", cfg=config, num_actions=num_actions, controller=env.robot_manager.controller,
             controller_config=SimpleNamespace(num_actions=num_actions), robot_mass=env.gtd["robot_mass"],
             robot_inertia=env.gtd["robot_inertia"],
         )  # fmt: skip
@@ -126,12 +148,16 @@ class RobotManager:
         """Reset the robots of some environments; the obstacles stay."""
         self._manager.env.robot_manager.reset(self._manager.as_mask(env_ids))
 
+    def __getattr__(self, name: str) -> NoReturn:
+        _raise_missing("robot_manager", name)
+
 
 class Physics:
     """Replacement of ``IGE_env``, Isaac Gym's environment in that simulator."""
 
-    def __init__(self, env: Simulation) -> None:
+    def __init__(self, env: Simulation, tensors: TensorDict) -> None:
         self._env = env
+        self.global_tensor_dict = tensors
         self.num_assets_per_env = env.cfg.num_assets
 
     def write_to_sim(self) -> None:
@@ -151,6 +177,4 @@ class Physics:
         self._env.robot_manager.tensors.derived.refresh()
 
     def __getattr__(self, name: str) -> NoReturn:
-        raise AttributeError(
-            f"IGE_env.{name}: there is no Isaac Gym here. Tensors are in global_tensor_dict; write_to_sim() takes states"
-        )
+        _raise_missing("IGE_env", name)

@@ -97,7 +97,7 @@ def test_what_is_gone_says_what_to_do() -> None:
     env = build()
     assert_refused(ConfigError, "render_components = 'sensor': must be one", env.render, render_components="sensor")
     env.render(render_components="viewer")
-    with pytest.raises(AttributeError, match="has no 'warp_env'. The simulation itself is .env"):
+    with pytest.raises(AttributeError, match="env_manager.warp_env: the simulation itself is env_manager.env"):
         env.warp_env  # noqa: B018
     with pytest.raises(AttributeError, match="IGE_env.gym: there is no Isaac Gym here"):
         env.IGE_env.gym  # noqa: B018
