@@ -1,5 +1,6 @@
 """``python -m aerial_gym.compat SCRIPT.py ...``: run a script of the Aerial Gym Simulator without its ``isaacgym`` imports."""
 
+import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,9 @@ def main(argv: Sequence[str]) -> int:
     if not argv or not Path(argv[0]).is_file():
         print("usage: python -m aerial_gym.compat SCRIPT.py [arguments of the script]", file=sys.stderr)
         return 2
+    logger = logging.getLogger("aerial_gym.compat")  # names fields without effect
+    logger.setLevel(logging.INFO)
+    logger.addHandler(logging.StreamHandler())
     run_script(argv[0], argv[1:])
     return 0
 

@@ -19,8 +19,10 @@ _HOME = "aerial_gym.compat."
 _CAMERAS = "config.sensor_config.camera_config"
 _LIDARS = "config.sensor_config.lidar_config"
 _IMUS = "config.sensor_config.imu_config"
-_ASSETS = ("panels", "thin", "trees", "objects")
 _WALLS = ("front_wall", "back_wall", "left_wall", "right_wall", "bottom_wall", "top_wall")
+_ASSETS = {f"{name.removesuffix('s')}_asset_params": name for name in ("panels", "thin", "trees", "objects", "tiles")}
+_ASSETS |= {name: name for name in _WALLS}
+_SEMANTIC_IDS = [f"{name.upper()}_SEMANTIC_ID" for name in ("thin", "tree", "object", "panel", *_WALLS)]
 
 MODULES: dict[str, dict[str, str]] = {
     "sim": {"sim_config_registry": "registries:sim_config_registry"},
@@ -35,7 +37,14 @@ MODULES: dict[str, dict[str, str]] = {
     "utils.logging": {"CustomLogger": "helpers:CustomLogger"},
     "utils.math": {"*": "math"},
     "utils.helpers": {"parse_arguments": "helpers:parse_arguments", "get_args": "helpers:get_args"},
-    "robots.base_multirotor": {"BaseMultirotor": "registries:BaseMultirotor"},
+    "utils.vae.vae_image_encoder": {"VAEImageEncoder": "vae:VAEImageEncoder"},
+    **{
+        f"robots.{module}": {cls: f'registries:ROBOT_CLASSES["{cls}"]'}
+        for module, cls in (
+            ("base_multirotor", "BaseMultirotor"), ("base_reconfigurable", "BaseReconfigurable"), ("base_rov", "BaseROV"),
+            ("morphy", "Morphy"),
+        )
+    },
     "robots.BaseMultirotor": {"": "registries:BaseMultirotor"},
     "task.base_task": {"BaseTask": "native_task:BaseTask"},
     "task.position_setpoint_task.position_setpoint_task": {"PositionSetpointTask": "native_task:PositionSetpointTask"},
@@ -56,27 +65,38 @@ MODULES: dict[str, dict[str, str]] = {
         f"config.env_config.{module}": {cls: f'config.environments:CLASSES["{env}"]'}
         for module, cls, env in (
             ("empty_env", "EmptyEnvCfg", "empty_env"), ("env_config_2ms", "EnvCfg2Ms", "empty_env_2ms"),
+            ("env_with_lidar_nav_obstacles", "EnvWithLidarNavObstaclesCfg", "env_with_lidar_nav_obstacles"),
             ("env_with_obstacles", "EnvWithObstaclesCfg", "env_with_obstacles"), ("forest_env", "ForestEnvCfg", "forest_env"),
             ("dynamic_environment", "DynamicEnvironmentCfg", "dynamic_env"),
         )
     },
     "config.asset_config.base_asset": {"BaseAssetParams": "config.assets:BaseAssetParams"},
-    "config.asset_config.env_object_config": {
-        **{f"{name.removesuffix('s')}_asset_params": f'config.assets:CLASSES["{name}"]' for name in _ASSETS},
-        **{name: f'config.assets:CLASSES["{name}"]' for name in _WALLS},
-        "BaseAssetParams": "config.assets:BaseAssetParams",
+    **{
+        f"config.asset_config.{module}": {
+            "asset_state_params": f"config.assets:{base}",
+            **{cls: f'config.assets:environment_asset("{env}/{name}")' for cls, name in _ASSETS.items()},
+            **{name: f'config.assets:SEMANTIC_IDS["{name}"]' for name in _SEMANTIC_IDS},
+            "AERIAL_GYM_DIRECTORY": "helpers:AERIAL_GYM_DIRECTORY",
+        }
+        for module, env, base in (
+            ("env_object_config", "env_with_obstacles", "BaseAssetParams"),
+            ("lidar_nav_env_config", "env_with_lidar_nav_obstacles", "BaseAssetParams"),
+            ("dynamic_env_object_config", "dynamic_env", "MovingAssetParams"),
+        )
     },
-    "config.robot_config.base_quad_config": {
-        "BaseQuadCfg": "config.robots:BaseQuadCfg",
-        **{
-            f"BaseQuadWith{name}Cfg": f'config.robots:CLASSES["base_quadrotor_with_{robot}"]'
-            for name, robot in (
-                ("Imu", "imu"), ("Camera", "camera"), ("CameraImu", "camera_imu"), ("Lidar", "lidar"),
-                ("FaceIDNormalCamera", "faceid_normal_camera"), ("StereoCamera", "stereo_camera"),
-            )
-        },
+    **{
+        f"config.robot_config.{module}": {cls: f'config.robots:BY_CLASS_NAME["{cls}"]' for cls in names.split()}
+        for module, names in (
+            ("base_quad_config", "BaseQuadCfg BaseQuadWithImuCfg BaseQuadWithCameraCfg BaseQuadWithCameraImuCfg "
+             "BaseQuadWithLidarCfg BaseQuadWithFaceIDNormalCameraCfg BaseQuadWithStereoCameraCfg"),
+            ("base_quad_root_link_control_config", "BaseQuadRootLinkControlCfg"), ("base_random_config", "BaseRandCfg"),
+            ("base_octarotor_config", "BaseOctarotorCfg"), ("base_rov_config", "BaseROVCfg"), ("lmf1_config", "LMF1Cfg"),
+            ("lmf2_config", "LMF2Cfg"), ("lmf2_radar_config", "LMF2RadarCfg"), ("magpie_config", "MagpieCfg"),
+            ("x500_config", "X500Cfg"), ("morphy_config", "MorphyCfg MorphyFixedBaseCfg"), ("tinyprop", "TinyPropCfg"),
+            ("morphy_stiff_config", "MorphyStiffCfg"), ("snakey_config", "SnakeyCfg"), ("snakey5_config", "Snakey5Cfg"),
+            ("snakey6_config", "Snakey6Cfg"), ("tinyprop_config", "TinyPropCfg"),
+        )
     },
-    "config.robot_config.tinyprop": {"TinyPropCfg": 'config.robots:CLASSES["tinyprop"]'},
     "config.controller_config.lee_controller_config": {"control": "config.controllers:control"},
     **{
         f"control.controllers.{module}": {law: f'config.controllers:LAWS["{law}"]'}
@@ -101,6 +121,11 @@ MODULES: dict[str, dict[str, str]] = {
             (_LIDARS, "os1_64_config", "OS_1_64_Config", "os1_64"),
             (_LIDARS, "os2_64_config", "OS_2_64_Config", "os2_64"),
             (_LIDARS, "osdome_64_config", "OSDome_64_Config", "os_dome_64"),
+            (_LIDARS, "rslidar_airy_config", "RSLidar_Airy_Config", "rslidar_airy"),
+            (_LIDARS, "fake_radar_config", "fake_radar_config", "fake_radar"),
+            (_LIDARS, "pmd_flexx2_config", "pmd_flexx2_config", "pmd_flexx2"),
+            (_LIDARS, "st_vl53l5cx_config", "ST_VL53L5CXConfig", "tof_matrix_90"),
+            (_CAMERAS, "intel_realsense_d455_config", "IntelRealSenseD455Config", "intel_realsense_d455"),
         )
     },
     "config.sensor_config.base_sensor_config": {"BaseSensorConfig": "config.sensors:BaseSensorConfig"},
@@ -112,6 +137,7 @@ MODULES: dict[str, dict[str, str]] = {
 name what a package of ours gives as if it were its own."""
 
 MODULES["config.sim_config.base_sim_no_gravity_config"]["BaseSimConfig"] = "config.sims:BaseSimNoGravityConfig"
+MODULES["config.asset_config.env_object_config"]["BaseAssetParams"] = "config.assets:BaseAssetParams"
 
 GONE: dict[str, str] = {
     "control.controllers": "laws are pure functions here: aerial_gym.control.laws",
@@ -122,9 +148,11 @@ GONE: dict[str, str] = {
     "sensors.isaacgym_camera_sensor": "there is no Isaac Gym here; cameras of the ray caster have colour too",
     "env_manager.IGE_env_manager": "there is no Isaac Gym here; the physics is aerial_gym.physics",
     "env_manager.warp_env_manager": "shapes are shared and moved by transforms: aerial_gym.assets.Scene",
+    "env_manager.obstacle_manager": "obstacles move by twists: env_manager.step(actions, env_actions)",
+    "env_manager.asset_loader": "obstacles are the assets of an environment class or file",
+    "env_manager.base_env_manager": "aerial_gym.sim.sim_builder.SimBuilder builds the environment manager",
+    **dict.fromkeys(("assets.warp_asset", "assets.isaacgym_asset"), "shapes are `assets:` of an environment file"),
     "robots.base_robot": "robots have no code of their own here; what acts on a body is an effect",
-    "robots.base_reconfigurable": "robots have no code of their own here; joints are in the robot file",
-    "robots.morphy": "robots have no code of their own here; the law of the arms is in the robot file",
     "rl_training.cleanrl": "training is the command aerial-gym train; aerial_gym.rl_training.gymnasium is a vector environment",
     "examples": "examples/coming_from_aerial_gym/ in the repository",
     **{
@@ -141,6 +169,7 @@ GONE: dict[str, str] = {
             "lidar_navigation_task", "radar_navigation_task",
         )
     },
+    "utils.vae": "VAEImageEncoder of aerial_gym.utils.vae.vae_image_encoder is there; aerial-gym train-encoder trains one",
     "utils": "helpers that have a counterpart are listed there",
 }  # fmt: skip
 """Modules of that simulator without a counterpart, with the remedy."""

@@ -119,8 +119,12 @@ class EnvConfigRegistry(ConfigClassRegistry):
     get_env_names, make_env = ScriptRegistry.names, get_env_config  # Nothing is built, as there
 
 
-class BaseMultirotor:
-    """Stand-in for the class of every robot; the robot file determines how one flies."""
+ROBOT_CLASSES: dict[str, type] = {
+    name: type(name, (), {"__doc__": "Stand-in for a class of robots; the robot file determines how one flies."})
+    for name in ("BaseMultirotor", "BaseReconfigurable", "BaseROV", "Morphy")
+}
+"""Robot classes of that simulator by name; joints, soft arms and water are in the robot file here."""
+BaseMultirotor = ROBOT_CLASSES["BaseMultirotor"]
 
 
 class RobotRegistry(ConfigClassRegistry):
@@ -135,7 +139,7 @@ class RobotRegistry(ConfigClassRegistry):
         Raises:
             ConfigError: If the class of the robot is one of the script's own.
         """
-        if robot_class is not BaseMultirotor:
+        if robot_class not in ROBOT_CLASSES.values():
             raise ConfigError(
                 f"robot class {getattr(robot_class, '__name__', robot_class)}: robots have no code of their own here; use "
                 "BaseMultirotor. What acts on a body is an effect (aerial_gym.physics.effects)"

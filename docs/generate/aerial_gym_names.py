@@ -54,6 +54,14 @@ METHODS: dict[str, dict[str, tuple[str, str]]] = {
     "env_manager:Physics": {
         "write_to_sim": ('gtd["robot_position"][:] = ...', "takes rows that a script wrote into robot_state_tensor"),
     },
+    "vae:VAEImageEncoder": {
+        "encode": (
+            "load_encoder(file)(images)",
+            "files of aerial-gym train-encoder; weights of that simulator are not here",
+        ),
+        "decode": ("-", "refused: encoder files have no decoder"),
+        "get_latent_dims_size": ("encoder.num_latents", ""),
+    },
     "registries:SimConfigRegistry": {
         "register": ("SIMS.register(name, SimCfg(...))", "another class under a registered name is refused"),
         "get_sim_config": ("SIMS.get(name)", ""),

@@ -88,12 +88,16 @@ def test_a_script_runs_from_the_command_line(tmp_path, monkeypatch, capsys) -> N
     script = tmp_path / "script.py"
     script.write_text(
         "import isaacgym\nimport sys\nfrom aerial_gym.registry.sim_registry import sim_config_registry\n"
+        "from aerial_gym.config.sim_config.base_sim_config import BaseSimConfig\n"
+        "class Own(BaseSimConfig):\n    my_note = 3\n"
+        "sim_config_registry.register('own', Own)\nsim_config_registry.native_config('own')\n"
         "if __name__ == '__main__':\n    print(sim_config_registry.get_sim_names(), sys.argv[1:])\n"
     )
     monkeypatch.setattr("sys.argv", ["compat", str(script), "--flag"])
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("aerial_gym.compat", run_name="__main__")
     assert ended.value.code == 0
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert "sim Own: without effect here: my_note (an attribute of its own)" in err
     assert "base_sim_headless" in out
     assert "['--flag']" in out

@@ -13,8 +13,19 @@ from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, MotionCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
 
-STANDARD_FOLDERS: dict[str, str] = {"panels": "panels", "objects": "objects", "thin": "thin", "trees": "trees"}
-"""Folders of URDF files that come with that simulator, and the asset here that has the same shapes."""
+WALLS = ("front_wall", "back_wall", "left_wall", "right_wall", "bottom_wall", "top_wall")
+
+STANDARD_FILES: dict[str, str] = {
+    **{name: name for name in ("panels", "objects", "thin", "trees")},
+    **{f"walls/{name}.urdf": name for name in WALLS},
+}
+"""Folders and files of obstacles that come with that simulator, and the asset here that has the same shapes."""
+
+SEMANTIC_IDS: dict[str, int] = {
+    "THIN_SEMANTIC_ID": 1, "TREE_SEMANTIC_ID": 2, "OBJECT_SEMANTIC_ID": 3, "PANEL_SEMANTIC_ID": 20,
+    **{f"{name.upper()}_SEMANTIC_ID": 9 + k for k, name in enumerate(WALLS)},
+}  # fmt: skip
+"""Constants of that simulator's asset modules."""
 
 _FOLDER = "resources/models/environment_assets"
 
@@ -34,14 +45,15 @@ def _ratio_changes(end: str) -> Any:
 def _shape_changes(values: fields.Values) -> fields.Changes:
     """Return the shapes of a folder's URDF files, or the replacements of a folder of that simulator."""
     folder, file = Path(str(values["asset_folder"])), values["file"]
-    if not folder.is_dir() and folder.name in STANDARD_FOLDERS:
-        like = getattr(CLASSES[STANDARD_FOLDERS[folder.name]], fields.STANDS_FOR)
-        return {"shapes": like.shapes, "family": like.family}
+    name = STANDARD_FILES.get(folder.name, STANDARD_FILES.get(f"{folder.name}/{file}"))
+    if name is not None and not folder.is_dir():
+        like = getattr(CLASSES[name], fields.STANDS_FOR)
+        return {"shapes": like.shapes, "family": like.family, "offset": like.offset}
     files = [folder / file] if file else sorted(folder.glob("*.urdf"))
     if not files or not all(path.is_file() for path in files):
         raise ConfigError(
-            f"asset_folder = {str(folder)!r}, file = {file!r}: no such URDF file. "
-            f"Folders of that simulator that have shapes here: {', '.join(STANDARD_FOLDERS)}"
+            f"asset_folder = {str(folder)!r}, file = {file!r}: no such URDF file. Those of that simulator with shapes here: "
+            f"{', '.join(STANDARD_FILES)}. Give URDF files, or leave the asset out of include_asset_type"
         )
     link_ids = values["semantic_masked_links"] or None
     first = max(int(values["semantic_id"]), 0) if values["per_link_semantic"] else None
@@ -73,13 +85,17 @@ TABLE = fields.ConfigTable(
                 lambda v: {"motion": MotionCfg(kind="none" if v["fix_base_link"] else "twist")},
                 "not fixed: flies with env_actions"),
         *(fields.idle_field(name, value, "PhysX") for name, value in (
-            ("collision_mask", 1), ("disable_gravity", True), ("replace_cylinder_with_capsule", False),
+            ("collision_mask", 1), ("replace_cylinder_with_capsule", False),
             ("flip_visual_attachments", False), ("density", 0.001), ("angular_damping", 0.1), ("linear_damping", 0.1),
             ("max_angular_velocity", 100.0), ("max_linear_velocity", 100.0), ("armature", 0.001),
             ("collapse_fixed_joints", True), ("place_force_sensor", False), ("force_sensor_parent_link", ""),
             ("force_sensor_transform", None), ("vhacd_enabled", False),
         )),
-        *(fields.idle_field(name, None, "read nowhere there either") for name in ("min_position_ratio", "max_position_ratio")),
+        fields.idle_field("disable_gravity", True, "obstacles never fall here"),
+        *(fields.idle_field(name, None, "read nowhere there either") for name in (
+            "min_position_ratio", "max_position_ratio", "min_euler_angles", "max_euler_angles", "specified_position",
+            "specified_euler_angle",
+        )),
         *(fields.idle_field(name, value, "rays and contact share a shape; its colour is its `color:`") for name, value in (
             ("use_collision_mesh_instead_of_visual", False), ("use_mesh_materials", False), ("color", None),
             ("body_semantic_label", 0), ("link_semantic_label", 0), ("specific_filepath", None), ("name", None),
@@ -125,7 +141,14 @@ def translate_asset(name: str, cls: Any) -> AssetCfg | None:
     return replace(cfg, name=name)
 
 
+def environment_asset(place: str) -> type:
+    """Return the class of an obstacle of a registered environment, ``environment/obstacle``, else that of ``CLASSES``."""
+    env, _, name = place.partition("/")
+    return next((asset_class(asset) for asset in ENVIRONMENTS.get(env).assets if asset.name == name), CLASSES[name])
+
+
 BaseAssetParams = TABLE.make_class("BaseAssetParams", _BOX)
+MovingAssetParams = TABLE.make_class("asset_state_params", replace(_BOX, motion=MotionCfg(kind="twist")))
 
 CLASSES: dict[str, type] = {
     asset.name: asset_class(asset)
@@ -135,4 +158,7 @@ CLASSES: dict[str, type] = {
         next(asset for asset in ENVIRONMENTS.get("forest_env").assets if asset.name == "trees"),
     )
 }
-"""Classes by the name of the obstacle."""
+CLASSES["tiles"] = type(
+    "tile_asset_params", (BaseAssetParams,), {"asset_folder": f"{AERIAL_GYM_DIRECTORY}/{_FOLDER}/tile_meshes"}
+)
+"""Classes by the name of the obstacle. Meshes of tiles are missing there too: an environment that includes them is refused."""

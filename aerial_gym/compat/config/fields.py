@@ -3,26 +3,37 @@
 In that simulator a configuration is a class with attributes, in nested classes, that users derive and change. Here a table
 has a ``Field`` with the translation of each attribute. It generates classes from the configurations of this package and
 translates them back, so that each number is in one YAML file. Attributes that a class does not set keep the value of its
-nearest generated ancestor. Unknown attributes are refused by name.
+nearest generated ancestor. Other attributes are the class's own helpers; one whose name is nearly that of a field is refused.
 """
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from inspect import isclass
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from aerial_gym.errors import ConfigError, suggest_name
+from aerial_gym.errors import ConfigError
 
 STANDS_FOR = "_aerial_gym"  # Attribute of a generated class that holds its frozen configuration
-Values = Mapping[str, Any]  # Values by dotted path, such as `env.num_envs`: of a class, or else of its configuration
+Values = Mapping[str, Any]  # Values by dotted path, such as `env.num_envs`, and the configuration under `STANDS_FOR`
 Changes = dict[str, Any]  # New values of fields of our configuration by dotted path, such as `rotor.torque_ratio`
 
+MISSPELLED = 0.85  # Similarity of names from which an unknown attribute is a misspelled field; one letter in ten is 0.9
+
 _logger = logging.getLogger(__name__)
+_logged: set[str] = set()
+
+
+def log_once(text: str, level: int = logging.INFO) -> None:
+    """Log a text, at its first call in a process only."""
+    if text not in _logged:
+        _logged.add(text)
+        _logger.log(level, text)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +46,7 @@ class ConfigField:
     read: Callable[[Any], object]  # Value in a class generated from a configuration
     write: Callable[[Values], Changes] | None = None  # Changes of the configuration from all values; None without any
     refused: bool = False  # Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged
+    warned: bool = False  # Whether another value acts there and not here, with ``remark`` as the remedy
 
 
 def native_field(
@@ -52,9 +64,9 @@ def same_fields(*names: str, **native_by_name: str) -> tuple[ConfigField, ...]:
     return tuple(native_field(name, native, attrgetter(native)) for name, native in pairs.items())
 
 
-def idle_field(script_name: str, value: object, remark: str) -> ConfigField:
+def idle_field(script_name: str, value: object, remark: str, *, warned: bool = False) -> ConfigField:
     """Return a field without meaning in this package, which takes any value."""
-    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value)
+    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value, warned=warned)
 
 
 def unchangeable_field(script_name: str, value: object, remark: str) -> ConfigField:
@@ -92,9 +104,14 @@ class ConfigTable:
         """Return all values of a configuration class, or of an object of one, that a table knows.
 
         Raises:
-            ConfigError: If it has an attribute that no table knows; the message names the nearest known one.
+            ConfigError: If an attribute has nearly the name of a field; the message names it.
         """
+        return self._values_and_helpers(cls)[0]
+
+    def _values_and_helpers(self, cls: Any) -> tuple[dict[str, Any], list[str]]:
+        """Return the values of a class, and the names of its own attributes."""
         known = {each.script_name for each in self.fields}
+        helpers: list[str] = []
 
         def section_values(section: Any, prefix: str) -> dict[str, Any]:
             entries: dict[str, Any] = {}
@@ -107,37 +124,47 @@ class ConfigTable:
                 elif any(other.startswith(f"{path}.") for other in known):
                     entries |= section_values(value, f"{path}.")
                 elif isclass(value) or not callable(value):
-                    raise ConfigError(
-                        f"{_name_of_class(cls)}.{path} = {value!r}: no such field ({self.kind}).{suggest_name(path, known)} "
-                        f"Known: {', '.join(sorted(known))}. Names that are the class's own begin with an underscore"
-                    )
+                    siblings = [name.removeprefix(prefix) for name in known if name.startswith(prefix)]
+                    if near := get_close_matches(key, siblings, n=1, cutoff=MISSPELLED):
+                        raise ConfigError(
+                            f"{_name_of_class(cls)}.{path} = {value!r}: no such field ({self.kind}). Did you mean "
+                            f"{prefix + near[0]!r}? Begin the name with an underscore if it is the class's own"
+                        )
+                    helpers.append(path)
             return entries
 
-        return section_values(cls, "")
+        return section_values(cls, ""), helpers
 
-    def translate(self, cls: Any, stands_for: Any) -> Any:
-        """Return our configuration for a configuration class.
+    def translate(self, cls: Any, stands_for: Any, *, base: Any = None) -> Any:
+        """Return our configuration for a configuration class. Fields without effect and the class's own attributes are logged.
 
         Args:
             stands_for: Configuration for a class that is not generated from one.
+            base: Configuration that the class changes, whatever it is generated from.
 
         Raises:
-            ConfigError: If an attribute is unknown, or has a value that means nothing here.
+            ConfigError: If an attribute is misspelled, or has a value that means nothing here.
         """
-        cfg = getattr(cls, STANDS_FOR, stands_for)
-        given = self.values(cls)
-        values = {each.script_name: each.read(cfg) for each in self.fields} | given
+        cfg = base or getattr(cls, STANDS_FOR, stands_for)
+        given, helpers = self._values_and_helpers(cls)
+        values = {each.script_name: each.read(cfg) for each in self.fields} | given | {STANDS_FOR: cfg}
         changes: Changes = {}
+        idle = {"an attribute of its own": helpers} if helpers else {}
         for each in self.fields:
             if each.script_name not in given or values_equal(given[each.script_name], each.read(cfg)):
                 continue
             told = f"{_name_of_class(cls)}.{each.script_name} = {given[each.script_name]!r}"
             if each.refused:
                 raise ConfigError(f"{told}: {each.remark}")
-            if each.write is None:
-                _logger.info(f"{told}: without effect here: {each.remark}")
+            if each.warned:
+                log_once(f"{told}: without effect here: {each.remark}", logging.WARNING)
+            elif each.write is None:
+                idle.setdefault(each.remark, []).append(each.script_name)
             else:
                 changes |= each.write(values)
+        if idle:
+            named = "; ".join(f"{', '.join(names)} ({remark})" for remark, names in idle.items())
+            log_once(f"{self.kind} {_name_of_class(cls)}: without effect here: {named}")
         return replace_config_entries(cfg, changes)
 
 

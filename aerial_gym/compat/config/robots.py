@@ -4,10 +4,12 @@ A column of the allocation matrix is force and torque per thrust of a rotor: its
 its direction d and torque ratio c. The place along the axis changes nothing and is that of the origin.
 
 That simulator has mass, inertia and geometry in URDF files; this package in a robot file, from which the allocation matrix
-is derived. A class modifies the robot of its nearest generated ancestor; with a URDF and an allocation matrix of its own it
-replaces the body. Thrust constants change from per (rev/s)² to per (rad/s)².
+is derived. A class modifies the robot whose URDF it names, else that of its nearest generated ancestor; with a URDF and an
+allocation matrix of its own it replaces the body. Thrust constants change from per (rev/s)² to per (rad/s)².
 """
 
+import logging
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -16,11 +18,13 @@ import numpy as np
 
 from aerial_gym.assets.urdf import load_urdf, urdf_body
 from aerial_gym.compat.config.fields import (
+    STANDS_FOR,
     Changes,
     ConfigTable,
     Values,
     class_only_field,
     idle_field,
+    log_once,
     native_field,
     replace_config_entries,
     unchangeable_field,
@@ -38,7 +42,18 @@ from aerial_gym.robots.importers.file_vehicle import make_collision, part_collis
 from aerial_gym.sensors import IMUS, SENSORS
 
 FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"  # URDF folder in classes of our robots; it need not exist
+STANDARD_FILES: dict[str, str] = {
+    "quad/quad.urdf": "base_quadrotor", "quad/model.urdf": "base_quad_root_link_control",
+    "octarotor/octarotor.urdf": "base_octarotor", "random/random.urdf": "base_random", "BlueROV/rov.urdf": "base_rov",
+    "tinyprop/tinyprop.urdf": "tinyprop", "morphy/morphy.urdf": "morphy", "morphy/morphy_stiff.urdf": "morphy_stiff",
+    **{f"{name}/model.urdf": name for name in ("lmf1", "lmf2", "magpie", "x500", "snakey", "snakey5", "snakey6")},
+}  # fmt: skip
+"""Folder and URDF file that come with that simulator, and the robot here."""
+
 MATRIX, DIRECTIONS = "control_allocator_config.allocation_matrix", "control_allocator_config.motor_directions"
+_LEVEL = "control_allocator_config.force_application_level"
+_FOLDER, _FILE, _FIXED = "robot_asset.asset_folder", "robot_asset.file", "robot_asset.fix_base_link"
+_JOINTS = "reconfiguration_config"
 _MOTORS = "control_allocator_config.num_motors"
 _RATIO = "control_allocator_config.motor_model_config.thrust_to_torque_ratio"
 
@@ -54,9 +69,22 @@ def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
 
 
 def rotor_changes(values: Values) -> Changes:
-    """Return the mounts of an allocation matrix."""
-    matrix = np.asarray(values[MATRIX], dtype=float)
+    """Return the mounts of an allocation matrix; for a robot of this package whose links carry the motors, its own ones with
+    the directions of the class, because forces act on the links there too."""
+    matrix, cfg = np.asarray(values[MATRIX], dtype=float), values[STANDS_FOR]
     directions, ratio = [int(d) for d in values[DIRECTIONS]], float(values[_RATIO])
+    on_links = values[_LEVEL] == "motor_link" and not _urdf_path(values).is_file()
+    if (on_links or cfg.joints) and int(values[_MOTORS]) == len(directions) == cfg.num_rotors:
+        turned = zip(cfg.mounts.layout, directions, strict=True)
+        mounts = replace(cfg.mounts, layout=tuple(replace(mount, spin=spin) for mount, spin in turned))
+        if not values_equal(matrix, allocation_matrix(replace(cfg, mounts=mounts))):
+            remedy = "" if cfg.joints else f'; {_LEVEL} = "root_link" lets the matrix place them'
+            log_once(
+                f"{_urdf_path(values)}: allocation_matrix differs from the rotors of the robot and is without effect here: "
+                f"the controller's matrix follows from the rotors{remedy}",
+                logging.WARNING,
+            )
+        return {"mounts": mounts}
     if matrix.shape != (6, len(directions)) or int(values[_MOTORS]) != len(directions):
         raise ConfigError(
             f"{MATRIX} of shape {matrix.shape}: needs a column for each of the {values[_MOTORS]} motors and of the "
@@ -87,14 +115,13 @@ def _mount_of_column(column: np.ndarray, spin: int, ratio: float, number: int) -
 
 def body_changes(values: Values) -> Changes:
     """Return mass, inertia and collision shapes of a class's URDF; nothing if it names a robot of this package."""
-    folder, file = str(values["robot_asset.asset_folder"]), str(values["robot_asset.file"])
-    path = Path(folder) / file
-    if values_equal(folder, FOLDER) and not path.is_file():
-        return {}
+    path = _urdf_path(values)
     if not path.is_file():
+        if _standard_robot(path) or path == Path(FOLDER, _urdf_file(values[STANDS_FOR])):
+            return {}
         raise ConfigError(
-            f"robot_asset {path}: no such URDF file; those of that simulator are not here. Give your own, "
-            "or a robot file (.yaml) as robot_name"
+            f"robot_asset {path}: no such URDF file. Those of that simulator are not here, but these names stand for the same "
+            f"robots: {', '.join(STANDARD_FILES)}. Give one of them, your own URDF, or a robot file (.yaml) as robot_name"
         )
     whole, source = urdf_body(path), f"URDF {path.name}, all links at zero joint angles"
     inertia = (_vec3(whole.inertia[0]), _vec3(whole.inertia[1]), _vec3(whole.inertia[2]))
@@ -105,6 +132,15 @@ def body_changes(values: Values) -> Changes:
         ),
         "summary": f"robot of {path.name}",
     }
+
+
+def _urdf_path(values: Values) -> Path:
+    return Path(str(values[_FOLDER]), str(values[_FILE]))
+
+
+def _standard_robot(path: Path) -> str | None:
+    """Return the robot here for a URDF file of that simulator."""
+    return STANDARD_FILES.get("/".join(path.parts[-2:]))
 
 
 def _vec3(vector: np.ndarray) -> Vec3:
@@ -143,9 +179,11 @@ def _middle_of_range(values: Values, name: str) -> float:
 
 def _thrust_map_changes(values: Values) -> Changes:
     """Return the mode of the rotors and their thrust map, None in force mode."""
-    speed = bool(values[f"{_MOTOR}.use_rps"])
-    coefficient = _middle_of_range(values, "motor_thrust_constant") / _PER_TURN if speed else 0.0
-    return {"rotor.mode": "speed" if speed else "force", "rotor.thrust_map": (0.0, 0.0, coefficient)}
+    if not values[f"{_MOTOR}.use_rps"]:
+        return {"rotor.mode": "force", "rotor.thrust_map": (0.0, 0.0, 0.0)}
+    constant, own = _middle_of_range(values, "motor_thrust_constant"), values[STANDS_FOR].rotor_types[0].thrust_map[2]
+    unchanged = np.isclose(constant, own, rtol=1e-6, atol=0.0)  # PX4's constants, which are per (rad/s)² there too
+    return {"rotor.mode": "speed", "rotor.thrust_map": (0.0, 0.0, own if unchanged else constant / _PER_TURN)}
 
 
 def _slew_rate_changes(values: Values) -> Changes:
@@ -202,6 +240,48 @@ def _drag_coefficients(cfg: RobotCfg, effect: str) -> list[float]:
     return [given.get(name, 0.0) for name in ("dx", "dy", "dz")]
 
 
+def _joint_values(cfg: RobotCfg, read: Any) -> list[Any]:
+    return [read(joint) for joint in cfg.joints.layout] if cfg.joints else []
+
+
+def _drive_mode(cfg: RobotCfg) -> str:
+    """Return the mode of the drives; ``effort`` for joints without any, ``none`` for a robot without joints."""
+    drives = [joint.drive for joint in (cfg.joints.layout if cfg.joints else ()) if joint.drive]
+    return drives[0].mode if drives else "effort" if cfg.joints else "none"
+
+
+def _apply_joints(cfg: RobotCfg, given: Values) -> RobotCfg:
+    """Return a robot with the joint states, drive gains and held base of a class."""
+    fields = [field for field in TABLE.fields if field.script_name.startswith((_JOINTS, _FIXED))]
+    own: dict[str, Any] = {field.script_name: field.read(cfg) for field in fields}
+    changed = {name: given[name] for name in own if name in given and not values_equal(given[name], own[name])}
+    if not changed:
+        return cfg
+    told = ", ".join(f"{name} = {value!r}" for name, value in changed.items())
+    if cfg.joints is None:
+        raise ConfigError(
+            f"{told}: this robot has no joints here. aerial-gym robot import --joints writes a robot file with those of a "
+            "URDF; give it as robot_name"
+        )
+    names = ("init_state_min", "init_state_max", "stiffness", "damping")
+    low, high, stiffness, damping = ((own | changed)[f"{_JOINTS}.{name}"] for name in names)
+    rows, count = [*low, *high, stiffness, damping], len(cfg.joints.layout)
+    if f"{_JOINTS}.dof_mode" in changed or len(rows) != 6 or any(len(row) != count for row in rows):
+        raise ConfigError(
+            f"{told}: joints of this robot are driven in mode {_drive_mode(cfg)!r}, and each row needs {count} entries. "
+            "Name the URDF of another robot, or give a robot file with `joints:` as robot_name"
+        )
+    layout = []
+    for joint, q_low, rate_low, q_high, rate_high, gain, drive_damping in zip(cfg.joints.layout, *rows, strict=True):
+        drive = joint.drive
+        if drive and drive.mode != "effort":
+            drive = replace(drive, stiffness=float(gain), damping=float(drive_damping))
+        ranges = {"initial": (float(q_low), float(q_high)), "initial_rate": (float(rate_low), float(rate_high))}
+        layout.append(replace(joint, drive=drive, **ranges))
+    floating = not (own | changed)[_FIXED]
+    return replace(cfg, joints=replace(cfg.joints, layout=tuple(layout), floating=floating))
+
+
 _VISUAL = "`visual:` of a robot file"
 _NO_SENSOR = "no sensor of forces on links"
 _START = "init_config says where a robot starts"
@@ -224,8 +304,9 @@ TABLE = ConfigTable(
                 _sensor_changes),
         native_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor_changes),
         native_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor_changes),
-        unchangeable_field("disturbance.enable_disturbance", False,
-                "pushes per physics step would depend on dt: use the effect gusts in a robot file"),
+        idle_field("disturbance.enable_disturbance", False,
+                "there a push was drawn at each physics step, so its strength depended on dt. The effects gusts and "
+                "quadratic_drag of a robot file disturb by wind", warned=True),
         idle_field("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
         idle_field("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
         native_field("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
@@ -236,10 +317,12 @@ TABLE = ConfigTable(
                 "there is no such effect here yet; 0 is what all robots have"),
         unchangeable_field("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        native_field("robot_asset.asset_folder", "body, collision", lambda _: FOLDER, body_changes,
-                "a URDF: all links as one body about their centre of mass; its spheres and boxes, boxes around the rest"),
-        native_field("robot_asset.file", "body, collision", _urdf_file, body_changes),
-        unchangeable_field("robot_asset.fix_base_link", False, "robots fly here"),
+        native_field(_FOLDER, "body, collision", lambda _: FOLDER, body_changes,
+                "a URDF: all links as one body about their centre of mass; its spheres and boxes, boxes around the rest. Those "
+                "of that simulator stand for the same robots here"),
+        native_field(_FILE, "body, collision", _urdf_file, body_changes),
+        class_only_field(_FIXED, "joints: floating", lambda c: c.joints is not None and not c.joints.floating,
+                "of robots with joints alone"),
         class_only_field("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "of robots alone there"),
         *(idle_field(f"robot_asset.{name}", value, why) for name, value, why in (
             ("name", "base_quadrotor", "the registered name"), ("base_link_name", "base_link", "a robot is one body"),
@@ -253,17 +336,18 @@ TABLE = ConfigTable(
             ("place_force_sensor", False, _NO_SENSOR), ("force_sensor_parent_link", "base_link", _NO_SENSOR),
             ("force_sensor_transform", None, _NO_SENSOR), ("use_collision_mesh_instead_of_visual", False, _VISUAL),
             ("min_state_ratio", None, _START), ("max_state_ratio", None, _START), ("min_position_ratio", None, _START),
-            ("max_position_ratio", None, _START),
+            ("max_position_ratio", None, _START), ("min_euler_angles", None, _START), ("max_euler_angles", None, _START),
+            ("max_force_and_torque_disturbance", None, "read nowhere there either"),
         )),
         *(idle_field(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
           for name in ("min_state_ratio", "max_state_ratio")),
         native_field(MATRIX, "mounts", allocation_matrix, rotor_changes,
-                "the rotors stand where the matrix has them; it is derived from them again"),
+                "with an own URDF, or on root_link, the rotors stand where the matrix has them; it is derived from them again"),
         native_field("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, rotor_changes),
         native_field(DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], rotor_changes,
-                "matrix and directions must say the same"),
+                "matrix and directions must say the same where the matrix places the rotors"),
         idle_field("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
-        idle_field("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
+        class_only_field(_LEVEL, "mounts", lambda _: "motor_link", "says whether URDF or matrix places the rotors"),
         native_field(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _thrust_map_changes,
                 "speed or force"),
         *(native_field(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
@@ -286,7 +370,18 @@ TABLE = ConfigTable(
         native_field(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _script_slew_rate, _slew_rate_changes, "100000 is none"),
         idle_field(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
         idle_field(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
-        class_only_field("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
+        class_only_field("dof_control_mode", "-", lambda _: "none", "each drive has its own mode"),
+        class_only_field(f"{_JOINTS}.dof_mode", "joints: drive: mode", _drive_mode, "snakes have robots of all three"),
+        *(class_only_field(f"{_JOINTS}.init_state_{there}", "joints: initial, initial_rate",
+                lambda c, end=end: [_joint_values(c, lambda j, name=name: getattr(j, name)[end])
+                                    for name in ("initial_range", "initial_rate")],
+                "a row of coordinates, a row of rates")
+          for end, there in enumerate(("min", "max"))),
+        *(class_only_field(f"{_JOINTS}.{name}", f"joints: drive: {name}",
+                lambda c, name=name: _joint_values(c, lambda j: getattr(j.drive, name, 0.0)), "without effect in effort mode")
+          for name in ("stiffness", "damping")),
+        *(unchangeable_field(f"{_JOINTS}.{name}", value, "the law of the arms is `spring:` of a joint in a robot file")
+          for name, value in (("custom_nonlinear_stiffness", -230.0), ("custom_linear_damping", -5834.0))),
     ),
     idle_sections={"reset_asset": "-"},
 )  # fmt: skip
@@ -300,12 +395,24 @@ def has_no_gravity(cls: Any) -> bool:
 
 def translate_robot(cls: Any) -> RobotCfg:
     """Return our robot for a robot class; sensor classes are changed in place by scripts, so they are read at every call."""
-    cfg = TABLE.translate(cls, ROBOTS.get("base_quadrotor"))
-    values = {field.script_name: field.read(cfg) for field in TABLE.fields} | TABLE.values(cls)
+    given = TABLE.values(cls)
+    cfg = _apply_joints(TABLE.translate(cls, None, base=_base_robot(cls, given)), given)
+    values = {field.script_name: field.read(cfg) for field in TABLE.fields} | given
     changes = _sensor_changes(values)
     mounts = cfg.sensor_mounts
     plain = mounts == as_mounts(tuple(mount.sensor for mount in mounts)) and len(mounts) == len(changes["sensors"])
     return replace_config_entries(cfg, changes) if plain else cfg
+
+
+def _base_robot(cls: Any, given: Values) -> RobotCfg:
+    """Return the robot that a class changes: that of its URDF among those of that simulator, else of its ancestor."""
+    made = getattr(cls, STANDS_FOR, ROBOTS.get("base_quadrotor"))
+    path = _urdf_path({_FOLDER: FOLDER, _FILE: _urdf_file(made), **given})
+    name = _standard_robot(path)
+    if name is None or path.is_file() or path == Path(FOLDER, _urdf_file(made)):
+        return made
+    driven = f"{name}_{given.get(f'{_JOINTS}.dof_mode')}"
+    return ROBOTS.get(driven if driven in ROBOTS else name)
 
 
 BaseQuadCfg = TABLE.make_class("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
@@ -317,6 +424,13 @@ CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
         ("BaseQuadWithCameraImuCfg", "base_quadrotor_with_camera_imu"), ("BaseQuadWithLidarCfg", "base_quadrotor_with_lidar"),
         ("BaseQuadWithFaceIDNormalCameraCfg", "base_quadrotor_with_faceid_normal_camera"),
         ("BaseQuadWithStereoCameraCfg", "base_quadrotor_with_stereo_camera"), ("TinyPropCfg", "tinyprop"),
+        ("BaseQuadRootLinkControlCfg", "base_quad_root_link_control"), ("BaseOctarotorCfg", "base_octarotor"),
+        ("BaseRandCfg", "base_random"), ("BaseROVCfg", "base_rov"), ("LMF1Cfg", "lmf1"), ("LMF2Cfg", "lmf2_with_camera"),
+        ("LMF2RadarCfg", "lmf2_radar"), ("MagpieCfg", "magpie"), ("X500Cfg", "x500"), ("MorphyCfg", "morphy"),
+        ("MorphyFixedBaseCfg", "morphy_fixed_base"), ("MorphyStiffCfg", "morphy_stiff"), ("SnakeyCfg", "snakey"),
+        ("Snakey5Cfg", "snakey5"), ("Snakey6Cfg", "snakey6"),
     )
 }  # fmt: skip
 """Generated classes by the name of the robot."""
+
+BY_CLASS_NAME: dict[str, type] = {cls.__name__: cls for cls in CLASSES.values()}

@@ -104,6 +104,8 @@ def _angles_in_degrees(entries: Any) -> list[float]:
     return [degrees(entry) for entry in entries]
 
 
+_OPTICAL = "sensors look along their own x axis here; turn nominal_orientation_euler_deg"
+
 _COMMON = (
     *same_fields(num_sensors="count"),
     native_field("sensor_type", "model", _sensor_type, _sensor_type_changes, "which class of file: pinhole, stereo, lidar"),
@@ -126,8 +128,6 @@ _COMMON = (
     *(native_field(f"{end}_euler_rotation_deg", native,
             lambda c, n=native: _angles_in_degrees(getattr(c, n) or c.euler), _placement_changes)
       for end, native in (("min", "euler_low"), ("max", "euler_high"))),
-    unchangeable_field("euler_frame_rot_deg", [-90.0, 0, -90.0],
-            "sensors look along their own x axis here; turn nominal_orientation_euler_deg"),
     idle_field("use_collision_geometry", False, "a shape is the same for rays and for contact"),
     native_field("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled,
             _noise_changes, "there it failed for cameras, and spoiled point clouds"),
@@ -150,6 +150,7 @@ CAMERA = ConfigTable(
         native_field("calculate_depth", "kind", lambda c: c.kind == "depth",
                 lambda v: {"kind": "depth" if v["calculate_depth"] else "range"}),
         native_field("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
+        unchangeable_field("euler_frame_rot_deg", [-90.0, 0, -90.0], _OPTICAL),
     ),
 )  # fmt: skip
 """Translation of the attributes of a camera class."""
@@ -160,6 +161,7 @@ LIDAR = ConfigTable(
         *_COMMON,
         *same_fields(horizontal_fov_deg_min="azimuth_low_deg", horizontal_fov_deg_max="azimuth_high_deg"),
         *same_fields(vertical_fov_deg_min="elevation_low_deg", vertical_fov_deg_max="elevation_high_deg"),
+        unchangeable_field("euler_frame_rot_deg", [0.0, 0.0, 0.0], _OPTICAL),
     ),
 )
 """Translation of the attributes of a lidar class."""

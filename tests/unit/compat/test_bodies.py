@@ -86,7 +86,7 @@ def test_allocation_matrix_of_the_quadrotor_is_that_of_the_class() -> None:
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"file": "none.urdf"}, "robot_asset .*none.urdf: no such URDF file; those of that simulator are not here"),
+    ({"file": "none.urdf"}, "robot_asset .*none.urdf: no such URDF file. Those of that .* quad/quad.urdf, .* Give one"),
     ({"num_motors": 5}, r"of shape \(6, 6\): needs a column for each of the 5 motors"),
     ({"motor_directions": [1] * 6}, "motor 1: torque 0.02 about its axis per thrust, but .* say -0.02. There"),
     ({"allocation_matrix": np.zeros((6, 6))}, "motor 0: force .* has the size 0, not 1"),

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
+from aerial_gym.compat.config import fields as fields_module
 from aerial_gym.compat.config.fields import STANDS_FOR, ConfigField, ConfigTable
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RotorCfg
@@ -66,13 +67,16 @@ NEEDS: dict[str, dict[str, Any]] = {
     "semantic_masked_links": {"asset_folder": "URDF"},
     "file": {"asset_folder": "URDF"},
     "sensor_noise.std_a": {"sensor_noise.std_b": 0.0},
+    "control_allocator_config.allocation_matrix": {"control_allocator_config.force_application_level": "root_link"},
 }
 """What else must be set so that a field says something."""
 
 
 KEPT = {
-    "env.num_envs", "env.reset_on_collision", "robot_asset.disable_gravity",
-    "dof_control_mode", "num_actions", "device", "seed", "return_state_before_reset",
+    "env.num_envs", "env.reset_on_collision", "robot_asset.disable_gravity", "robot_asset.fix_base_link",
+    "control_allocator_config.force_application_level", "dof_control_mode", "num_actions", "device", "seed",
+    "return_state_before_reset",
+    *(f"reconfiguration_config.{name}" for name in ("dof_mode", "init_state_min", "init_state_max", "stiffness", "damping")),
 }  # fmt: skip
 """Fields that are read where they are needed, and not written into our configuration."""
 
@@ -140,9 +144,11 @@ def test_every_attribute_does_what_the_table_says(title, table, field, tmp_path,
         assert_refused(ConfigError, f"Mine.{field.script_name} = ", table.translate, cls, stands_for)
         assert field.remark
         return
+    fields_module._logged.clear()
     with caplog.at_level(logging.INFO, logger="aerial_gym"):
         after = table.translate(cls, stands_for)
     if field.write is None:
+        assert f"{field.script_name}" in caplog.text
         assert "without effect here" in caplog.text
         assert field.remark
     changes = field.write is not None and field.script_name not in KEPT
@@ -158,7 +164,19 @@ def test_a_class_stands_for_its_configuration(title: str, table: ConfigTable) ->
     assert table.translate(make_subclass(parent, {}), stands_for) == stands_for
 
 
-def test_an_unknown_attribute_is_refused_and_a_section_that_means_nothing_is_not() -> None:
+@pytest.mark.parametrize("name", ["lower_bound_mim", "num_env", "env_spacings", "reset_on_colision"])
+def test_a_misspelled_field_is_refused(name: str) -> None:
+    cls = make_subclass(CLASSES["Environments"], {f"env.{name}": 1})
+    assert_refused(ConfigError, f"Mine.env.{name} = 1: .* Did you mean", environments.translate_environment, cls)
+
+
+@pytest.mark.parametrize("name", ["e_s", "room_size", "max_height", "goal", "curriculum_levels", "lower_left"])
+def test_an_attribute_of_one_s_own_is_taken(name: str) -> None:
+    cls = make_subclass(CLASSES["Environments"], {f"env.{name}": 1, name: type("Section", (), {"deep": 2})})
+    assert environments.translate_environment(cls) == environments.translate_environment(CLASSES["Environments"])
+
+
+def test_a_misspelled_attribute_is_refused_and_a_section_that_means_nothing_is_not() -> None:
     cls = make_subclass(CLASSES["Environments"], {"env.lower_bound_mim": [0, 0, 0]})
     words = r"Mine.env.lower_bound_mim = \[0, 0, 0\]: no such field \(environment\). Did you mean 'env.lower_bound_min'"
     assert_refused(ConfigError, words, environments.translate_environment, cls)
@@ -211,7 +229,7 @@ def test_folders_of_that_simulator_have_shapes_here() -> None:
     class EmptyAssets(assets.BaseAssetParams):
         asset_folder = "/nowhere/houses"
 
-    words = "asset_folder = '/nowhere/houses', file = None: no such URDF file. Folders of that"
+    words = "asset_folder = '/nowhere/houses', file = None: no such URDF file. Those of that simulator with shapes here: panels"
     assert_refused(ConfigError, words, assets.translate_asset, "houses", EmptyAssets)
 
     class Bare(assets.BaseAssetParams):
