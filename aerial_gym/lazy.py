@@ -18,6 +18,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from aerial_gym.extras import needed_for
+
 
 def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return ``__getattr__`` and ``__dir__`` of a package with its imports under ``if TYPE_CHECKING:``.
@@ -33,7 +35,8 @@ def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[],
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}. Known: {', '.join(sorted(homes))}")
-        value = getattr(import_module(homes[name]), name)
+        with needed_for(f"{package}.{name}"):
+            value = getattr(import_module(homes[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 

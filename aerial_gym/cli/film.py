@@ -11,6 +11,7 @@ from torch import Tensor
 
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError, MissingDependencyError
+from aerial_gym.extras import require
 from aerial_gym.task.chase_view import HEIGHT, WIDTH, ChaseView, write_text
 
 if TYPE_CHECKING:
@@ -32,11 +33,7 @@ def check_film(file: Path) -> None:
     """Raise an error if no video can be written with this name."""
     if file.suffix not in KINDS:
         raise ConfigError(f"--video {file}: must end in {', '.join(KINDS)}")
-    try:
-        import matplotlib  # noqa: F401
-        import PIL  # noqa: F401
-    except ImportError:
-        raise MissingDependencyError("--video needs matplotlib: pip install 'aerial-gym[sim2real]'") from None
+    require("--video", "matplotlib", "PIL")
     if file.suffix == ".mp4":
         try:
             import imageio_ffmpeg  # noqa: F401  # pyright: ignore[reportMissingImports]

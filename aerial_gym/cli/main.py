@@ -12,6 +12,7 @@ from aerial_gym import __version__
 from aerial_gym.cli import process
 from aerial_gym.config.console import accept_any_console
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
+from aerial_gym.extras import needed_for
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry.plugins import SWITCH
 
@@ -42,6 +43,9 @@ COMMANDS: dict[str, ImportPath] = {
     "bench": ImportPath("aerial_gym.cli.bench:BenchCmd"),
     "render-gallery": ImportPath("aerial_gym.cli.render_gallery:RenderGalleryCmd"),
     "demo": ImportPath("aerial_gym.cli.demo.command:DemoCmd"),
+    "doctor": ImportPath("aerial_gym.cli.doctor:DoctorCmd"),
+    "cache list": ImportPath("aerial_gym.cli.cache:ListCachesCmd"),
+    "cache clear": ImportPath("aerial_gym.cli.cache:ClearCachesCmd"),
 }
 
 
@@ -85,12 +89,13 @@ def _run_command(argv: Sequence[str]) -> int:
         return 0 if asked else 2
     if name not in COMMANDS:
         return _print_error(f"no command {name!r}. Known: {', '.join(COMMANDS)}", 2)
-    command = COMMANDS[name].load()
-    if hasattr(command, "parse"):
-        return command.parse(options).run()
-    import tyro
+    with needed_for(name):
+        command = COMMANDS[name].load()
+        if hasattr(command, "parse"):
+            return command.parse(options).run()
+        import tyro
 
-    return tyro.cli(command, args=options, prog=f"aerial-gym {name}").run()
+        return tyro.cli(command, args=options, prog=f"aerial-gym {name}").run()
 
 
 def _print_error(message: object, status: int) -> int:

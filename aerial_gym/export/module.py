@@ -13,8 +13,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.errors import CapabilityError
 from aerial_gym.export.layout import Layout
+from aerial_gym.extras import needed_for, require
 from aerial_gym.rl_training.policies.body import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
@@ -125,12 +125,8 @@ class DeployablePolicy(nn.Module):
 def onnx_bytes(
     module: nn.Module, given: tuple[Tensor, ...], inputs: list[str], outputs: list[str], dynamic: tuple[Any, ...]
 ) -> bytes:
-    """Return a module as ONNX with ``dynamic`` dimensions (``torch.export``); raise ``CapabilityError`` without its package."""
-    try:
-        import onnx  # noqa: F401
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        raise CapabilityError(f"{error.name} is not installed. Run: pip install 'aerial-gym[export]'") from None
+    """Return a module as ONNX with ``dynamic`` dimensions, by ``torch.export``."""
+    require("ONNX", "onnx", "onnxscript")
     program = torch.onnx.export(
         module, given, input_names=inputs, output_names=outputs, dynamic_shapes=dynamic, dynamo=True, verbose=False
     )
@@ -139,11 +135,9 @@ def onnx_bytes(
 
 
 def onnx_session(file: Path) -> Any:
-    """Return the session of an ONNX file on the CPU; raise ``CapabilityError`` without onnxruntime."""
-    try:
+    """Return the session of an ONNX file on the CPU; raise ``MissingDependencyError`` without onnxruntime."""
+    with needed_for("flying an ONNX file"):
         import onnxruntime
-    except ImportError:
-        raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
     return onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
 
 

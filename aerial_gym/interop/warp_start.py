@@ -79,7 +79,7 @@ def start_warp() -> None:
     if wp.config.log_level == wp.LOG_INFO and type(wp.get_logger()).__module__.startswith("warp."):
         wp.set_logger(KernelLog())
     try:
-        with nullcontext() if _has_gpu_driver() else _silent_stderr():
+        with nullcontext() if has_gpu_driver() else _silent_stderr():
             wp.init()
     except OSError as error:
         raise StorageError(_message_of_unwritable_cache(error.filename, error.strerror or str(error))) from None
@@ -94,7 +94,8 @@ def _message_of_unwritable_cache(folder: str | None, reason: str) -> str:
 
 
 @cache  # a missing library is searched for in every folder again
-def _has_gpu_driver() -> bool:
+def has_gpu_driver() -> bool:
+    """Return whether the driver of an NVIDIA GPU is installed."""
     try:
         ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
     except OSError:

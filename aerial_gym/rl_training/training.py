@@ -28,7 +28,7 @@ from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.training_run import TrainingRun
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainers_with_feature
-from aerial_gym.rl_training.trainers.summaries import require_wandb, send_scalars
+from aerial_gym.rl_training.trainers.summaries import require_wandb, send_scalars, warn_without_tensorboard
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 
@@ -83,6 +83,7 @@ def train(
     started = time.perf_counter() if started is None else started
     _check_names(cfg, resume=resume)
     TRAINERS.get(cfg.trainer).require()
+    warn_without_tensorboard()
     if wandb is not None:
         require_wandb()
     with join_ranks(cfg.device) as ranks, _leader_or_temporary_folder(ranks, out) as folder:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from aerial_gym.errors import ConfigError, MissingDependencyError
+from aerial_gym.extras import needed_for
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -38,10 +39,8 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
         host: Address to bind; any other than this machine's own is warned about on stderr.
         port: Port; 0 takes a free one (``server.get_port()``).
     """
-    try:
+    with needed_for("the viewer"):
         from viser import ViserServer
-    except ImportError:
-        raise MissingDependencyError("viser is not installed: pip install 'aerial-gym[viewer]'") from None
     listener = _listen(host, port)
     if not _is_loopback(host):
         print(f"aerial-gym: {host} is reachable from other machines; they can then control this view", file=sys.stderr)

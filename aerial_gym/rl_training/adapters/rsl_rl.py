@@ -8,14 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import MissingDependencyError
+from aerial_gym.extras import needed_for
 from aerial_gym.task import Task
 
-try:
+with needed_for("this adapter"):
     from rsl_rl.env import VecEnv  # pyright: ignore[reportMissingImports]
     from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
-except ImportError:
-    raise MissingDependencyError("this adapter needs rsl_rl: pip install 'aerial-gym[rsl-rl]'") from None
 
 
 class RslRlEnv(VecEnv):

@@ -8,13 +8,11 @@ from typing import Any
 from gymnasium import spaces
 from torch import Tensor
 
-from aerial_gym.errors import MissingDependencyError
+from aerial_gym.extras import needed_for
 from aerial_gym.task import Task
 
-try:
+with needed_for("this adapter"):
     from skrl.envs.wrappers.torch import Wrapper  # pyright: ignore[reportMissingImports]
-except ImportError:
-    raise MissingDependencyError("this adapter needs skrl: pip install 'aerial-gym[skrl]'") from None
 
 
 class SkrlEnv(Wrapper):

@@ -11,13 +11,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.errors import MissingDependencyError
+from aerial_gym.extras import needed_for
 from aerial_gym.task import Task
 
-try:
+with needed_for("this adapter"):
     from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
-except ImportError:
-    raise MissingDependencyError("this adapter needs stable_baselines3: pip install 'aerial-gym[sb3]'") from None
 
 
 class Sb3Env(VecEnv):

@@ -6,6 +6,7 @@ queue fills, and the training waits in it for ever.
 
 import importlib.util
 import json
+import logging
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -16,8 +17,11 @@ from typing import Any
 from aerial_gym.config import to_mapping
 from aerial_gym.config.storage import storage_message, write_atomic
 from aerial_gym.errors import MissingDependencyError, StorageError
+from aerial_gym.extras import require
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
+
+_log = logging.getLogger(__name__)
 
 Listener = Callable[[dict[str, float], int], None]  # Takes scalars by name and their step
 
@@ -121,11 +125,17 @@ class TensorboardScalars:
 STEP = "global_step"  # Horizontal axis of scalars: their TensorBoard step, for some of rl-games an epoch or a time
 
 
+def warn_without_tensorboard() -> None:
+    """Log that TensorBoard files are not written if their package is not installed."""
+    try:
+        require("no TensorBoard files: writing them", "tensorboardX")
+    except MissingDependencyError as error:
+        _log.warning("%s", error)
+
+
 def require_wandb() -> None:
-    """Raise ``MissingDependencyError`` if the package ``wandb`` is not installed."""
-    for package in ("wandb", "tensorboardX"):
-        if importlib.util.find_spec(package) is None:
-            raise MissingDependencyError(f"--wandb needs the package {package!r}: pip install 'aerial-gym[wandb]'")
+    """Raise ``MissingDependencyError`` if the packages of Weights & Biases are not installed."""
+    require("--wandb", "wandb", "tensorboardX")
 
 
 @contextmanager

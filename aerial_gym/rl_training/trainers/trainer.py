@@ -3,14 +3,14 @@
 A subclass imports its library only in ``prepare`` and ``run``, so a policy can be read without the library.
 """
 
-import importlib.util
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from aerial_gym.errors import ConfigError, MissingDependencyError
+from aerial_gym.errors import ConfigError
+from aerial_gym.extras import require
 from aerial_gym.rl_training.learner_settings import LearnerCfg, PpoCfg
 from aerial_gym.rl_training.settings import TRAINING_CONFIGS, TrainingCfg
 
@@ -35,7 +35,6 @@ class Trainer(ABC):
     summary: ClassVar[str]  # One line for `aerial-gym list trainers`
     package: ClassVar[str] = ""  # Name under which its library is imported; empty without one
     distribution: ClassVar[str] = ""  # Name under which its library is installed; a run folder notes its version
-    install: ClassVar[str] = "aerial-gym[rl]"  # Argument of `pip install` that installs the library
 
     section: ClassVar[str] = "ppo"
     """Field of ``TrainingCfg`` with its numbers; ``numbers`` for settings of a class that ``TrainingCfg`` does not know."""
@@ -52,10 +51,8 @@ class Trainer(ABC):
 
     def require(self) -> None:
         """Raise ``MissingDependencyError`` if its library is not installed."""
-        if self.package and importlib.util.find_spec(self.package) is None:
-            raise MissingDependencyError(
-                f"trainer {self.name!r} needs the package {self.package!r}: pip install '{self.install}'"
-            )
+        if self.package:
+            require(f"trainer {self.name!r}", self.package)
 
     def check(self, cfg: TrainingCfg) -> None:
         """Raise the error of settings that cannot be trained, before anything is written."""

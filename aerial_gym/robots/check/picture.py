@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import MissingDependencyError
+from aerial_gym.extras import needed_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,10 +58,8 @@ def _page_svg(robot: RobotCfg, draw: "Callable[[RobotCfg, Axes], None]") -> str:
 
 def _new_figure(width: float) -> "Figure":
     """Return a figure of a width [in]."""
-    try:
+    with needed_for("the picture of a robot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingDependencyError("matplotlib is not installed: pip install 'aerial-gym[sim2real]'") from None
     return Figure(figsize=(width, 4.6), layout="constrained")
 
 

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from aerial_gym.config.shape import PartCfg
-from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.errors import DataError
+from aerial_gym.extras import needed_for
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.json_values import select_fields, write_json
 from aerial_gym.sim2real.logs import foxglove as fox
@@ -123,11 +124,9 @@ def _files_of_topics(raw: RawLog) -> dict[str, Topic]:
 
 def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
     """Write one file for each topic, and parameters, messages, units and names in ``metadata.json``."""
-    try:
+    with needed_for("writing Parquet"):
         import pyarrow
         from pyarrow import parquet
-    except ImportError:
-        raise MissingDependencyError("writing parquet needs more packages: pip install 'aerial-gym[logs]'") from None
     files, topics = list[Path](), _files_of_topics(raw)
     for file, topic in topics.items():
         columns = {{"time": "time_logged"}.get(name, name): values for name, values in topic.columns.items()}

@@ -93,7 +93,7 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(tm
 @pytest.mark.slow
 def test_two_processes_of_rl_games_have_equal_weights_and_continue(tmp_path: Path) -> None:
     """Its normalisers are each process's own: those of rank 0 are kept."""
-    pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
+    pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl-games]'")
     for status, said in start_two("rl_games", tmp_path, ports=2):
         assert status == 0, said
     for save in range(2, 4):  # at the first, before the training, the library has not made them equal

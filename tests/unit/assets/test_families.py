@@ -14,7 +14,7 @@ from aerial_gym.assets import FAMILIES, CollisionTest, Scene, family_shapes, loa
 from aerial_gym.assets.mesh_files import load_mesh
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, PartCfg, ShapeCfg, load_environment
 from aerial_gym.config.robot import SphereCfg
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from tests.refusals import assert_refused
 from tests.unit.assets.managers import box_environment, make_manager
@@ -279,7 +279,7 @@ def test_missing_files_and_links_are_refused_by_name(lamp: Path) -> None:
 
 def test_a_urdf_without_yourdfpy_names_the_extra(lamp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
-    assert_refused(ConfigError, r"needs yourdfpy; install aerial-gym\[urdf\]", load_urdf, lamp)
+    assert_refused(MissingDependencyError, r"lamp.urdf needs yourdfpy: .*'aerial-gym\[urdf\]'", load_urdf, lamp)
 
 
 def test_a_mesh_of_a_package_stays_in_the_asset_folder(lamp: Path) -> None:

@@ -209,7 +209,7 @@ def test_impossible_settings_and_missing_trainers_are_refused(monkeypatch: pytes
     ):
         assert_refused(ConfigError, message, replace, own, **changes)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    told = r"trainer 'sample_factory' needs .* pip install 'aerial-gym\[rl\]'"
+    told = r"trainer 'sample_factory' needs .* pip install 'aerial-gym\[sample-factory\]'"
     assert_refused(MissingDependencyError, told, TRAINERS.get("sample_factory").require)
 
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.errors import DataError
+from aerial_gym.extras import needed_for
 from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import (
@@ -85,10 +86,8 @@ class LogExportReader(LogReader):
 
 def _read_folder(path: Path) -> tuple[dict[str, Any], tuple[Topic, ...]]:
     """Return the content of ``metadata.json`` and the topics, one file each."""
-    try:
+    with needed_for("reading Parquet"):
         from pyarrow import ArrowException, parquet  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise MissingDependencyError("reading Parquet needs more packages: pip install 'aerial-gym[logs]'") from None
     file = path / METADATA
     if file.stat().st_size > LARGEST_METADATA:
         raise DataError(f"{file}: has more than {LARGEST_METADATA:,} bytes; it is no log")

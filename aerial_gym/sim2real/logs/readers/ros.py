@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.errors import DataError
+from aerial_gym.extras import needed_for
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first, note_on_rotor_order
@@ -103,10 +104,8 @@ class RosReader(LogReader):
 
     def read(self, path: Path) -> RawLog:
         """Return one topic for each topic of the bag, with the numbers of its messages."""
-        try:
+        with needed_for("reading bags of ROS"):
             from rosbags.typesys import Stores, get_typestore  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            raise MissingDependencyError("reading bags of ROS needs rosbags: pip install 'aerial-gym[logs]'") from None
         standard = get_typestore(Stores.LATEST).fielddefs
         topics, notes, types, messages = list[Topic](), list[Finding](), dict[str, str](), list[LogMessage]()
         for source in read_message_sources(path.parent if path.name == METADATA and path.is_file() else path):

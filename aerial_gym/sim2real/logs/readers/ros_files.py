@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.errors import DataError
+from aerial_gym.extras import needed_for
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import FREE_BYTES, MOST_GROWTH
 
@@ -68,11 +69,10 @@ class Inflater:
         if method not in DECOMPRESSORS:
             raise DataError(f"{self._path}: a chunk has the unknown compression {method[:20]!r}")
         module, name = DECOMPRESSORS[method]
+        with needed_for(f"reading chunks in {method}"):
+            decompressor = getattr(import_module(module), name)()
         try:
-            result = getattr(import_module(module), name)().decompress(data, max_length=self._left + 1)
-        except ImportError:
-            remedy = "needs rosbags: pip install 'aerial-gym[logs]'"
-            raise MissingDependencyError(f"reading chunks in {method} {remedy}") from None
+            result = decompressor.decompress(data, max_length=self._left + 1)
         except Exception as error:  # each library has its own type
             raise DataError(f"{self._path}: a chunk cannot be decompressed ({type(error).__name__})") from None
         self._left -= len(result)

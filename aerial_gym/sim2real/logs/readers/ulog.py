@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.errors import DataError, MissingDependencyError
+from aerial_gym.errors import DataError
+from aerial_gym.extras import needed_for
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import (
@@ -81,10 +82,8 @@ class UlogReader(LogReader):
 
     def read(self, path: Path) -> RawLog:
         """Return all topics, parameters and messages of the file."""
-        try:
+        with needed_for("reading a PX4 ULog"):
             from pyulog import ULog  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            raise MissingDependencyError("reading a PX4 ULog needs pyulog: pip install 'aerial-gym[logs]'") from None
         try:
             with redirect_stdout(StringIO()):  # pyulog prints what it skips
                 log = ULog(UlogStream(path.read_bytes()))
