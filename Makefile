@@ -3,15 +3,24 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 
+# Versions that were tested together. rl-games and Sample Factory need NumPy 1, and are tested on Python 3.11.
+ifeq ($(shell $(firstword $(wildcard $(BIN)/python) $(PYTHON)) -c 'import sys; print(*sys.version_info[:2], sep=".")'),3.11)
+CONSTRAINTS ?= constraints.txt
+EXTRAS ?= all,rl-games,sample-factory
+else
+CONSTRAINTS ?= constraints-numpy2.txt
+EXTRAS ?= all
+endif
+
 # Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo docs test test-slow browser view-test view-pictures golden golden-update kill-test fuzz undeclared lint format clean
+.PHONY: setup demo docs test test-slow browser view-test view-pictures package golden golden-update kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
-.venv/ready: pyproject.toml constraints.txt
+.venv/ready: pyproject.toml $(CONSTRAINTS)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -q --no-compile -c constraints.txt -e ".[all]"
+	$(BIN)/python -m pip install -q --no-compile -c $(CONSTRAINTS) -e ".[$(EXTRAS)]"
 	touch $@
 
 demo: setup
@@ -31,7 +40,7 @@ test-slow: setup
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 browser: setup
 	command -v chromium > /dev/null || { $(SUDO) apt-get update && $(SUDO) apt-get install -y --no-install-recommends chromium fonts-dejavu-core; }
-	$(BIN)/python -m pip install -q --no-compile -c constraints.txt -e ".[browser]"
+	$(BIN)/python -m pip install -q --no-compile -c $(CONSTRAINTS) -e ".[browser]"
 
 # Pages and the viewer in a headless Chromium, which `make browser` installs; without it the tests skip.
 view-test: setup
@@ -40,6 +49,14 @@ view-test: setup
 # Pictures of the viewer in docs/images, by the same browser.
 view-pictures: setup
 	$(BIN)/python -m tests.browser.pictures
+
+# Wheel and source archive in dist/, tried in new environments of each Python that is here: minutes each, and PyTorch's
+# gigabytes where its CPU build is not at hand. PYTHONS selects some, such as python3.12.
+PYTHONS ?=
+package: setup
+	rm -rf dist build
+	$(BIN)/python -m build
+	$(BIN)/python -m tests.package_smoke $(PYTHONS)
 
 # Minutes: compares results of the whole package with tests/golden/reference. TOPICS: interface releases cases tasks.
 TOPICS ?=

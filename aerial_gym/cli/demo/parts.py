@@ -125,9 +125,11 @@ def find_or_simulate_flights(folder: Path | None, out: Path, seed: int) -> DemoF
 
 
 def _flights_of_plant(folder: Path, seed: int) -> DemoFlights:
-    root, folder = Path(__file__).parents[3], folder.resolve()  # the plant runs in another folder
-    if not (root / "benchmarks" / "undeclared").is_dir():
+    homes = (Path(__file__).parents[3], Path(__file__).parent / "plant")  # of a clone, and of a wheel (`setup.py`)
+    root = next((home for home in homes if (home / "benchmarks" / "undeclared").is_dir()), None)
+    if root is None:
         raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")
+    folder = folder.resolve()  # the plant runs in another folder
     command = [sys.executable, "-m", "benchmarks.undeclared", "--out", str(folder), "--seed", str(seed)]
     command += ["--effect", "com_offset", "--nuisance"]
     done = subprocess.run(command, cwd=root, capture_output=True, encoding="utf-8", errors="replace", check=False)

@@ -127,6 +127,8 @@ def test_wrong_settings_and_a_missing_library_are_named(
     assert_refused(ConfigError, "unknown field 'sgma'. Did you mean 'sigma'", load_settings, settings)
     settings.write_text(SETTINGS, encoding="utf-8")
     monkeypatch.setattr(RandomSearch, "package", "no_such_search")
-    with pytest.raises(MissingDependencyError, match="'random_search' needs no_such_search: pip install no_such_search"):
+    with pytest.raises(
+        MissingDependencyError, match="'random_search' needs no_such_search: pip install no_such_search"
+    ):
         train(load_settings(settings), tmp_path / "run", show_progress=False)
     assert not (tmp_path / "run").exists()

@@ -26,7 +26,9 @@ from tests.repetitions import rare_values
 from tests.unit.sim2real.logs.foxglove_files import read_and_check
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl-games]'")
-pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[sample-factory]'")
+pytest.importorskip(
+    "sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[sample-factory]'"
+)
 
 
 def train(out: Path, trainer: str, *more: str) -> int:

@@ -79,7 +79,9 @@ def test_a_training_of_twins_learns_as_one_and_counts_the_episodes_of_both() -> 
 
 
 def test_a_trainer_of_one_process_refuses_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[sample-factory]'")
+    pytest.importorskip(
+        "sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[sample-factory]'"
+    )
     monkeypatch.setattr(training_module, "join_ranks", lambda device: nullcontext(Twins(0, 2, joined=True)))
     cfg = load_settings(settings_for("sample_factory", "position_setpoint_task"))
     told = "sample_factory learns in one process, and 2 were started. Leave torchrun out"
