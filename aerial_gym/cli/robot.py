@@ -14,6 +14,7 @@ import tyro
 
 from aerial_gym.cli.terminal import open_in_browser, print_table, progress_bar
 from aerial_gym.config.console import json_line
+from aerial_gym.extras import require
 
 if TYPE_CHECKING:
     from aerial_gym.robots.check import RobotReport, StableStep
@@ -60,6 +61,8 @@ class CheckRobotCmd:
         if self.picture is not None and len(self.robots) != 1:
             raise ConfigError(f"--picture takes one robot, and there are {len(self.robots)}. Draw each by itself")
         controllers = self.controllers if self.fly else ()
+        if self.picture or self.page or self.open:
+            require("the picture of a robot", "matplotlib")
         page = self.page or (Path(mkdtemp()) / "check.html" if self.open else None)
         sections = []
         for name in self.robots:

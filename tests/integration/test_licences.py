@@ -19,7 +19,9 @@ def test_every_dependency_has_its_row_and_a_licence() -> None:
         for name in (Requirement(text).name for text in texts):
             expected.setdefault(name, []).append(extra)
     del expected["aerial-gym"]
-    rows = re.findall(r"^\| `([^`]+)` \| ([^|]*) \| ([^|]*) \|$", licences.PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(
+        r"^\| `([^`]+)` \| ([^|]*) \| ([^|]*) \|$", licences.PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
     table = licences.PAGE.read_text(encoding="utf-8").partition(licences.BEGIN)[2]
     rows = [row for row in rows if f"`{row[0]}`" in table and row[0] in expected]
     assert {name: extras.replace("`", "").split(", ") for name, extras, _ in rows} == expected

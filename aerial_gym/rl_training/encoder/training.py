@@ -30,6 +30,7 @@ from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.config.storage import read_archive, storage_errors, write_archive, write_atomic
 from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.extras import require
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.encoder.figures import (
     AT_ONCE,
@@ -153,6 +154,7 @@ def train_encoder(
         resume: Whether to continue from the folder's checkpoint, on one device as without the interruption.
         tell: Receives the progress: a description of the work, and the share that is done.
     """
+    require("the picture of a trained encoder", "matplotlib")
     started, folder, device = time.perf_counter(), EncoderFolder(out), resolve_device(cfg.device)
     if resume:
         cfg = _resume_settings(cfg, folder.settings())
