@@ -18,7 +18,7 @@ PROJECT = "aerial-gym"
 
 MODULES = {
     "warp-lang": "warp", "pyyaml": "yaml", "pillow": "PIL", "rsl-rl-lib": "rsl_rl", "mkdocs-material": "material",
-    "mkdocstrings-python": "mkdocstrings_handlers", "pytest-xdist": "xdist",
+    "mkdocstrings-python": "mkdocstrings_handlers", "pytest-xdist": "xdist", "codespell": "codespell_lib",
 }  # fmt: skip
 """Module by package, for packages whose module has another name."""
 
@@ -47,15 +47,15 @@ def requirements() -> "dict[str, tuple[Requirement, ...]]":
     return extras
 
 
-def packages_of(extra: str) -> "tuple[Requirement, ...]":
+def extra_packages(extra: str) -> "tuple[Requirement, ...]":
     """Return the packages of an extra, and of the extras it contains; empty if it only joins others."""
     rows = requirements()[extra]
     own = tuple(row for row in rows if row.name != PROJECT)
     joined = sorted(name for row in rows if row.name == PROJECT for name in row.extras)
-    return (*own, *(row for name in joined for row in packages_of(name))) if own else ()
+    return (*own, *(row for name in joined for row in extra_packages(name))) if own else ()
 
 
-def extra_of(module: str) -> str | None:
+def find_extra(module: str) -> str | None:
     """Return the first extra that lists the package of a module; None if none does."""
     for name, packages in requirements().items():
         if name and any(module_name(package.name) == module for package in packages):
@@ -65,10 +65,10 @@ def extra_of(module: str) -> str | None:
 
 def missing_dependency(purpose: str, modules: list[str]) -> MissingDependencyError:
     """Return the error for modules that ``purpose`` needs, with the command that installs them."""
-    extras = {module: extra_of(module) for module in modules}
+    extras = {module: find_extra(module) for module in modules}
     names = ",".join(dict.fromkeys(extra for extra in extras.values() if extra))
-    others = [module for module, extra in extras.items() if extra is None]
-    install = " ".join([*([f"'{PROJECT}[{names}]'"] if names else []), *others])
+    unlisted = [module for module, extra in extras.items() if extra is None]
+    install = " ".join([*([f"'{PROJECT}[{names}]'"] if names else []), *unlisted])
     return MissingDependencyError(f"{purpose} needs {' and '.join(modules)}: pip install {install}")
 
 
@@ -80,12 +80,12 @@ def require(purpose: str, *modules: str) -> None:
 
 
 @contextmanager
-def needed_for(purpose: str) -> Iterator[None]:
+def optional_import(purpose: str) -> Iterator[None]:
     """Raise ``MissingDependencyError`` in place of the error of an import inside the block, if an extra has its package."""
     try:
         yield
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
-        if extra_of(module) is None:
+        if find_extra(module) is None:
             raise
         raise missing_dependency(purpose, [module]) from None

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 
 
 def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
@@ -35,7 +35,7 @@ def exports(package: str, path: str) -> tuple[Callable[[str], Any], Callable[[],
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}. Known: {', '.join(sorted(homes))}")
-        with needed_for(f"{package}.{name}"):
+        with optional_import(f"{package}.{name}"):
             value = getattr(import_module(homes[name]), name)
         setattr(sys.modules[package], name, value)
         return value

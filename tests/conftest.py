@@ -41,7 +41,7 @@ from aerial_gym.robots import ROBOTS  # noqa: E402
 from aerial_gym.sensors import IMUS, SENSORS, imu  # noqa: E402
 from aerial_gym.sim2real.predict import replay  # noqa: E402
 from aerial_gym.task import ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS, task_registry  # noqa: E402
-from tests.required_libraries import pytest_sessionfinish  # noqa: E402, F401
+from tests.ci_libraries import pytest_sessionfinish  # noqa: E402, F401
 
 torch.set_num_threads(_THREADS)
 

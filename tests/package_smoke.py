@@ -22,11 +22,11 @@ MINORS = range(11, 14)  # Minor versions of Python 3 that are supported
 def find_pythons() -> list[str]:
     """Return the Pythons of supported versions that start: those on the path, then those of pyenv."""
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
-    found = []
+    pythons = []
     for minor in MINORS:
         own = sorted(str(path) for path in pyenv.glob(f"3.{minor}.*/bin/python3.{minor}"))
-        found += [python for python in (f"python3.{minor}", *own) if starts(python)][:1]
-    return found
+        pythons += [python for python in (f"python3.{minor}", *own) if starts(python)][:1]
+    return pythons
 
 
 def starts(python: str) -> bool:

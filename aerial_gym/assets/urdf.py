@@ -16,7 +16,7 @@ from aerial_gym.assets.mesh_files import is_collada
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.config.robot import Vec3
 from aerial_gym.errors import ConfigError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 
 if TYPE_CHECKING:
     from yourdfpy import URDF
@@ -129,7 +129,7 @@ def _material_color(robot: "URDF", material: "Material | None") -> Vec3 | None:
 
 def read_urdf(path: str | Path) -> "URDF":
     """Return the parsed file without meshes, joints at zero; raise ``ConfigError`` unless the links are a tree."""
-    with needed_for(f"URDF {path}"):
+    with optional_import(f"URDF {path}"):
         import yourdfpy
     if not Path(path).is_file():
         raise ConfigError(f"URDF {path}: no such file")

@@ -12,7 +12,7 @@ from aerial_gym.cli.cache import cache_rows, find_caches
 from aerial_gym.cli.terminal import print_table
 from aerial_gym.config.console import json_line
 from aerial_gym.errors import StorageError
-from aerial_gym.extras import PROJECT, packages_of, requirements
+from aerial_gym.extras import PROJECT, extra_packages, requirements
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -57,7 +57,7 @@ def examine() -> dict[str, Any]:
         | {name: _version(name) for name in core},
         "devices": devices,
         "caches": caches,
-        "extras": {name: _extra(name) for name in requirements() if name and packages_of(name)},
+        "extras": {name: _extra(name) for name in requirements() if name and extra_packages(name)},
         "programs": {"C compiler": {"needed_for": "checks of exported C", **_program("gcc", "cc")}},
         "faults": faults,
     }
@@ -81,7 +81,7 @@ def _unmet(rows: "tuple[Requirement, ...]") -> "list[Requirement]":
 
 
 def _extra(name: str) -> dict[str, Any]:
-    missing = [_rule(row) for row in _unmet(packages_of(name))]
+    missing = [_rule(row) for row in _unmet(extra_packages(name))]
     return {"missing": missing, "repair": f"pip install '{PROJECT}[{name}]'" if missing else None}
 
 

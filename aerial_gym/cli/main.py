@@ -12,7 +12,7 @@ from aerial_gym import __version__
 from aerial_gym.cli import process
 from aerial_gym.config.console import accept_any_console
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.lazy import ImportPath
 from aerial_gym.registry.plugins import SWITCH
 
@@ -89,7 +89,7 @@ def _run_command(argv: Sequence[str]) -> int:
         return 0 if asked else 2
     if name not in COMMANDS:
         return _print_error(f"no command {name!r}. Known: {', '.join(COMMANDS)}", 2)
-    with needed_for(name):
+    with optional_import(name):
         command = COMMANDS[name].load()
         if hasattr(command, "parse"):
             return command.parse(options).run()

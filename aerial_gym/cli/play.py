@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from aerial_gym.config.set_option import SetOption
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError, UnknownNameError, suggest_name
+from aerial_gym.extras import require
 
 if TYPE_CHECKING:
     import numpy as np
@@ -148,8 +149,10 @@ class PlayCmd:
             raise ConfigError(f"--video-envs {views}: must be 1 to {self.num_envs}, the value of --num-envs")
         if self.video is not None:
             check_film(self.video)
-        if self.record is not None and self.record.suffix != ".mcap":
-            raise ConfigError(f"--record {self.record}: must end in .mcap")
+        if self.record is not None:
+            if self.record.suffix != ".mcap":
+                raise ConfigError(f"--record {self.record}: must end in .mcap")
+            require("--record", "mcap", "scipy", "pandas")
         return views
 
     def _read_non_finite_steps(self, dump: Path, rows: list[Sequence[object]]) -> None:

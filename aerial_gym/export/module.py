@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.export.layout import Layout
-from aerial_gym.extras import needed_for, require
+from aerial_gym.extras import optional_import, require
 from aerial_gym.rl_training.policies.body import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
@@ -136,7 +136,7 @@ def onnx_bytes(
 
 def onnx_session(file: Path) -> Any:
     """Return the session of an ONNX file on the CPU; raise ``MissingDependencyError`` without onnxruntime."""
-    with needed_for("flying an ONNX file"):
+    with optional_import("flying an ONNX file"):
         import onnxruntime
     return onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
 

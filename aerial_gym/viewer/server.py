@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from aerial_gym.errors import ConfigError, MissingDependencyError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -39,7 +39,7 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> "ViserServer":
         host: Address to bind; any other than this machine's own is warned about on stderr.
         port: Port; 0 takes a free one (``server.get_port()``).
     """
-    with needed_for("the viewer"):
+    with optional_import("the viewer"):
         from viser import ViserServer
     listener = _listen(host, port)
     if not _is_loopback(host):

@@ -1,4 +1,4 @@
-"""The table of licences in ``docs/guides/install.md``: ``python -m docs.generate.licences`` writes it anew.
+"""The table of licences in ``docs/reference/licences.md``: ``python -m docs.generate.licences`` writes it anew.
 
 Licences are those in the metadata of installed packages. The row of a package that is not installed stays as it is.
 """
@@ -10,19 +10,19 @@ from pathlib import Path
 from aerial_gym.extras import PROJECT, requirements
 from docs.generate.markdown import table
 
-PAGE = Path(__file__).parents[1] / "guides" / "install.md"
+PAGE = Path(__file__).parents[1] / "reference" / "licences.md"
 BEGIN, END = "<!-- licences -->", "<!-- end of licences -->"
 LONGEST = 120  # Longest name of a licence [characters]; packages that give the whole text are shown by their classifier
 
 
 def direct_dependencies() -> dict[str, list[str]]:
     """Return the packages that extras list, with the extras of each; `core` for those that are always installed."""
-    found: dict[str, list[str]] = {}
+    packages: dict[str, list[str]] = {}
     for extra, rows in requirements().items():
         for row in rows:
             if row.name != PROJECT:
-                found.setdefault(row.name, []).append(f"`{extra}`" if extra else "core")
-    return dict(sorted(found.items(), key=lambda item: item[0].lower()))
+                packages.setdefault(row.name, []).append(f"`{extra}`" if extra else "core")
+    return dict(sorted(packages.items(), key=lambda item: item[0].lower()))
 
 
 def licence(package: str) -> str | None:

@@ -20,7 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 
 
 @pytest.fixture
-def known_extras(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def project_metadata(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Metadata of a project with a core package and three extras, one for newer Pythons only and one that joins others."""
     project = Message()
     for row in (
@@ -37,23 +37,23 @@ def known_extras(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     extras.requirements.cache_clear()
 
 
-@pytest.mark.usefixtures("known_extras")
+@pytest.mark.usefixtures("project_metadata")
 def test_an_extra_is_found_by_the_module_of_its_package() -> None:
-    found = {module: extras.extra_of(module) for module in ("moth", "wasp_lib", "gnat", "hornet", "bee")}
-    assert found == {"moth": "logs", "wasp_lib": "tune", "gnat": None, "hornet": None, "bee": None}
+    extra_by_module = {module: extras.find_extra(module) for module in ("moth", "wasp_lib", "gnat", "hornet", "bee")}
+    assert extra_by_module == {"moth": "logs", "wasp_lib": "tune", "gnat": None, "hornet": None, "bee": None}
     assert [row.name for row in extras.requirements()[""]] == ["gnat"]
-    assert [row.name for row in extras.packages_of("both")] == ["fly", "moth"]
-    assert extras.packages_of("all") == ()
+    assert [row.name for row in extras.extra_packages("both")] == ["fly", "moth"]
+    assert extras.extra_packages("all") == ()
 
 
-@pytest.mark.usefixtures("known_extras")
+@pytest.mark.usefixtures("project_metadata")
 def test_a_missing_package_is_named_with_the_command_that_installs_it() -> None:
     told = r"reading needs moth and bee and wasp_lib: pip install 'aerial-gym\[logs,tune\]' bee"
     assert_refused(MissingDependencyError, told, extras.require, "reading", "moth", "sys", "bee", "wasp_lib")
     with pytest.raises(MissingDependencyError, match=r"^reading needs moth: pip install 'aerial-gym\[logs\]'$"):  # noqa: SIM117
-        with extras.needed_for("reading"):
+        with extras.optional_import("reading"):
             import moth.wings  # noqa: F401  # pyright: ignore[reportMissingImports]
-    with pytest.raises(ModuleNotFoundError, match="bee"), extras.needed_for("reading"):
+    with pytest.raises(ModuleNotFoundError, match="bee"), extras.optional_import("reading"):
         import bee  # noqa: F401  # pyright: ignore[reportMissingImports]
     extras.require("reading", "sys")
 
@@ -88,7 +88,7 @@ for words in {commands}:
 """
 
 
-def run_without(blocked: tuple[str, ...], *commands: str) -> list[tuple[str, str]]:
+def run_on_core(blocked: tuple[str, ...], *commands: str) -> list[tuple[str, str]]:
     """Return the exit status and the last line on stderr of each command in a process without some modules."""
     code = BLOCKER.format(blocked=set(blocked), commands=[command.split() for command in commands])
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
@@ -97,7 +97,7 @@ def run_without(blocked: tuple[str, ...], *commands: str) -> list[tuple[str, str
 
 
 def test_a_command_without_scipy_names_its_extra() -> None:
-    (told,) = run_without(("scipy",), "log inspect pyproject.toml")
+    (told,) = run_on_core(("scipy",), "log inspect pyproject.toml")
     assert told == ("2", "aerial-gym: log inspect needs scipy: pip install 'aerial-gym[sim2real]'")
 
 
@@ -130,7 +130,7 @@ NEEDS = {
 
 @pytest.mark.slow
 def test_every_command_on_a_core_installation_names_the_extra_it_lacks(tmp_path: Path) -> None:
-    told = run_without(OPTIONAL, *(command.format(out=tmp_path) for command in NEEDS))
+    told = run_on_core(OPTIONAL, *(command.format(out=tmp_path) for command in NEEDS))
     assert [status for status, _ in told] == ["2"] * len(NEEDS)
     for (command, extra), (_, line) in zip(NEEDS.items(), told, strict=True):
         assert ("pip install" in line) == (extra is not None), (command, line)

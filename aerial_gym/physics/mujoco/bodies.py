@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.environment import ContactCfg
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.integrators import MassState
@@ -26,7 +26,7 @@ MASS, INERTIA, COM, GRAVITY = 0, slice(1, 10), slice(10, 13), 13  # Columns of `
 
 def import_optional(module: str, *, backend: str) -> Any:
     """Import an optional module; raise ``MissingDependencyError`` with its extra if it is not installed."""
-    with needed_for(f"backend {backend!r}"):
+    with optional_import(f"backend {backend!r}"):
         return import_module(module)
 
 

@@ -8,10 +8,10 @@ from typing import Any
 from gymnasium import spaces
 from torch import Tensor
 
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.task import Task
 
-with needed_for("this adapter"):
+with optional_import("this adapter"):
     from skrl.envs.wrappers.torch import Wrapper  # pyright: ignore[reportMissingImports]
 
 

@@ -11,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.task import Task
 
-with needed_for("this adapter"):
+with optional_import("this adapter"):
     from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
 
 

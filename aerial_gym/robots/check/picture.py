@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,7 +58,7 @@ def _page_svg(robot: RobotCfg, draw: "Callable[[RobotCfg, Axes], None]") -> str:
 
 def _new_figure(width: float) -> "Figure":
     """Return a figure of a width [in]."""
-    with needed_for("the picture of a robot"):
+    with optional_import("the picture of a robot"):
         from matplotlib.figure import Figure
     return Figure(figsize=(width, 4.6), layout="constrained")
 

@@ -16,7 +16,7 @@ from aerial_gym.config.joint import JointCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.robots.importers.file_vehicle import (
     FileJoint,
     FileRotor,
@@ -80,7 +80,7 @@ def read_mjcf(path: Path, lag: float | None, *, take_actuators: bool, joints: bo
 
 def _load_model(path: Path) -> tuple[Any, Any, str]:
     """Return MuJoCo, the model in a file, and the name of the file in messages."""
-    with needed_for(f"MJCF {path}"):
+    with optional_import(f"MJCF {path}"):
         import mujoco
     where = f"MJCF {path.name}"
     try:

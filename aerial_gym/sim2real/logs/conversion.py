@@ -13,7 +13,7 @@ import pandas as pd
 
 from aerial_gym.config.shape import PartCfg
 from aerial_gym.errors import DataError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.json_values import select_fields, write_json
 from aerial_gym.sim2real.logs import foxglove as fox
@@ -124,7 +124,7 @@ def _files_of_topics(raw: RawLog) -> dict[str, Topic]:
 
 def _write_parquet(raw: RawLog, out: Path) -> list[Path]:
     """Write one file for each topic, and parameters, messages, units and names in ``metadata.json``."""
-    with needed_for("writing Parquet"):
+    with optional_import("writing Parquet"):
         import pyarrow
         from pyarrow import parquet
     files, topics = list[Path](), _files_of_topics(raw)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.shape import PartCfg, ShapeCfg
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.sim2real.arrays import Array
 
 CHUNK_BYTES = 2**16  # A killed recording loses its last chunk, at most so many bytes before compression
@@ -52,7 +52,7 @@ class McapFile:
 
     def __init__(self, path: Path, library: str) -> None:
         """Create the file; ``library`` names its writer."""
-        with needed_for("writing MCAP"):
+        with optional_import("writing MCAP"):
             from mcap.writer import Writer
         self._stream = path.open("wb")
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES)

@@ -47,9 +47,9 @@ def test_the_folders_are_those_of_warp_and_of_the_user(tmp_path: Path, monkeypat
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     bytecode = tmp_path / "aerial_gym" / "bytecode"
     bytecode.mkdir(parents=True)
-    found = find_caches()
-    assert found["bytecode"].folder == bytecode
-    assert found["kernels"].folder.is_dir()
-    found["bytecode"].clear()
+    caches = find_caches()
+    assert caches["bytecode"].folder == bytecode
+    assert caches["kernels"].folder.is_dir()
+    caches["bytecode"].clear()
     assert not bytecode.exists()
-    assert found["bytecode"].entry()["num_files"] == 0
+    assert caches["bytecode"].entry()["num_files"] == 0

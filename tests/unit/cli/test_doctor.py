@@ -30,7 +30,7 @@ def test_each_fault_and_each_missing_package_has_its_repair(
 ) -> None:
     rows = {"": (Requirement("numpy>=99"), Requirement("no-such>=1")), "bees": (Requirement("bee>=2"),)}
     monkeypatch.setattr(doctor, "requirements", lambda: rows)
-    monkeypatch.setattr(doctor, "packages_of", rows.__getitem__)
+    monkeypatch.setattr(doctor, "extra_packages", rows.__getitem__)
     monkeypatch.setattr(doctor, "_program", lambda *names: {"path": None, "repair": f"install {names[0]}"})
     monkeypatch.setattr(warp_start, "has_gpu_driver", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from aerial_gym.errors import DataError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.registry.log_formats import LOG_READERS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import (
@@ -86,7 +86,7 @@ class LogExportReader(LogReader):
 
 def _read_folder(path: Path) -> tuple[dict[str, Any], tuple[Topic, ...]]:
     """Return the content of ``metadata.json`` and the topics, one file each."""
-    with needed_for("reading Parquet"):
+    with optional_import("reading Parquet"):
         from pyarrow import ArrowException, parquet  # pyright: ignore[reportMissingImports]
     file = path / METADATA
     if file.stat().st_size > LARGEST_METADATA:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import LogChannel, LogMessage, RawLog, Topic, faster_first, note_on_rotor_order
@@ -104,7 +104,7 @@ class RosReader(LogReader):
 
     def read(self, path: Path) -> RawLog:
         """Return one topic for each topic of the bag, with the numbers of its messages."""
-        with needed_for("reading bags of ROS"):
+        with optional_import("reading bags of ROS"):
             from rosbags.typesys import Stores, get_typestore  # pyright: ignore[reportMissingImports]
         standard = get_typestore(Stores.LATEST).fielddefs
         topics, notes, types, messages = list[Topic](), list[Finding](), dict[str, str](), list[LogMessage]()

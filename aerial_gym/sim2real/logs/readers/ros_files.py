@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from aerial_gym.errors import DataError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.raw_log import FREE_BYTES, MOST_GROWTH
 
@@ -69,7 +69,7 @@ class Inflater:
         if method not in DECOMPRESSORS:
             raise DataError(f"{self._path}: a chunk has the unknown compression {method[:20]!r}")
         module, name = DECOMPRESSORS[method]
-        with needed_for(f"reading chunks in {method}"):
+        with optional_import(f"reading chunks in {method}"):
             decompressor = getattr(import_module(module), name)()
         try:
             result = decompressor.decompress(data, max_length=self._left + 1)

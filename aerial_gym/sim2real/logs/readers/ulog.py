@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.errors import DataError
-from aerial_gym.extras import needed_for
+from aerial_gym.extras import optional_import
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.raw_log import (
@@ -82,7 +82,7 @@ class UlogReader(LogReader):
 
     def read(self, path: Path) -> RawLog:
         """Return all topics, parameters and messages of the file."""
-        with needed_for("reading a PX4 ULog"):
+        with optional_import("reading a PX4 ULog"):
             from pyulog import ULog  # pyright: ignore[reportMissingImports]
         try:
             with redirect_stdout(StringIO()):  # pyulog prints what it skips

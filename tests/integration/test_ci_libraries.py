@@ -26,7 +26,7 @@ def run_tests(folder: Path, required: str, module: str = "") -> tuple[int, str]:
         "-m",
         "pytest",
         "-p",
-        "tests.required_libraries",
+        "tests.ci_libraries",
         "-p",
         "no:cacheprovider",
         "-q",
