@@ -61,11 +61,19 @@ class CandidateView:
         return label in self.fresh or label in self.own
 
     def smaller_sets_elsewhere(self, least: float) -> list[EffectSetFit]:
-        """Return the sets with one effect less, linearised about the present set, a deviation of which differs by ``least``."""
-        effects = (k for k in self.present_set if not self.library.candidates[k].structure)
+        """Return the sets with one effect less, linearised about the present set, a deviation of which differs by ``least``.
+
+        All are fitted, as their distance in the linear model says nothing about deviations elsewhere.
+        """
+        effects, here = (
+            (k for k in self.present_set if not self.library.candidates[k].structure),
+            self.present.deviation,
+        )
         models = [tuple(k for k in self.present_set if k != gone) for gone in effects]
-        labels = self.fresh.difference(self.own).intersection(label_of_candidate_set(self.library, m) for m in models)
-        fits, here = [self.fits[label] for label in sorted(labels)], self.present.deviation
+        for model in models:
+            self.fit_if_promising(model, however_far=True)
+        labels = sorted({label_of_candidate_set(self.library, model) for model in models}.difference(self.own))
+        fits = [self.fits[label] for label in labels if label in self.fresh]
         fits = [one for one in fits if one.deviation.size == here.size]  # none from a fit that failed
         return [one for one in fits if np.any(np.abs(one.deviation - here) >= least)]
 

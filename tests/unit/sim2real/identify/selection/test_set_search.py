@@ -145,14 +145,13 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turn
 
 @pytest.mark.parametrize(("moved", "refitted"), [(0.6, True), (0.4, False)])
 def test_a_set_without_an_effect_whose_deviations_moved_is_compared_about_itself(moved: float, refitted: bool) -> None:
-    """Otherwise a dead time that the delays of sensors explain as well is named."""
+    """However far behind it is about the present set: else effects are named that the delays of sensors explain as well."""
     best = replace(make_fit("com_offset"), deviation=np.zeros(2))
-    less = replace(make_fit(log=-4.0), deviation=np.array([0.0, moved]))
-    view, climber = make_view({}, best), SearchStub()
-    view.fits[less.label] = less
-    view.fresh.add(less.label)
+    less = replace(make_fit(log=-1e3), deviation=np.array([0.0, moved]))
+    view, climber = make_view({(0,): 0.0, (): -1e6}, best, less), SearchStub()
     climber.refit_about_own_model = lambda fitted, about: (replace(fitted, log_posterior=5.0), about)
     climber.refit_moved_sets(view)
+    assert less.label in view.fits
     assert (less.label in view.own) == refitted
     assert view.best_fit.effects == (() if refitted else best.effects)
 
