@@ -234,7 +234,7 @@ class FlightBatch:
         return add_known_wind(model, self.data.flights, self.data.flight)
 
     def _motion_state(self, asked: _ModelQuery) -> dict[str, Tensor]:
-        """Return the motion in every row on the rotor speeds' clock, corrected for misalignment and delays of the pose."""
+        """Return the motion of the body origin in every row on the rotor speeds' clock, without errors of the logged pose."""
         results, logged = dict(self.data.state), asked.logged
         *_, attitude, velocity = self._imu.delays_on_prediction_clock(logged)
         if logged.velocity_scale.any():
@@ -247,6 +247,11 @@ class FlightBatch:
         if logged.attitude.any():
             back = quat_conjugate(logged.attitude_turn)
             results["attitude"] = quat_multiply(results["attitude"], back.expand_as(results["attitude"]))
+        if logged.velocity_place.any():
+            place = logged.velocity_place.expand_as(results["ang_vel"])
+            results["position"] = results["position"] - quat_rotate(results["attitude"], place)
+            turning = torch.linalg.cross(results["ang_vel"], place)
+            results["lin_vel"] = results["lin_vel"] - quat_rotate(results["attitude"], turning)
         return results
 
     def _effect_condition(self, model: Model, asked: _ModelQuery, *, at_origin: bool = False) -> Condition:
@@ -254,7 +259,8 @@ class FlightBatch:
         motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
         pose_late = motion.new_tensor(self._imu.delays_on_prediction_clock(asked.logged)[3:])
-        numbers = torch.cat((motion, asked.logged.attitude, asked.logged.velocity_scale, pose_late)).numpy().tobytes()
+        errors = (getattr(asked.logged, name) for name in ("attitude", "velocity_scale", "velocity_place"))
+        numbers = torch.cat((motion, *errors, pose_late)).numpy().tobytes()
         key = (at_origin, *_condition_key(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)
         if known is not None and known[0] is speeds:
