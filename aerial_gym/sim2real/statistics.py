@@ -166,6 +166,13 @@ def _log_ratio_with_half_width(values: Array, reference: Array, group: Indices, 
     return change, half_width_of_scatter(*_variance_of_sum(score, group), *_variance_of_sum(score, flight))
 
 
+def sum_with_interval(score: Array, group: Indices, flight: Indices) -> tuple[float, float, float]:
+    """Return the sum of scores (S,) and the ends of its 95 % interval from the scatter between groups, or between flights."""
+    total, away = float(score.sum()), (score - score.mean())[:, None]
+    half = float(half_width_of_scatter(*_variance_of_sum(away, group), *_variance_of_sum(away, flight))[0])
+    return total, total - half, total + half
+
+
 def _variance_of_sum(score: Array, label: Indices) -> tuple[Array, int]:
     """Return the variance of the sum of scores (S, C) between clusters, (C,), and their number; infinite for one cluster."""
     labels, place = np.unique(label, return_inverse=True)

@@ -113,8 +113,8 @@ def choose_effects(
         view = search.find_best_set(view)
         chosen = _Chooser(search, material).make_result(view)
         hidden = [name for name in chosen.best.effects if name not in chosen.effect_names]
-        against = effects_against_kinematics(predictor, chosen.named.params, chosen.effect_names, declared)
-        against |= effects_against_kinematics(predictor, chosen.best.params, hidden, declared)
+        against = effects_against_kinematics(view.fitter, chosen.named.params, chosen.effect_names)
+        against |= effects_against_kinematics(view.fitter, chosen.best.params, hidden)
         if not against:
             return replace(chosen, refused=chosen.refused | search.refused)
         search.refuse_effects(against)

@@ -137,7 +137,7 @@ class SetSearch:
         """Move to the best set, and on from it while the kinematic channels contradict effects in it, which are refused."""
         self.climb_to_best_set(ways)
         present = self.view.present
-        against = effects_against_kinematics(self.predictor, present.params, present.effects, self.declared)
+        against = effects_against_kinematics(self.view.fitter, present.params, present.effects)
         if against:
             self.refuse_effects(against)
             self.move_to_allowed_set(self.view.fitter.weights)
