@@ -15,7 +15,12 @@ from aerial_gym.sim2real.predict.channels import Channel, comparison_band, find_
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import check_scene
-from aerial_gym.sim2real.predict.tolerances import Tolerances, tolerances_after_gains, tolerances_after_move
+from aerial_gym.sim2real.predict.tolerances import (
+    Tolerances,
+    tolerances_after_gains,
+    tolerances_after_move,
+    tolerances_after_scaling,
+)
 
 SIGNIFICANT_DIGITS = 6  # Significant digits of parameters in the corrected robot file
 
@@ -62,6 +67,7 @@ def prepare_comparison(
     channels = find_channels(flights, band)
     tolerances = tolerances_after_move(tolerances, [note for flight in train for note in flight.notes])
     tolerances = tolerances_after_gains(tolerances, [flight.notes for flight in train])
+    tolerances = tolerances_after_scaling(tolerances, train)
     on_train, on_test = (
         Predictor(powered, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )

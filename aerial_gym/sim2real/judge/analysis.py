@@ -55,7 +55,7 @@ from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import rms_of_noise_floors
 from aerial_gym.sim2real.predict.redeclare import deviation_of_vehicle, deviations_beyond_tolerance, redeclare
-from aerial_gym.sim2real.predict.tolerances import STRAINED
+from aerial_gym.sim2real.predict.tolerances import OF_COMMANDS, STRAINED
 from aerial_gym.sim2real.progress import Progress
 
 
@@ -291,7 +291,7 @@ def tolerances_of_absent_parts(declared: LoopSetup, params: ModelParams) -> set[
         "nominal_voltage": declared.stated.battery is not None,
         "joint_rest": soft,
         **dict.fromkeys(
-            ("time_constant", "command_hold", "command_clock"), any(f.rotor_command is not None for f in flights)
+            ("time_constant", "command_hold", *OF_COMMANDS), any(f.rotor_command is not None for f in flights)
         ),
         **dict.fromkeys([f"acc_bias_{axis}" for axis in "xyz"], any(flight.accelerometer for flight in flights)),
         **dict.fromkeys([f"gyro_bias_{axis}" for axis in "xyz"], any(flight.gyro for flight in flights)),

@@ -20,6 +20,7 @@ from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.vehicle_errors import add_products
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.recording import LATE_S
 
 LAYOUT: dict[str, str | tuple[str, ...]] = {
@@ -31,22 +32,26 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     "attitude": "xyz",
     "sensor_delay": ("rotors", "acc", "gyro", "attitude", "velocity"),
     **dict.fromkeys(("acc_scale", "imu_place"), "xyz"),
-    **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest", "command_clock"), ("",)),
+    **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest"), ("",)),
+    **dict.fromkeys(("command_clock", "command_gain"), ("",)),
     "products": ("xy", "xz", "yz"),
     **dict.fromkeys(("velocity_place", "gyro_scale", "attitude_scale", "velocity_scale"), "xyz"),
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
 SCALES = ("acc_scale", "gyro_scale", "attitude_scale", "velocity_scale")
-OF_LOGS = ("sensor_delay", *SCALES, "imu_place", "command_clock", "velocity_place")
+OF_LOGS = ("sensor_delay", *SCALES, "imu_place", "command_clock", "command_gain", "velocity_place")
 """Tolerances of the logger, which hide no effect."""
+
+OF_COMMANDS = ("command_clock", "command_gain")  # Exact unless the log leaves them open
+UNKNOWN_GAIN = 0.3  # Of commands that are scaled until they lift the declared mass
 
 STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Standard deviations of declared values, > 0; ``command_clock`` may be 0."""
+    """Standard deviations of declared values, > 0; those of commands may be 0."""
 
     mass: float = 0.003  # Relative; by a kitchen scale, with battery
     thrust: float = 0.004  # Relative, independent per rotor; thrust and drag torque of propellers of one type
@@ -71,10 +76,11 @@ class Tolerances:
     command_hold: float = 0.3  # Shift of the command towards the next row, in rows: autopilots are faster than logs
     joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
     command_clock: float = 0.0  # Common delay of all sensors behind the commands [s], unknown after a move of their log
+    command_gain: float = 0.0  # Relative thrust of all rotors at a command whose largest speed the log does not state
 
     def __post_init__(self) -> None:
-        require_positive(self, *(field.name for field in fields(self) if field.name != "command_clock"))
-        require_not_negative(self, "command_clock")
+        require_positive(self, *(field.name for field in fields(self) if field.name not in OF_COMMANDS))
+        require_not_negative(self, *OF_COMMANDS)
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances in the order of ``LAYOUT``."""
@@ -107,6 +113,26 @@ def tolerances_after_move(tolerances: Tolerances, notes: Iterable[Finding]) -> T
     return replace(tolerances, command_clock=max([tolerances.command_clock, *(1e-3 * lead for lead in leads)]))
 
 
+def tolerances_after_scaling(tolerances: Tolerances, flights: Sequence[Flight]) -> Tolerances:
+    """Return the tolerances with an unknown gain of commands if the mean measured thrust scales them in all flights.
+
+    The scale assumes the declared mass and thrust, and a load that hangs below changes it.
+    """
+    gain = UNKNOWN_GAIN if are_scaled_by_thrust(flights) else 0.0
+    return replace(tolerances, command_gain=max(tolerances.command_gain, gain))
+
+
+def are_scaled_by_thrust(flights: Sequence[Flight]) -> bool:
+    """Return whether the commands of all flights, without rotor speeds, are scaled by their mean measured thrust."""
+
+    def is_scaled(note: Finding) -> bool:
+        return note.code == "commands_scaled" or (
+            note.code == "relative_commands_scaled" and not note.values["by_speeds"]
+        )
+
+    return bool(flights) and all(one.rotor_speed is None and any(map(is_scaled, one.notes)) for one in flights)
+
+
 def tolerances_after_gains(tolerances: Tolerances, flights: Sequence[Sequence[Finding]]) -> Tolerances:
     """Return the tolerances with scales as unsure as the gains that half of the flights contradict (``sensor_gain``).
 
@@ -126,7 +152,7 @@ def tolerances_after_gains(tolerances: Tolerances, flights: Sequence[Sequence[Fi
 def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
     """Return the vehicle with a deviation (N,) in standard deviations: inertia ``S J S``, S = sqrt(1 + d), plus products."""
     off = split_deviations(deviation)
-    factor = (1.0 + tolerances.thrust * off["thrust"]).unsqueeze(0)
+    factor = (1.0 + tolerances.thrust * off["thrust"] + tolerances.command_gain * off["command_gain"]).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * off["inertia"]).clamp_min(0.01).sqrt()
     products = (tolerances.products * off["products"]).expand(len(vehicle.mass), 3)
     slower = 1.0 + tolerances.time_constant * off["time_constant"]

@@ -22,6 +22,7 @@ REMEDIES_OF_DEVIATIONS = {
     **dict.fromkeys(("acc_scale", "gyro_scale", "attitude_scale", "velocity_scale"), "Calibrate it"),
     "sensor_delay": "Log on one clock",
     "command_clock": "Log on one clock",
+    "command_gain": "Log rotor speeds",
     "imu_place": "Log its reading at the body origin",
     "attitude": "Align the logged attitude with the body",
     "command_hold": "",

@@ -34,6 +34,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import are_scaled_by_thrust
 
 SMALL = 3  # Number of effects in place of the named ones up to which all ties are listed; beyond it, the simplest ones
 
@@ -75,14 +76,7 @@ def find_undetermined_effects(flights: Sequence[Flight]) -> tuple[str, ...]:
 
     The scale assumes the declared mass and thrust, so another mass comes with another thrust.
     """
-
-    def is_scaled_by_thrust(note: Finding) -> bool:
-        return note.code == "commands_scaled" or (
-            note.code == "relative_commands_scaled" and not note.values["by_speeds"]
-        )
-
-    scaled = [one.rotor_speed is None and any(map(is_scaled_by_thrust, one.notes)) for one in flights]
-    return ("thrust_coefficient",) if scaled and all(scaled) else ()
+    return ("thrust_coefficient",) if are_scaled_by_thrust(flights) else ()
 
 
 def find_value_ties(

@@ -231,6 +231,22 @@ def test_a_clock_of_moved_commands_is_a_delay_of_the_commands(tmp_path: Path) ->
     np.testing.assert_allclose(late, delayed, rtol=0.0, atol=1e-3 * np.abs(late - on_time).max())
 
 
+@pytest.mark.parametrize(("by_speeds", "std"), [(False, 0.3), (True, 0.0)])
+def test_commands_that_are_scaled_by_thrust_have_an_unknown_gain(tmp_path: Path, by_speeds: bool, std: float) -> None:
+    """It does what a thrust coefficient does, so that neither has evidence of its own: 10 % more thrust."""
+    note = Finding("relative_commands_scaled", "", {"full": 900.0, "unit": "rad/s", "by_speeds": by_speeds})
+    flights = [replace(flight_from_commands(tmp_path, delay=0.0, gain=0.0), rotor_speed=None, notes=(note,))]
+    predictor = prepare_comparison(POWERED, flights, flights, bandwidth=10.0, tolerances=Tolerances()).train
+    assert predictor.tolerances.command_gain == std
+    gain = np.array([(name == "command_gain") / 3.0 for name in Tolerances().names(4)])
+    more = ModelParams(effects={"thrust_coefficient": np.array([1.1])})
+    as_declared, scaled, known = (
+        predictor.predict(one)[0] for one in (ModelParams(), ModelParams(deviation=gain), more)
+    )
+    assert np.abs(known - as_declared).max() > 0.5
+    np.testing.assert_allclose(scaled, as_declared if by_speeds else known, atol=1e-6)
+
+
 def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Path) -> None:
     """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
     result = flight_from_commands(tmp_path, delay=0.03, gain=1.0)
