@@ -8,6 +8,7 @@ E rows, T rows kept, R rotors, K coefficients of a map.
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from weakref import ref
 
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
-from aerial_gym.math.rows import times
+from aerial_gym.math.rows import cross_product_matrix, sum_slices, times
 from aerial_gym.physics import Accelerations
 from aerial_gym.physics.effects import ImuEffect, WrenchEffect
 from aerial_gym.physics.effects.sensor_errors import imu_errors
@@ -37,12 +38,12 @@ class SensorDelays:
     gyro: tuple[float, ...]
     gyro_scale: Tensor | None = None  # Relative, (3,); None: exact
 
-    def true_motion(self, motion: Tensor) -> Tensor:
-        """Return the true angular acceleration and products of angular velocities for measured ones, (12, T)."""
+    def of_true_motion(self, factors: Tensor) -> Tensor:
+        """Return factors (..., 12) of the true motion (``_motion_selectors``) as those of the measured one."""
         if self.gyro_scale is None:
-            return motion
+            return factors
         share = 1.0 / (1.0 + self.gyro_scale)
-        return torch.cat((share, torch.outer(share, share).flatten()))[:, None] * motion
+        return factors * torch.cat((share, torch.outer(share, share).flatten()))
 
 
 class BandResponse:
@@ -88,7 +89,7 @@ class BandResponse:
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
         force = wrench[:3] / vehicle.mass[0] - self.lever_arm_acceleration(vehicle.com[0], late)
-        torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ late.true_motion(self._motion))
+        torque = model.inertia_inverse[0] @ (wrench[3:] - late.of_true_motion(gyroscopic) @ self._motion)
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
     def _wrench_in_band(
@@ -103,34 +104,27 @@ class BandResponse:
         terms = band_rows("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
         maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
         coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
-        thrust, drag = ((of_each * terms).sum(0) for of_each in coefficients)
+        thrust, drag = (sum_slices(of_each * terms, 0) for of_each in coefficients)
         for name, more in acting.thrusts:
             thrust = thrust + band_rows(f"thrust of {name}", more)
         wrench = rotor_matrix(vehicle).T @ torch.cat((thrust, drag))  # (6, T)
         at_hubs = {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
         parts = [(name, band_rows(name, rows)) for name, rows in acting.wrenches]
         parts += [(name, params[0] @ band_rows(f"regressor of {name}", rows)) for name, rows, params in acting.linear]
-        for name, part in parts:
-            wrench = wrench + part
-            if about is not None and name in at_hubs:
-                wrench[3:] += torch.linalg.cross((about - vehicle.com[0])[:, None], part[:3], dim=0)
+        wrench, forces = sum((part for _, part in parts), wrench), [part[:3] for name, part in parts if name in at_hubs]
+        if about is not None and forces:
+            wrench[3:] += cross_product_matrix(about - vehicle.com[0]) @ sum(forces)
         return wrench
 
     def lever_arm_acceleration(self, place: Tensor, late: SensorDelays) -> Tensor:
         """Return ``alpha x r + w (w r) - w² r`` [m/s²], (3, T), of a point r [m], body, with the delay of the force."""
-        turning, products = _motion_selectors()
-        square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
-        lever = torch.linalg.cross(turning, place[None]) + products @ place - square[:, None] * place
-        return lever.T @ self._angular_motion_in_band(late)
-
-    def _angular_motion_in_band(self, late: SensorDelays) -> Tensor:
-        """Return the measured rotation, (12, T), with the delay of the force."""
+        lever = late.of_true_motion((_lever_matrix() @ place).T)
         lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
         if not any(lead):
-            return late.true_motion(self._motion)
+            return lever @ self._motion
         if lead != self._lead:
             self._lead, self._late_motion = lead, self._lowpass_rows(self._motion_rows, lead)
-        return late.true_motion(self._late_motion)
+        return lever @ self._late_motion
 
     def _rows_in_band(
         self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]
@@ -152,10 +146,19 @@ class BandResponse:
         return torch.from_numpy(self._data.columns_in_band(rows.T.numpy(), late))
 
 
+@cache
 def _motion_selectors() -> tuple[Tensor, Tensor]:
     """Return selectors of the motion's columns: angular acceleration (12, 3), products of rates (12, 3, 3)."""
     unit = torch.eye(12, dtype=torch.float64)
     return unit[:, :3], unit[:, 3:].view(-1, 3, 3)
+
+
+@cache
+def _lever_matrix() -> Tensor:
+    """Return the factors (12, 3, 3) of the motion's columns in ``alpha x r + w (w r) - w² r``, before r (3,)."""
+    (turning, products), unit = _motion_selectors(), torch.eye(3, dtype=torch.float64)
+    square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
+    return torch.linalg.cross(turning[:, :, None], unit[None], dim=1) + products - square[:, None, None] * unit
 
 
 def columns_of_rows(rows: Tensor) -> list[Array]:
@@ -199,6 +202,8 @@ class ImuReading:
         self.data, self._in_band = data, in_band
         columns = data.columns_in_band(data.state["ang_vel"].T.contiguous().numpy())
         self._rates = torch.from_numpy(columns).T  # Measured angular velocity, (T, 3)
+        rows = [torch.from_numpy(f.attitude[kept]) for f, kept in zip(data.flights, data.kept, strict=True)]
+        self._attitude = torch.cat(rows)
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
     def delays_on_prediction_clock(self, logged: SensorErrors) -> list[float]:
@@ -264,9 +269,8 @@ class ImuReading:
 
     def _change_by_velocity_scale(self, force: Tensor, scale: Tensor) -> Tensor:
         """Return the change of a force derived from the velocity by its relative scale, (3,) [m/s²], body, (T, 3)."""
-        rows = [torch.from_numpy(f.attitude[kept]) for f, kept in zip(self.data.flights, self.data.kept, strict=True)]
-        attitude, weight = torch.cat(rows), force.new_tensor((0.0, 0.0, STANDARD_GRAVITY))
-        return quat_rotate_inverse(attitude, scale * (quat_rotate(attitude, force) - weight))
+        weight = force.new_tensor((0.0, 0.0, STANDARD_GRAVITY))
+        return quat_rotate_inverse(self._attitude, scale * (quat_rotate(self._attitude, force) - weight))
 
     def _read_kinematic_channels(
         self, model: Model, logged: SensorErrors, turn: Tensor | None, lever: Tensor | None

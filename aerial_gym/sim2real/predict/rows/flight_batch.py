@@ -12,11 +12,12 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_multiply, quat_rotate, quat_rotate_inverse
-from aerial_gym.physics import BodyState, Vehicle, accelerations, build_model, condition_in
+from aerial_gym.physics import Accelerations, BodyState, Vehicle, accelerations, build_model, condition_in
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import (
     AttitudeSensorEffect,
     Condition,
+    Effect,
     ImuEffect,
     LoadEffect,
     RotorSensorEffect,
@@ -56,13 +57,15 @@ from aerial_gym.sim2real.predict.tolerances import (
 CONDITIONS = 4  # Number of cached conditions: of the present model, at body and hubs, and of a changed model
 REPLAYS = 3  # Number of cached rotor speeds in the band
 
+ERRORS_OF_MOTION = ("rotor_motion", "attitude", "velocity_scale", "gyro_scale", "delays")
+"""Sensor errors that change the predicted motion; the others change only readings. A load also depends on ``acc_bias``."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class _ModelQuery:
     """A model with the inputs of its prediction."""
 
     model: Model  # One environment
-    deviation: Tensor  # Deviations in standard deviations, (N,)
     joint_start: float  # Initial angle of soft arms as a share of their rest angle
     logged: SensorErrors  # Sensor errors of these deviations
     speeds: list[Array | None] | None  # Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed
@@ -74,6 +77,7 @@ class _LoadQuery:
 
     key: tuple[object, ...]
     speeds: list[Array | None] | None
+    attitude: Tensor  # Body to world, xyzw, (E, 4)
     suspension: SuspensionMotion
     missed: list[Array] | None  # Specific force residual [m/s²], world, (rows, 3) per flight, if measured
 
@@ -98,6 +102,7 @@ class FlightBatch:
         self._forces, self._memories = EffectCache[Condition](), EffectCache[RotorSpeedsOfFlight]()
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
         self._hung: _LoadQuery | None = None
+        self._moving: tuple[tuple[object, ...], list[Array | None] | None, Accelerations] | None = None
         self._spinning: tuple[tuple[object, ...], list[Array | None] | None, tuple[Tensor, Tensor]] | None = None
         self._in_band.clear_cache()
 
@@ -110,8 +115,6 @@ class FlightBatch:
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
             rows["rotor_speed"] = self._rotor_speeds_in_band(asked.speeds, float(asked.logged.delays[0]))
-        self._forces.drop_unused()
-        self._memories.drop_unused()
         columns = [column for kind in kinds for column in rows[kind]]
         return [[column[span] for column in columns] for span in self.data.kept_spans]
 
@@ -147,11 +150,29 @@ class FlightBatch:
         turns = [effect.turn(params)[0] for effect, params in model.effects[AttitudeSensorEffect]]
         turn = sum(turns, logged.attitude)
         logged = replace(logged, imu_place=logged.imu_place + self._accelerometer, attitude=turn)
-        return _ModelQuery(model=model, deviation=deviation, joint_start=off.joint_start, logged=logged, speeds=speeds)
+        return _ModelQuery(model=model, joint_start=off.joint_start, logged=logged, speeds=speeds)
 
     def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
-        flown = self._model_in_every_row(asked)
+        model, noise = self._model_in_every_row(asked), asked.logged.answered_noise
+        seeming = (noise.view(2, 3) * self._torque_noise_std()).sum(1) if noise.any() else None
+        key, before = self._motion_key(asked), self._moving
+        if before is None or before[0] != key or before[1] is not asked.speeds:
+            self._moving = before = key, asked.speeds, self._accelerations_in_band(model, asked)
+            self._forces.drop_unused()
+            self._memories.drop_unused()
+        return self._imu.read_channels(model, before[2], asked.logged, seeming)
+
+    def _motion_key(self, asked: _ModelQuery, *excluded: type[Effect]) -> tuple[object, ...]:
+        """Return a hashable key of the predicted motion without some effects, except commanded rotor speeds."""
+        names, effects = ERRORS_OF_MOTION, asked.model.effects
+        names = (*names, "acc_bias") if effects[LoadEffect] else names
+        rows = (*asked.model.vehicle.tensors_by_name().values(), *(getattr(asked.logged, name) for name in names))
+        pairs = ((effect, params.numpy().tobytes()) for effect, params in effects.exclude(*excluded))
+        return (asked.joint_start, *pairs, *(numbers.numpy().tobytes() for numbers in rows))
+
+    def _accelerations_in_band(self, flown: Model, asked: _ModelQuery) -> Accelerations:
+        """Return the accelerations that a model predicts, in the band, with the delays of the log."""
         remembered = self._effect_memory(flown, asked)
         model, hubs = append_memory_to_params(flown, remembered), None
         if any(effect.needs_com for effect, _ in model.effects):
@@ -165,13 +186,13 @@ class FlightBatch:
         acting = add_fluid_contributions(model, condition, acting)
         if model.effects[LoadEffect]:
             hanging = self._load_query(flown, condition, remembered, asked)
-            acting.wrenches.append(("load", self._load_wrench(flown, asked, hanging)))
+            load = self._load_replay.link_states(flown, hanging.missed)
+            force, torque, _ = suspension_pull(flown, hanging.attitude, hanging.suspension, load)
+            wrench = torch.cat((quat_rotate_inverse(hanging.attitude, force), torque), dim=-1)
+            acting.wrenches.append(("load", wrench))
         about = None if hubs is None else hubs.vehicle.com[0]
         late = self._imu.delays_by_flight(asked.logged)
-        felt = self._in_band.accelerations_in_band(model, condition.rotor_speed, acting, about=about, late=late)
-        noise = asked.logged.answered_noise
-        seeming = (noise.view(2, 3) * self._torque_noise_std()).sum(1) if noise.any() else None
-        return self._imu.read_channels(model, felt, asked.logged, seeming)
+        return self._in_band.accelerations_in_band(model, condition.rotor_speed, acting, about=about, late=late)
 
     def _torque_noise_std(self) -> Tensor:
         """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 2, 3).
@@ -192,10 +213,7 @@ class FlightBatch:
         self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _ModelQuery
     ) -> _LoadQuery:
         """Return the motion of the load's suspension, reused unless another part of the model has changed."""
-        rows = (*asked.model.vehicle.tensors_by_name().values(), asked.deviation)
-        other_params = [params for effect, params in asked.model.effects if not isinstance(effect, LoadEffect)]
-        names = [effect.name for effect, _ in asked.model.effects]
-        key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *other_params)))
+        key = self._motion_key(asked, LoadEffect)
         if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:
             return self._hung
         state = BodyState(rotor_speed=condition.rotor_speed, **self._motion_state(asked))
@@ -209,16 +227,9 @@ class FlightBatch:
                 force = torch.where(self.data.felt_force, imu_readings_of_model(model)[0].apply(force), force)
             force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
             missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
-        self._hung = _LoadQuery(
-            key=key, speeds=asked.speeds, suspension=origin_suspension(model, attitude, acceleration), missed=missed
-        )
+        suspension = origin_suspension(model, attitude, acceleration)
+        self._hung = _LoadQuery(key=key, speeds=asked.speeds, attitude=attitude, suspension=suspension, missed=missed)
         return self._hung
-
-    def _load_wrench(self, model: Model, asked: _ModelQuery, hanging: _LoadQuery) -> Tensor:
-        """Return force and torque of the load in every row, body, (E, 6)."""
-        attitude, load = self._motion_state(asked)["attitude"], self._load_replay.link_states(model, hanging.missed)
-        force, torque, _ = suspension_pull(model, attitude, hanging.suspension, load)
-        return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
 
     def _effect_memory(self, model: Model, asked: _ModelQuery) -> dict[str, Tensor]:
         """Return the memory of effects on rotors and body in every row, (E, M), by effect, replayed at the log's rate."""

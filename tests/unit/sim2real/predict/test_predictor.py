@@ -25,6 +25,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_ro
 from aerial_gym.sim2real.predict.noise_floor import mean_square_of_rounding, noise_floor, simulate_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import FARTHEST, find_windows, rollout_errors_of_models
+from aerial_gym.sim2real.predict.rows.band_response import BandResponse
 from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import row_stride
 from aerial_gym.sim2real.predict.tolerances import (
@@ -189,6 +190,39 @@ def test_a_prediction_does_not_depend_on_the_earlier_models(tmp_path: Path) -> N
     same, order = new(), np.random.default_rng(0).integers(0, len(MODELS), 60)
     for name in (list(MODELS)[place] for place in order):
         np.testing.assert_array_equal(same.predict(MODELS[name])[0], alone[name], err_msg=name)
+
+
+@pytest.mark.parametrize("effects", [{"rotor_drag": np.full(3, 0.25)}, {"slung_payload": np.array([0.1, 0.5, 0.02])}])
+def test_a_deviation_is_predicted_alike_after_others_and_alone(effects: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """One whose effect on the motion is not in the key of the cached accelerations would be without effect."""
+    results = load(tmp_path, drag=0.25)
+    warm, cold = make_predictor([results]), make_predictor([results])
+    for name in Tolerances().names(4):
+        params = ModelParams(effects=effects, deviation=draw_deviations(**{name: 2.0}))
+        cold.clear_caches()
+        np.testing.assert_array_equal(warm.predict(params)[0], cold.predict(params)[0], err_msg=name)
+
+
+def test_an_error_of_a_reading_does_not_move_the_vehicle_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    predictor, before, moved = make_predictor([load(tmp_path)]), BandResponse.accelerations_in_band, list[str]()
+
+    def accelerations(*args: object, **kwargs: object) -> object:
+        moved.append(name)
+        return before(*args, **kwargs)
+
+    predictor.predict(ModelParams(deviation=draw_deviations(gyro_bias_y=1.0)))
+    monkeypatch.setattr(BandResponse, "accelerations_in_band", accelerations)
+    for name in (
+        "gyro_bias_x",
+        "acc_bias_z",
+        "imu_place_x",
+        "velocity_place_y",
+        "acc_scale_x",
+        "attitude_scale_y",
+        "mass",
+    ):
+        predictor.predict(ModelParams(deviation=draw_deviations(**{name: 1.0})))
+    assert moved == ["mass"]
 
 
 def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() -> None:
