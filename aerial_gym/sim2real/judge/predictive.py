@@ -66,17 +66,9 @@ def largest_open_squares(
     predicted = test.predict(params)
     tolerance = tolerance_jacobian(test, params)
     jacobian = np.concatenate(effect_jacobian(test, params, fit.effects, predicted, beside=tolerance))
-    precision = prior_precision(fit)
-    for place, owner in enumerate(fit.parameter_owners):
-        if owner in fit.frozen:
-            precision[place] = 1.0
-    chosen = np.array(
-        [
-            place
-            for place in range(precision.size)
-            if place >= len(fit.parameter_owners) or is_continuous_parameter(*fit.parameter_owners[place])
-        ]
-    )
+    precision, owners = prior_precision(fit), fit.parameter_owners
+    precision[[k for k, owner in enumerate(owners) if owner in fit.frozen]] = 1.0
+    chosen = np.array([k for k in range(precision.size) if k >= len(owners) or is_continuous_parameter(*owners[k])])
     product, _ = normal_equations_without_prior(fit, selection.weights.weight)
     covariance = np.linalg.inv((product + np.diag(precision))[np.ix_(chosen, chosen)])
     wider = np.ones(chosen.size)
@@ -84,7 +76,7 @@ def largest_open_squares(
         own = np.flatnonzero(chosen == place)
         wider[own] = np.maximum(1.0, std / np.sqrt(np.diag(covariance)[own]))
     columns = jacobian[:, :, chosen]
-    mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
+    mean_product = np.stack([own.T @ own for own in columns.swapaxes(0, 1)]) / columns.shape[0]
     rows = np.array([time.size for time in test.times])
     offset_channels, significance = selection.flight_offsets, selection.criteria.significance
     freedom = np.ones(len(test.channels)) * max(1, np.unique(fit.moments.flight).size - 1)

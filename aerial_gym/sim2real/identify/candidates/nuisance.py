@@ -21,7 +21,6 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     structure_features,
 )
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
-from aerial_gym.sim2real.identify.least_squares.derivatives import to_single_precision
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Weighting
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
@@ -114,7 +113,7 @@ class Nuisances:
             pairs = [zip(own, shape.axes, strict=True) for own in rivals]
             along = [[np.einsum("tck,tc->tk", p.dense_columns(shape.moved), axis) for p, axis in own] for own in pairs]
             beyond = zip(_functions_beyond_effects(shape.functions, along), shape.axes, strict=True)
-            columns = to_single_precision([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
+            columns = [(shape.size * x[:, None] * axis[..., None]).astype(np.float32) for x, axis in beyond]
             parts = [SparseDerivatives(values=v, channels=shape.moved, width=v.shape[2]) for v in columns]
             matrices.append(NuisanceColumns(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
         return [*matrices, *_flight_offset_columns(self._channels, present, self._most), *self._tone_columns(present)]

@@ -128,8 +128,3 @@ def correct_derivatives(columns: Sequence[Array], step: Array, change: Sequence[
         missed = moved - linear_change(own, step)
         for k in np.flatnonzero(along):
             own[:, :, k] += along[k] * missed
-
-
-def to_single_precision(columns: Derivatives) -> Derivatives:
-    """Return derivatives in single precision for storage; finite differences have no more valid digits."""
-    return [part.astype(np.float32) for part in columns]

@@ -162,18 +162,6 @@ def linearise_at_params(
     return fit_of_moments(predictor.robot, effects, params, block_moments(predictor.times, residuals, jacobians))
 
 
-def linearise_fit(
-    predictor: Predictor,
-    effects: tuple[str, ...],
-    params: ModelParams,
-    residuals: list[Array],
-    jacobians: Sequence[Array],
-) -> ModelFit:
-    """Return the linearised fit at a point from its residuals and their derivatives (rows, C, K)."""
-    moments = block_moments(predictor.times, residuals, jacobians)
-    return fit_of_moments(predictor.robot, effects, params, moments)
-
-
 def fit_of_moments(
     robot: RobotCfg, effects: tuple[str, ...], params: ModelParams, moments: Moments, frozen: Frozen = frozenset()
 ) -> ModelFit:

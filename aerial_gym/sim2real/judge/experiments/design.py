@@ -26,11 +26,12 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
+    fit_of_moments,
     least_squares_step_in_bounds,
-    linearise_fit,
     normal_equations_without_prior,
     prior_precision,
 )
+from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup
@@ -117,8 +118,8 @@ class ManoeuvreCatalogue:
         base = self.predictor.predict(params)
         own = effect_jacobian(self.predictor, params, effects, base)
         jacobians = [np.concatenate(pair, axis=2) for pair in zip(own, self._tolerance, strict=True)]
-        residuals = [t - b for t, b in zip(truth, base, strict=True)]
-        return linearise_fit(self.predictor, effects, params, residuals, jacobians)
+        moments = block_moments(self.predictor.times, [t - b for t, b in zip(truth, base, strict=True)], jacobians)
+        return fit_of_moments(self.predictor.robot, effects, params, moments)
 
     def best_advice(self, scores: Array, tells: tuple[str, ...]) -> Advice:
         """Return the manoeuvre with the highest score; without a name if that is below ``LEAST_SCORE``."""
