@@ -100,7 +100,10 @@ def _cross_product(a: Tensor, b: Tensor, *, dim: int = -1) -> Tensor:
 
 
 def _matrix_product(a: Tensor, b: Tensor) -> Tensor:
-    return (a.unsqueeze(-1) * b.unsqueeze(-3)).sum(-2)
+    left, right = (a if a.ndim > 1 else a.unsqueeze(0)), (b if b.ndim > 1 else b.unsqueeze(-1))
+    product = (left.unsqueeze(-1) * right.unsqueeze(-3)).sum(-2)
+    product = product if a.ndim > 1 else product.squeeze(-2)
+    return product if b.ndim > 1 else product.squeeze(-1)
 
 
 def _diagonal_matrix(a: Tensor, offset: int = 0, dim1: int = -2, dim2: int = -1) -> Tensor:
@@ -134,6 +137,7 @@ COMPOSED: dict[str, Callable[..., Tensor]] = {
     "expm1": _exponential_less_one,
     "mm": _matrix_product,
     "bmm": _matrix_product,
+    "matmul": _matrix_product,  # in inference mode; torch's own decomposition imports sympy for 2 s
     "diag_embed": _diagonal_matrix,
     "cumprod": _cumulative_product,
     "nan_to_num": _replace_non_finite,

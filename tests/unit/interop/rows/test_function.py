@@ -97,6 +97,20 @@ def test_kernels_do_what_torch_does(rows: tuple[Tensor, Tensor]) -> None:
         torch.testing.assert_close(result, expected, **close, msg=lambda m, n=name: f"{n}: {m}")
 
 
+def test_products_in_inference_mode_are_those_of_torch(rows: tuple[Tensor, Tensor], monkeypatch) -> None:
+    """They arrive whole there, and torch's own decomposition imports sympy for seconds."""
+    monkeypatch.setattr(torch._ops.OpOverload, "decompose", lambda *_, **__: pytest.fail("decomposed by torch"))
+
+    def multiply(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+        outer, fixed = a.unsqueeze(2) * b.unsqueeze(1), torch.arange(9.0).view(3, 3)
+        return outer @ outer.transpose(1, 2), outer @ fixed, fixed @ outer, outer @ fixed[0], a @ fixed, a @ fixed[0]
+
+    with torch.inference_mode():
+        finite = tuple(part.nan_to_num(1.0, 1.0) for part in rows)
+        for result, expected in zip(RowFunction(multiply, finite)(*finite), multiply(*finite), strict=True):
+            torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
+
+
 def test_integers_and_shared_numbers() -> None:
     steps, done = torch.tensor([3, 10, 11], dtype=torch.int32), torch.tensor([True, False, False])
     level = torch.tensor(0.5)
