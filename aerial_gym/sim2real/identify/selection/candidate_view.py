@@ -103,11 +103,12 @@ class CandidateView:
                 fitted = self.fitter.refit_without_weakest(fitted, rule)
 
     def add_relinearised_fit(self, fitted: EffectSetFit, fitter: Fitter) -> None:
-        """Add a set linearised about itself; if an effect lacks support, also add the set without its weakest effect."""
+        """Add a set linearised about itself; without support, also the set without its weakest effect if that may be near."""
         self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
         if not fitted.is_supported:
             fitter.clear_caches()  # a set without support is never the best, and its fitter takes memory
-            self.add_fit(self.fitter.refit_without_weakest(fitted))
+            if fitted.most > self.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least:
+                self.add_fit(self.fitter.refit_without_weakest(fitted))
 
     def free_memory(self) -> None:
         """Free the memory that is not needed after the search about this set has ended."""

@@ -122,7 +122,7 @@ class SetSearch:
         rivals = (self.refit_moved_sets, self.fit_rival_sets, self.fit_nearest_rivals)
         for ways in (likely, (*likely, *rivals)):
             for left in reversed(range(MOST_WEIGHINGS)):
-                self.climb_to_allowed_set(ways)
+                self.climb_to_best_set(ways)
                 weights = self.residual_weights(self.view)
                 change = np.log(weights.weight / self.view.fitter.weights.weight)
                 if not left or np.all(np.abs(change) < SETTLED):
@@ -132,16 +132,6 @@ class SetSearch:
         last.free_memory()
         del self.view  # its strategies are methods of this object: the cycle would keep both in memory
         return last
-
-    def climb_to_allowed_set(self, ways: Sequence[Way]) -> None:
-        """Move to the best set, and on from it while the kinematic channels contradict effects in it, which are refused."""
-        self.climb_to_best_set(ways)
-        present = self.view.present
-        against = effects_against_kinematics(self.view.fitter, present.params, present.effects)
-        if against:
-            self.refuse_effects(against)
-            self.move_to_allowed_set(self.view.fitter.weights)
-            self.climb_to_allowed_set(ways)
 
     def move_to_allowed_set(self, weights: Weighting) -> None:
         """Move to the present set without refused effects, under new channel weights."""
@@ -238,7 +228,7 @@ class SetSearch:
         return self.make_candidate_view(present, {present.label: fitter}, {empty.label: empty}, tangents)
 
     def climb_to_best_set(self, ways: Sequence[Way]) -> None:
-        """Move to the best set that the strategies reach, round by round, until none improves on the present one."""
+        """Move to the best set that the strategies reach, in rounds; refuse its effects that kinematic channels contradict."""
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
             present, own, fits = self.view.present, self.view.own, self.view.fits
@@ -251,7 +241,15 @@ class SetSearch:
                     more(self.view)
                     self.best_relinearised_fit(self.view)
                 self.view.gone.append(more)
-            if (leader := self.best_relinearised_fit(self.view)) is present:
+            leader = self.best_relinearised_fit(self.view)
+            against = effects_against_kinematics(self.view.own[leader.label], leader.params, leader.effects)
+            if against:
+                del present, own, fits, leader  # large, so free them before the next view
+                self.refuse_effects(against)
+                self.move_to_allowed_set(self.view.fitter.weights)
+                self.climb_to_best_set(ways)
+                return
+            if leader is present:
                 return
             del self.view
             give_back_memory()
@@ -269,10 +267,13 @@ class SetSearch:
         free_other_fitters(view.own, view.present.label, best.label)
         return best
 
-    def refit_about_own_model(self, fitted: EffectSetFit, about: Fitter) -> tuple[EffectSetFit, Fitter]:
+    def refit_about_own_model(
+        self, fitted: EffectSetFit, about: Fitter, *, least: float = -np.inf
+    ) -> tuple[EffectSetFit, Fitter]:
         """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
-        A delay of 6 ms is fitted only in part about a model without one. A divergent iteration keeps the earlier result.
+        A delay of 6 ms is fitted only in part about a model without one. A divergent iteration keeps the earlier result. It
+        ends if the log posterior stays below ``least`` even with the last gain once more, as gains become smaller.
         """
         first, last = about, np.inf
         for _ in range(MOST_TURNS):
@@ -286,8 +287,9 @@ class SetSearch:
             moved = float(np.abs(again.deviation - fitted.deviation).max())
             if moved > last:
                 break
+            gain = max(0.0, again.log_posterior - fitted.log_posterior)
             fitted, about, last = again, fitter, moved
-            if moved < SAME_DEVIATION:
+            if moved < SAME_DEVIATION or fitted.log_posterior + gain < least:
                 break
         return fitted, about
 
@@ -330,7 +332,8 @@ class SetSearch:
         """
         for fitted in view.smaller_sets_elsewhere(SAME_DEVIATION):
             free_other_fitters(view.own, view.present.label)
-            view.add_relinearised_fit(*self.refit_about_own_model(fitted, view.fitter))
+            least = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least
+            view.add_relinearised_fit(*self.refit_about_own_model(fitted, view.fitter, least=least))
 
     def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""

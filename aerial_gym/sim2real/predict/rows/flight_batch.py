@@ -57,7 +57,7 @@ from aerial_gym.sim2real.predict.tolerances import (
 CONDITIONS = 4  # Number of cached conditions: of the present model, at body and hubs, and of a changed model
 REPLAYS = 3  # Number of cached rotor speeds in the band
 
-ERRORS_OF_MOTION = ("rotor_motion", "attitude", "velocity_scale", "gyro_scale", "delays")
+ERRORS_OF_MOTION = ("rotor_motion", "attitude", "velocity_scale", "velocity_place", "gyro_scale", "delays")
 """Sensor errors that change the predicted motion; the others change only readings. A load also depends on ``acc_bias``."""
 
 

@@ -46,21 +46,30 @@ def test_an_imu_effect_that_worsens_the_kinematic_channels_is_refused(
     assert effects_against_kinematics(make_fitter(true, attitude), params, ()) == {}
 
 
-def test_the_search_goes_on_from_its_best_set_without_a_refused_effect() -> None:
-    """Both effects are in the best set; the gyro is not misaligned. Drag starts at its value of that set."""
+@pytest.mark.parametrize("leads", [False, True])
+def test_the_search_goes_on_from_its_best_set_without_a_refused_effect(leads: bool) -> None:
+    """Both effects are in the best set, or lead beside it; the gyro is not misaligned. Drag starts at its present value."""
     search, starts = object.__new__(SetSearch), []
     fitter = make_fitter(0.0)
     search.predictor, search.declared, search.refused = fitter.predictor, ModelParams(), {}
     search.allow_effects((TURN, "rotor_drag", "payload_mass"))
     fitted = make_fit(TURN, "rotor_drag", params={TURN: (0.0, 0.05, 0.0), "rotor_drag": (0.1, 0.2, 0.3)})
-    search.view = SimpleNamespace(present=fitted, fitter=fitter)
+    drag = make_fit("rotor_drag", params={"rotor_drag": (0.1, 0.2, 0.3)})
+    search.progress, search.best_relinearised_fit = (
+        (lambda *_: None),
+        lambda view: fitted if fitted.label in view.own else view.present,
+    )
+    search.view = SimpleNamespace(
+        present=drag if leads else fitted, own={fitted.label: fitter}, fits={}, gone=[], fitter=fitter
+    )
 
     def view_of_supported_set(params, effects, structures, weights) -> SimpleNamespace:
         starts.append((params.effects, weights))
-        return SimpleNamespace(present=make_fit(*effects), fitter=fitter)
+        made = make_fit(*effects)
+        return SimpleNamespace(present=made, own={made.label: fitter}, fits={}, gone=[])
 
-    search.climb_to_best_set, search.view_of_supported_set = (lambda _: None), view_of_supported_set
-    search.climb_to_allowed_set(())
+    search.view_of_supported_set = view_of_supported_set
+    search.climb_to_best_set(())
     assert search.view.present.effects == ("rotor_drag",)
     assert [finding.code for finding in search.refused.values()] == ["kinematics_disagree"]
     assert search.names == search.allowed == ("rotor_drag", "payload_mass")

@@ -119,6 +119,29 @@ class SearchStub(SetSearch):
 )
 def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turns) -> None:
     fits = [replace(make_fit(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
+    result, fitter, about = refit_about_own_models(fits)
+    assert result is fits[turns]
+    assert fitter == turns
+    assert 0 < len(about) <= len(fits)
+    for params, one in zip(about, fits, strict=False):
+        np.testing.assert_array_equal(params.deviation, one.deviation)
+
+
+@pytest.mark.parametrize(
+    ("logs", "turns"),
+    [((-100.0, -50.0, -45.0, -44.0), 2), ((-100.0, -500.0, -5.0), 1), ((-100.0, -9.0, -8.0), 3)],
+    ids=["gains too little", "loses", "comes near"],
+)
+def test_a_set_that_stays_out_of_reach_is_not_fitted_about_itself_again(logs, turns) -> None:
+    """A gain of 50 may repeat and reach -10; one of 5 from -45 may not."""
+    deviations = np.cumsum([0.0, 3.0, 2.0, 1.0])
+    fits = [replace(make_fit(log=log), deviation=np.array([one])) for log, one in zip(logs, deviations, strict=False)]
+    fits.append(replace(fits[-1]))  # its deviations have settled
+    assert refit_about_own_models(fits, least=-10.0)[0] is fits[turns]
+
+
+def refit_about_own_models(fits: list[EffectSetFit], **options: float) -> tuple[EffectSetFit, int, list[ModelParams]]:
+    """Return the result of refits that give some fits in turn, the number of its fitter, and the models of all fitters."""
     number, about = 0, list[ModelParams]()
 
     class Refits(FitStub):
@@ -136,11 +159,8 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turn
     fitters = [Refits() for _ in fits]
     climber = SearchStub()
     climber.fitter_at_model = lambda params, _: about.append(params) or fitters[len(about)]
-    result, fitter = climber.refit_about_own_model(fits[0], fitters[0])
-    assert result is fits[turns]
-    assert fitter is fitters[turns]
-    for params, one in zip(about, fits[:number], strict=True):
-        np.testing.assert_array_equal(params.deviation, one.deviation)
+    result, fitter = climber.refit_about_own_model(fits[0], fitters[0], **options)
+    return result, fitters.index(fitter), about
 
 
 @pytest.mark.parametrize(("moved", "refitted"), [(0.6, True), (0.4, False)])
@@ -149,7 +169,7 @@ def test_a_set_without_an_effect_whose_deviations_moved_is_compared_about_itself
     best = replace(make_fit("com_offset"), deviation=np.zeros(2))
     less = replace(make_fit(log=-1e3), deviation=np.array([0.0, moved]))
     view, climber = make_view({(0,): 0.0, (): -1e6}, best, less), SearchStub()
-    climber.refit_about_own_model = lambda fitted, about: (replace(fitted, log_posterior=5.0), about)
+    climber.refit_about_own_model = lambda fitted, about, least: (replace(fitted, log_posterior=5.0), about)
     climber.refit_moved_sets(view)
     assert less.label in view.fits
     assert (less.label in view.own) == refitted
