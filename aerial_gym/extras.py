@@ -6,7 +6,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib import metadata, util
+from importlib import util
 from typing import TYPE_CHECKING
 
 from aerial_gym.errors import MissingDependencyError
@@ -31,6 +31,8 @@ def module_name(package: str) -> str:
 @cache
 def requirements() -> "dict[str, tuple[Requirement, ...]]":
     """Return the packages of each extra on this Python, those of the core under an empty name; empty if not installed."""
+    from importlib import metadata  # takes a quarter of the time of --help
+
     from packaging.requirements import Requirement
 
     try:

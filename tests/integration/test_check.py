@@ -81,7 +81,7 @@ def test_a_broken_sensor_ends_with_status_1(sensor, message, capsys, tmp_path) -
     path.write_text(f"summary: mine\nextends: lmf1\nsensors: [{sensor}]\n", encoding="utf-8")
     assert main(["robot", "check", str(path), "--json"]) == 1
     (problem,) = json.loads(capsys.readouterr().out)["problems"]
-    assert re.search(message, problem)
+    assert re.search(message, problem, re.DOTALL)
 
 
 def test_the_check_of_a_new_robot_prints_no_compilations(monkeypatch, capsys, caplog) -> None:

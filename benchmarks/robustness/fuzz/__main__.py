@@ -148,10 +148,11 @@ def _raise_time_limit(number: int, frame: FrameType | None) -> None:
 
 
 def _message_fault(text: str) -> str | None:
-    """Return the fault of a message, or None."""
-    if "\n" in text.strip():
+    """Return the fault of a message, or None; several faults of one file stand below a heading, one in each line."""
+    head, *faults = text.strip().splitlines() or [""]
+    if faults and not head.endswith(" faults:"):
         return "several lines"
-    if len(text) > LONGEST_SENTENCE:
+    if max(map(len, (head, *faults))) > LONGEST_SENTENCE:
         return "too long a sentence"
     return "advice of torch" if "weights_only" in text else None
 

@@ -131,7 +131,7 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("more", "message"), [
-    (("--trainer", "rlgames"), "no trainer 'rlgames'. Did you mean 'rl_games'? Known: apg, distill, ppo"),
+    (("--trainer", "rlgames"), "no trainer 'rlgames'. Did you mean 'rl_games'? Known: apg, distill, other_library, ppo"),
     (("--task", "hover"), "no task 'hover'"),
     (("--robot", "tinyprp"), "no robot 'tinyprp'"),
     (("--num-envs", "0"), "num_envs"),

@@ -216,7 +216,6 @@ def test_an_error_of_a_reading_does_not_move_the_vehicle_again(tmp_path: Path, m
         "gyro_bias_x",
         "acc_bias_z",
         "imu_place_x",
-        "velocity_place_y",
         "acc_scale_x",
         "attitude_scale_y",
         "mass",
