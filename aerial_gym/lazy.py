@@ -132,16 +132,16 @@ class ImportPath:
         source = self.file().read_text(encoding="utf-8")
         for node in ast.parse(source).body:
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == name:
-                given = [_assigned_value(statement, "summary") for statement in node.body]
+                given = [_assignment_value(statement, "summary") for statement in node.body]
                 return _first_text(given) or (ast.get_docstring(node) or "").partition("\n")[0]
-            if isinstance(call := _assigned_value(node, name), ast.Call):
+            if isinstance(call := _assignment_value(node, name), ast.Call):
                 return _first_text([each.value for each in call.keywords if each.arg == "summary"])
         if name not in source:
             raise AttributeError(f"module {module!r} has no {name!r}")
         return ""
 
 
-def _assigned_value(node: ast.stmt, name: str) -> ast.expr | None:
+def _assignment_value(node: ast.stmt, name: str) -> ast.expr | None:
     """Return the value that a statement assigns to a name; None of another statement."""
     return node.value if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name else None
 
