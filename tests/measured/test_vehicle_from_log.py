@@ -88,7 +88,9 @@ def errors(draft: LogDraft, paths: list[Path]) -> dict[str, tuple[float, bool]]:
 
 
 @pytest.mark.parametrize(
-    "paths", [LOGS, *([path] for path in LOGS)], ids=lambda paths: f"{len(paths)}_{paths[-1].stem}"
+    "paths",
+    [LOGS, *([path] for path in LOGS)],
+    ids=lambda paths: "_".join([str(len(paths)), *(path.stem for path in paths[-1:])]),
 )
 def test_drafts_agree_with_an_independent_fit(paths: list[Path]) -> None:
     draft = draft_vehicle(paths, mass=MASS, arm=ARM)
