@@ -81,8 +81,7 @@ class Changes:
             if "." not in key or first not in self._roots:
                 self._errors.append(_unknown(key, first, self._roots))
         if self._errors:
-            count = f"{len(self._errors)} settings are wrong:\n  " if len(self._errors) > 1 else ""
-            raise ConfigError(count + "\n  ".join(self._errors))
+            raise ConfigError(*self._errors)
 
 
 def _unknown(key: str, name: str, known: Collection[str]) -> str:

@@ -137,7 +137,7 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(tmp_path, capsys)
     (("--num-envs", "0"), "num_envs"),
     (("--trainer", "rl_games", "--config", str(settings_for("ppo", "tracking_task"))), "are of ppo. Leave one out"),
     (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
-    (("--set", "ppo.horizn=8", "--set", "robot.body.mas=1", "--device", "cpu"), "2 settings are wrong:\n  ppo.horizn: no"),
+    (("--set", "ppo.horizn=8", "--set", "robot.body.mas=1", "--device", "cpu"), "2 faults:\n  ppo.horizn: no"),
     (("--set", "task.num_envs=8", "--device", "cpu"), "task.num_envs: it is given as num_envs already"),
 ])  # fmt: skip
 def test_wrong_trainings_end_with_status_2_and_leave_nothing(more, message, tmp_path, capsys) -> None:

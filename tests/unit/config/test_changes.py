@@ -47,7 +47,7 @@ def test_all_wrong_settings_are_reported_together() -> None:
     with pytest.raises(ConfigError) as refused:
         apply_to_base(*settings)
     head, *lines = str(refused.value).splitlines()
-    assert head == "8 settings are wrong:"
+    assert head == "8 faults:"
     for text in (
         "'robot.visible': must be KEY=VALUE",
         "robot.body.mas: no setting 'mas' here. Did you mean 'mass'?",

@@ -84,10 +84,8 @@ def block_moments(
         if moments is None:
             moments = _empty_moments(flight, np.array([float(rows.size) for _, rows in blocks]), *jacobian.shape[1:])
         for rows in (slice(rows[0], rows[-1] + 1) for own, rows in blocks if own == place):
-            r, j = (
-                residual[rows],
-                jacobian[rows].transpose(1, 2, 0),
-            )  # (C, K, rows); a copy would lose the order in memory
+            r = residual[rows]
+            j = jacobian[rows].transpose(1, 2, 0)  # (C, K, rows); a copy would lose the order in memory
             moments.square[block] = (r**2).sum(axis=0)
             moments.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
             np.matmul(j, j.transpose(0, 2, 1), out=moments.product[block])

@@ -65,10 +65,8 @@ class CandidateView:
 
         All are fitted, as their distance in the linear model says nothing about deviations elsewhere.
         """
-        effects, here = (
-            (k for k in self.present_set if not self.library.candidates[k].structure),
-            self.present.deviation,
-        )
+        here = self.present.deviation
+        effects = (k for k in self.present_set if not self.library.candidates[k].structure)
         models = [tuple(k for k in self.present_set if k != gone) for gone in effects]
         for model in models:
             self.fit_if_promising(model, however_far=True)
