@@ -7,6 +7,10 @@ Each logger gets ``--cases`` controls, with nothing hidden, and as many effects 
 seed and with the small errors ``LOGGED``. An effect counts if the log can show it: the evidence that the plant itself expects
 (``benchmarks.undeclared.evidence``) exceeds ``SHOWN`` over every rival. A case whose result by the same code is in ``--out`` is
 not flown again.
+
+A false name is a material one that is not there, whatever the verdict. Three other statements are counted on their own: a
+wrong name that the verdict ties with the hidden effect ("if it is X", "X may also be Y") says only that one of them is there,
+an ambiguous verdict without the hidden effect is false even if it names nothing, and a residual model names no cause.
 """
 
 import json
@@ -28,7 +32,13 @@ from benchmarks.undeclared.other_laws import OTHER_LAWS
 
 Logger = Literal["rows", "px4", "slow", "gaps", "late", "gps"]
 OPEN = ("ambiguous", "unexplained")
-LIMITS = {"false name": "at most 1 %", "shown effects named": "at least 85 %", "open controls": "at most 10 %"}
+RESIDUAL_MODEL = "learned_residual"  # Among the effects of a verdict, but no cause
+LIMITS = {
+    "false name": "at most 1 %",
+    "false name beside an effect": "at most 1 %",
+    "shown effects named": "at least 85 %",
+    "open controls": "at most 10 %",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +103,12 @@ def score_rows(rows: list[dict]) -> dict[str, list[int]]:
         return [sum(counted), len(counted)]
 
     return {
-        "false name": share(bool(row["material"]) for row in controls),
-        "false name beside an effect": share(bool(set(row["material"]) - _causes(row)) for row in hidden),
+        "false name": share(bool(_strangers(row)) for row in controls),
+        "false name beside an effect": share(is_false(row) for row in hidden),
+        "false name, certain": share(bool(_certain_strangers(row)) for row in hidden),
+        "false name, ambiguous": share(is_false(row) and not _certain_strangers(row) for row in hidden),
+        "wrong name tied with the effect": share(bool(_strangers_tied_with_truth(row)) for row in hidden),
+        "residual model": share(RESIDUAL_MODEL in row["material"] for row in done),
         "effects shown": share(row in shown for row in hidden),
         "shown effects named": share(bool(set(row["material"]) & _causes(row)) for row in shown),
         "named, or ambiguous with it": share(bool(_offers(row) & _causes(row)) for row in hidden),
@@ -110,6 +124,27 @@ def can_show(row: dict) -> bool:
 
 def _causes(row: dict) -> set[str]:
     return {cause for name in row["effects"] for cause in cause_names(name)}
+
+
+def is_false(row: dict) -> bool:
+    """Return whether the result of a hidden effect claims another one: by name, or by ambiguity without the hidden one."""
+    lacks_truth = row["verdict"] == "ambiguous" and not _offers(row) & _causes(row)
+    return lacks_truth or bool(_strangers(row) - _strangers_tied_with_truth(row))
+
+
+def _strangers(row: dict) -> set[str]:
+    """Return the material names that are not there; a residual model is no name."""
+    return set(row["material"]) - _causes(row) - {RESIDUAL_MODEL}
+
+
+def _certain_strangers(row: dict) -> set[str]:
+    """Return the names that are not there and are not tied with another effect."""
+    return {name for name in _strangers(row) if not row["ties"][name]}
+
+
+def _strangers_tied_with_truth(row: dict) -> set[str]:
+    """Return the names that are not there, but that the verdict ties with a hidden effect."""
+    return {name for name in _strangers(row) if set(row["ties"][name]) & _causes(row)}
 
 
 def _offers(row: dict) -> set[str]:
@@ -131,7 +166,7 @@ def scores_text(scores: dict[str, dict[str, list[int]]], rows: list[dict]) -> st
         ]
         shown = sum(can_show(row) for row in group) if name else "-"
         named = sum(bool(set(row["material"]) & _causes(row)) for row in group)
-        strangers = sorted({one for row in group for one in row["material"]} - _causes(group[0]))
+        strangers = sorted({one for row in group for one in _strangers(row)})
         verdicts = [row["verdict"] for row in group]
         counts = ", ".join(f"{verdicts.count(kind)} {kind}" for kind in sorted(set(verdicts)))
         cases.append((logger, name or "nothing", len(group), shown, named, ", ".join(strangers) or "-", counts))

@@ -157,6 +157,7 @@ def judge_verdict(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str
         "verdict": verdict["verdict"],
         "named": list(named),
         "material": claims,
+        "ties": {name: list(named[name].get("ties", ())) for name in claims},
         "candidates": list(verdict.get("candidates", [])),
         "not_testable": list(verdict.get("not_testable", [])),
         "structure": verdict.get("structure"),
