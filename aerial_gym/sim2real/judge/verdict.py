@@ -324,18 +324,24 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     """Return the effects that explain the flights as well as an accepted one in its place.
 
     An effect whose first parameter is the same physical quantity, and that the logs cannot show for want of a column, is one
-    of them: a slung load is a mass as a payload is. Without torques an error of one rotor looks like one of all.
+    of them: a slung load is a mass as a payload is. Without torques an error of one rotor looks like one of all, and without
+    rotor speeds a loss of speed with the voltage looks like a loss of thrust.
     """
     alike = {
         other: reason.code
         for other, reason in selection.not_testable.items()
         if name in EFFECTS.get(other).confused_with
     }
-    unit = EFFECTS.get(name).parameters[0].unit
+    unit, follows = EFFECTS.get(name).parameters[0].unit, set(EFFECTS.get(name).follows)
     hidden = [
         other
         for other, code in alike.items()
         if (code == "logs_lack" and unit == EFFECTS.get(other).parameters[0].unit != "-")
+        or (
+            code == "logs_lack"
+            and EFFECTS.get(other).told_by_rotor_speeds
+            and follows & set(EFFECTS.get(other).follows)
+        )
         or (code == "torques_not_compared" and EFFECTS.get(other).acts_on == "rotor")
     ]
     rivals = [rival.effect for rival in selection.effect_ties(name)]

@@ -396,6 +396,18 @@ def test_a_payload_is_tied_with_a_slung_load_that_the_logs_cannot_show() -> None
     assert verdict.names_of_ties("com_offset", offset) == []
 
 
+def test_without_rotor_speeds_a_sag_of_the_speed_is_tied_with_one_of_the_thrust() -> None:
+    """Both follow the voltage; a constant thrust error does not, and logs with speeds compare the two."""
+    for code, name, ties in (
+        ("logs_lack", "battery_sag", ["thrust_voltage"]),
+        ("logs_lack", "thrust_coefficient", []),
+        ("voltage_too_steady", "battery_sag", []),
+    ):
+        reasons = {"thrust_voltage": Finding(code, "thrust_voltage", {"need": "rotor_speed"})}
+        selection = make_selection(make_choice(make_fit(name), make_fit(log=-40.0)), not_testable=reasons)
+        assert verdict.names_of_ties(name, selection) == ties
+
+
 def test_rotors_that_flights_do_not_distinguish_are_ties_of_the_named_one() -> None:
     fitted = make_fit("weak_motor", params={"weak_motor": (1.0, 0.9)})
     selection = make_selection(make_choice(fitted, rotor_ties={"weak_motor": ("weak_motor 3", "motor_tilt 2")}))
