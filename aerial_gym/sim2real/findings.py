@@ -35,7 +35,7 @@ _BY_SEVERITY = {
         # logs
         "log_simulated sensor_at_rest vertical_force_off spins_reversed "
         "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
-        "rotor_unit_assumed "
+        "rotor_unit_assumed rotor_speeds_not_shared "
         "battery_left_out file_damaged frames_damaged bytes_left_out checksum_wrong position_jumps_left "
         "sensor_bias sensor_turned sensor_late sensor_gain velocity_factor sensor_dropout row_without_state row_with_bad_stamp "
         # test stand

@@ -20,7 +20,12 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude, check_log
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.checks.duration import check_duration_and_rate
-from aerial_gym.sim2real.logs.checks.rotors import check_rotor_law, check_rotor_order, without_copied_commands
+from aerial_gym.sim2real.logs.checks.rotors import (
+    check_rotor_law,
+    check_rotor_order,
+    with_shared_rotor_quantities,
+    without_copied_commands,
+)
 from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_flights
 from aerial_gym.sim2real.logs.clock_offset import (
     check_rotor_clock,
@@ -124,9 +129,8 @@ def load_flights(
     The first ``learning`` files (None: all) decide the common clock offset of the rotor logs; nothing else depends on
     others.
     """
-    read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
+    given: dict[Path, tuple[FlightLog, bool]] = {}  # With whether it is among the first ``learning``
     seen = LogRegister()
-    learned = 0
     for index, (real, path) in enumerate(distinct_files(paths).items()):
         with _collect_refusals(refused):
             opened = open_log(path, mapping)
@@ -134,10 +138,15 @@ def load_flights(
                 with _collect_refusals(refused):
                     raw = opened.flight(number)
                     seen.add(raw)
-                    log = scale_relative_commands(derive_velocity(mend_position_jumps(resample_log(raw))), robot)
-                    log = correct_row_delays(log)
-                    read[real.with_name(Path(raw.path).name)] = (log, check_log(log, robot))
-                    learned += learning is None or index < learning
+                    log = derive_velocity(mend_position_jumps(resample_log(raw)))
+                    given[real.with_name(Path(raw.path).name)] = (log, learning is None or index < learning)
+    read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
+    learned, shared = 0, with_shared_rotor_quantities([log for log, _ in given.values()])
+    for (real, (_, learns)), log in zip(given.items(), shared, strict=True):
+        with _collect_refusals(refused):
+            log = correct_row_delays(scale_relative_commands(log, robot))
+            read[real] = (log, check_log(log, robot))
+            learned += learns
     logs = [log for log, _ in read.values()]
     offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)
     together = commands_share_clock(logs[:learned], offsets[:learned], mean_time_constant(robot))

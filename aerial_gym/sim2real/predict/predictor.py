@@ -52,7 +52,10 @@ class Predictor:
         self.channels, self.tolerances = tuple(channels), tolerances
         simulated = [flight.rotor_speed is None for flight in flights]
         if any(simulated) and not all(simulated):
-            raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
+            without = ", ".join(flight.name for flight in flights if flight.rotor_speed is None)
+            raise DataError(
+                f"{without}: without measured rotor speeds, but other flights have them and no commands; leave out either kind"
+            )
         turning = estimate_rotors(robot, flights, bandwidth) if rotors is None else rotors
         rows = [flight.num_rows // (1 if every_row else row_stride(flight, bandwidth)) for flight in flights]
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)

@@ -143,6 +143,10 @@ LOGS: dict[str, Template] = {
     "rotor_unit_assumed": (
         "Topic {topic} states no unit of its rotor speeds; they count as {unit}. If this is wrong, map its columns (--mapping)."
     ),
+    "rotor_speeds_not_shared": (
+        "Measured rotor speeds are left out, and commands drive the rotors of all flights, because some logs have no speeds: "
+        "{without:names}. Leave out these logs to use the speeds."
+    ),
     "commands_mixed": "Rotor commands are computed from torque and thrust commands by the mixer of an X frame.",
     "relative_commands_scaled": lambda f: (
         f"Commands are shares of the largest speed. A full command counts as {f.values['full']:.4g} {f.values['unit']}, by "

@@ -235,6 +235,7 @@ SAMPLES = [
     ),
     Finding("flight_state_unknown", "f1"), Finding("commands_mixed", "f1"),
     Finding("rotor_unit_assumed", "f1", {"topic": "/motor_speeds", "unit": "rad/s"}),
+    Finding("rotor_speeds_not_shared", "f1", {"without": ["f3", "f4"]}),
     Finding("rotor_order_of_firmware", "f1", {"firmware": "PX4"}),
     Finding("reset_undone", "f1", {"quantity": "attitude", "time_s": 12.25, "angle_deg": 17.3}),
     Finding("reset_undone", "f1", {"quantity": "position", "time_s": 12.25, "distance_m": 0.82}),

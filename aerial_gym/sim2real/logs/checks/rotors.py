@@ -4,7 +4,7 @@ They hold rotor speeds [rad/s], or thrusts [N] in force mode. A pulse width, a d
 give the right hover thrust, with 1.5 to 3, 1/2 and 2 times the declared slope. Letters: T rows, R rotors, N orders.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -54,6 +54,20 @@ def without_copied_commands(log: FlightLog) -> FlightLog:
     if speed is None or command is None or not np.array_equal(speed, command):
         return log
     return replace(log, rotor_command=None, notes=(*log.notes, Finding("commands_copied")))
+
+
+def with_shared_rotor_quantities(logs: Sequence[FlightLog]) -> list[FlightLog]:
+    """Return the logs without measured rotor speeds if some have none and all have commands, which then drive the rotors."""
+    lacking = [log.name for log in logs if log.rotor_speed is None]
+    if len(lacking) in (0, len(logs)) or any(log.rotor_command is None for log in logs):
+        return list(logs)
+    note = Finding("rotor_speeds_not_shared", "", {"without": lacking})
+    return [log if log.rotor_speed is None else _without_rotor_speeds(log, note) for log in logs]
+
+
+def _without_rotor_speeds(log: FlightLog, note: Finding) -> FlightLog:
+    streams = {name: stream for name, stream in log.streams.items() if name != "rotor_speed"}
+    return replace(log, rotor_speed=None, streams=streams, notes=(*log.notes, note))
 
 
 def _check_sign_of_rotor_column(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
-from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, load_tables, make_predictor, write
 
 ROTORS, COMMANDS = ([f"{name}_{n}" for n in range(1, 5)] for name in ("rotor", "cmd"))
 
@@ -51,6 +51,22 @@ def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame
     result = load_log(table.assign(**dict(zip(COMMANDS, table[ROTORS].to_numpy().T, strict=True))), tmp_path)
     assert result.rotor_command is None
     assert "commands_copied" in [note.code for note in result.notes]
+
+
+def test_speeds_that_some_flights_lack_are_left_out_of_all(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Their commands drive all flights; if a flight has none, speeds stay, and the comparison names the other kind."""
+    other = flight(2, seconds=6.0, rate=100.0, noise=1.0)
+    other = other.assign(**dict(zip(COMMANDS, other[ROTORS].to_numpy().T, strict=True)))
+    flights = load_tables(tmp_path, [table, other.drop(columns=ROTORS)])
+    assert [one.rotor_speed is None for one in flights] == [True, True]
+    told = [note for one in flights for note in one.notes if note.code == "rotor_speeds_not_shared"]
+    assert [note.values for note in told] == [{"without": ["f1"]}]
+    assert make_predictor(flights).num_tolerances
+    mixed = load_tables(tmp_path, [table.drop(columns=COMMANDS), other.drop(columns=ROTORS)])
+    with pytest.raises(
+        DataError, match="f1: without measured rotor speeds, but other flights have them and no commands"
+    ):
+        make_predictor(mixed)
 
 
 @pytest.mark.parametrize("names", [ROTORS, COMMANDS])
