@@ -17,6 +17,7 @@ from aerial_gym.sim2real.identify.candidates.testable import finding_on_steady_v
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.rotor_model import rotor_drag_torques
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.tolerances import are_scaled_by_thrust
 from aerial_gym.sim2real.statistics import fit_line
 
 BLOCK_S = 0.5  # Averaging time [s]
@@ -33,8 +34,8 @@ def robot_with_estimated_battery(robot: RobotCfg, flights: Sequence[Flight]) -> 
 
     Charge and load are fitted by ``V = E_f - k q - r I`` with ``I = P / V``, the rotors' mechanical power P, and the charge
     q since the start. Full voltage is the highest E, empty the lowest open-circuit voltage. Nominal is the voltage at which
-    the fitted ratio of measured to replayed rotor speed is 1; without a significant slope it is the highest measured
-    voltage.
+    the fitted ratio of measured to replayed rotor speed is 1. Commands that the mean thrust scales reach their speed at the
+    mean voltage. Otherwise, and without a significant slope, it is the highest measured voltage.
     """
     sag = EFFECTS.get("battery_sag")
     if robot.battery is not None or any(f.battery is None or f.rotor_command is None for f in flights):
@@ -100,6 +101,10 @@ def _voltage_at_commanded_speed(robot: RobotCfg, flights: Sequence[Flight]) -> t
     """Return the voltage at which rotors reach the commanded speeds [V], and its source in words."""
     highest = max(float(_block_means(_voltage(flight), flight.rate).max()) for flight in flights)
     guess = highest, "the highest voltage seen"
+    if are_scaled_by_thrust(flights):
+        return float(
+            np.mean([_voltage(flight).mean() for flight in flights])
+        ), "mean, as the mean thrust scales the commands"
     if any(flight.rotor_speed is None for flight in flights):
         return guess
     gain, nominal = 0.0, highest

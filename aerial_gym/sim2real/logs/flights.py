@@ -33,6 +33,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     rotor_clock_offsets,
     shift_rotor_log,
 )
+from aerial_gym.sim2real.logs.command_scale import SCALED, with_common_command_scale
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
@@ -147,11 +148,11 @@ def load_flights(
             log = correct_row_delays(scale_relative_commands(log, robot))
             read[real] = (log, check_log(log, robot))
             learned += learns
-    logs = [log for log, _ in read.values()]
+    logs = with_common_command_scale([log for log, _ in read.values()], robot, learned)
     offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)
     together = commands_share_clock(logs[:learned], offsets[:learned], mean_time_constant(robot))
     flights: list[Flight] = []
-    for (real, (log, notes)), offset in zip(read.items(), offsets, strict=True):
+    for (real, (_, notes)), log, offset in zip(read.items(), logs, offsets, strict=True):
         with _collect_refusals(refused):
             check_rotor_clock(log, robot, bandwidth)
             log = scale_commands_to_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
@@ -269,7 +270,7 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
             )
         command, slope = full * relative, full
     values = {"full": full, "unit": "N" if "force" in robot.rotor_traits else "rad/s"}
-    note = Finding("relative_commands_scaled", "", values | {"by_speeds": log.rotor_speed is not None})
+    note = Finding(SCALED, "", values | {"by_speeds": log.rotor_speed is not None})
     log = replace(log, command_curve=(full - slope, slope, 2.0 if values["unit"] == "N" else 1.0))
     return replace(log, rotor_command=command, relative_commands=False, notes=(*log.notes, note))
 

@@ -66,12 +66,15 @@ def simulate_lag(robot: RobotCfg, command: Array, rate: float) -> Array:
     return apply_lag(command, kept, command[0])
 
 
-def fit_line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float) -> tuple[float, float]:
+def fit_line_behind_lag(
+    share: Array, speed: Array, robot: RobotCfg, rate: float, *, above: Array | None = None
+) -> tuple[float, float]:
     """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, late and with a lag.
 
     A delay that is left out weakens the slope, slower falls than rises lift the mean. Gauss-Newton steps begin at the declared
     lag H(s): the derivative by the time constant is ``-H (1 - H) u / tau``, its parts above and below the speed are those of
-    rises and falls; the derivative by the delay is ``-d/dt``.
+    rises and falls; the derivative by the delay is ``-d/dt``. ``above``: relative voltage above the nominal one, (T,), which
+    may change the slope; the line is that at nominal voltage.
     """
     tau, delay, idle, slope = max(mean_time_constant(robot), 1.0 / rate), 0.0, 0.0, 0.0
     settled, time = slice(min(round(SETTLE_S * rate), len(share) // 2), None), np.arange(len(share)) / rate
@@ -81,10 +84,11 @@ def fit_line_behind_lag(share: Array, speed: Array, robot: RobotCfg, rate: float
         away = share - lagged
         parts = [apply_lag(part, kept, still) for part in (np.maximum(away, 0.0), np.minimum(away, 0.0))]
         late, rises, falls = (interpolate_columns(time - delay, time, one) for one in (lagged, *parts))
-        columns = (np.ones_like(share), late, rises, falls, -np.gradient(late, 1.0 / rate, axis=0))
+        columns = [np.ones_like(share), late, rises, falls, -np.gradient(late, 1.0 / rate, axis=0)]
+        columns += [] if above is None else [late * above[:, None]]
         regressors = np.column_stack([one[settled].ravel() for one in columns])
         values = np.linalg.lstsq(regressors, speed[settled].ravel(), rcond=None)[0]
-        idle, slope, up, down, more = (float(x) for x in values)
+        idle, slope, up, down, more = (float(x) for x in values[:5])
         tau *= float(np.clip(1.0 - 0.5 * (up + down) / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
         delay += float(np.clip(more / slope, -tau, tau)) if slope > 0.0 else 0.0
     return idle, slope

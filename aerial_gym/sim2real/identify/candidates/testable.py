@@ -91,13 +91,15 @@ def _finding_on_slope(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]
     """Return a finding if commands too slow for torques leave the slope of the thrust open in every flight.
 
     They miss what the rotors did between samples. So the slope of force on thrust is too small, and the inverse of that of
-    thrust on force too large: only an interval of both that excludes the declared slope shows another curve.
+    thrust on force too large: only an interval of both that excludes the declared slope shows another curve. Commands also rise
+    as a battery sags, so the slope is that at constant voltage.
     """
     if effect.name != "thrust_curve" or any(one.torques or one.rotor_speed is not None for one in flights):
         return None
     for one in flights:
         if one.rotor_command is not None and one.specific_force is not None:
-            low, high = interval_of_thrust_slope(one, total_rotor_force(robot, one.rotor_command), one.on_ground)
+            thrust = total_rotor_force(robot, one.rotor_command)
+            low, high = interval_of_thrust_slope(one, thrust, one.on_ground, beside=one.battery)
             if not low <= 1.0 <= high:
                 return None
     return Finding("thrust_slope_open", effect.name)

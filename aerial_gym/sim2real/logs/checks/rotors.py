@@ -226,8 +226,13 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
         )
 
 
-def interval_of_thrust_slope(log: Recording, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
-    """Return the interval of ``d ln |f| / d ln T``, between both regressions (see ``units``); 0 to infinity: not observable."""
+def interval_of_thrust_slope(
+    log: Recording, thrust: Array, on_ground: Flags | None, *, beside: Array | None = None
+) -> tuple[float, float]:
+    """Return the interval of ``d ln |f| / d ln T``, between both regressions (see ``units``); 0 to infinity: not observable.
+
+    ``beside``: another cause of the force, (T,), such as the voltage.
+    """
     assert log.specific_force is not None
     rows = max(1, round(WINDOW_S * sample_rate(log)))
     count = len(thrust) // rows
@@ -239,6 +244,7 @@ def interval_of_thrust_slope(log: Recording, thrust: Array, on_ground: Flags | N
     if log.lin_vel is not None:
         speed = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)
         regressors += [window_means(speed[:, 2:]), window_means(np.sum(speed[:, :2] ** 2, axis=1))]
+    regressors += [] if beside is None else [window_means(beside)]
     flies = np.full(count, True) if on_ground is None else window_means(on_ground.astype(float))[:, 0] == 0.0
     causes = np.concatenate(regressors, axis=1)[flies]
     pair = np.column_stack((np.linalg.norm(window_means(log.specific_force), axis=1), window_means(thrust)))[flies]

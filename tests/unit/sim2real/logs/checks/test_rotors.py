@@ -161,6 +161,20 @@ def test_the_slope_of_speeds_is_one_and_of_a_root_two(law_table: pd.DataFrame, t
         assert high / low < 1.4
 
 
+def test_a_battery_that_sags_under_load_is_no_slope_of_the_thrust(law_table: pd.DataFrame, tmp_path: Path) -> None:
+    """With speeds that follow the voltage, commands rise 1.25 times as steeply as the thrust; at constant voltage by 1."""
+    log, rng = read_flight_log(write(law_table, tmp_path / "a.csv")), np.random.default_rng(3)
+    speed = law_table[LAW_ROTORS].to_numpy()
+    load = total_rotor_force(ROBOT, speed)
+    used = np.cumsum(rng.standard_normal(len(load))) / len(load) ** 0.5  # of the charge, not in step with the load
+    voltage = 16.0 - 2.0 * (load / load.mean() - 1.0) - 0.5 * used
+    thrust = total_rotor_force(ROBOT, speed / (voltage / 16.0)[:, None])
+    low, high = interval_of_thrust_slope(log, thrust, None)
+    assert high < 1.0
+    low, high = interval_of_thrust_slope(log, thrust, None, beside=voltage)
+    assert low < 1.0 < high
+
+
 def test_a_hover_tells_nothing(law_table: pd.DataFrame, tmp_path: Path) -> None:
     """Where the thrust is noise, the slope is between 0 and infinity."""
     hover, rng = law_table.copy(), np.random.default_rng(2)

@@ -302,6 +302,14 @@ def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(t
         assert "highest voltage seen" in battery.source
 
 
+def test_commands_that_thrust_scales_reach_their_speed_at_the_mean_voltage(tmp_path: Path) -> None:
+    """The scale is that of the mean thrust, so that a sag about the highest voltage would make the whole level wrong."""
+    note = Finding("relative_commands_scaled", "", {"full": 2000.0, "unit": "rad/s", "by_speeds": False})
+    flown = replace(flight_from_commands(tmp_path, delay=0.0, gain=0.3), rotor_speed=None, notes=(note,))
+    battery = robot_with_estimated_battery(ROBOT, [flown]).battery
+    assert battery.nominal_voltage == pytest.approx(flown.battery.mean(), rel=1e-5)
+
+
 def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_rotors() -> None:
     """After a step at 1 s: ``w1 + (w0 - w1) exp(-t / tau)``, with each of two lags."""
     still = hover("a", 5.0)
