@@ -72,6 +72,11 @@ class Flight(Recording):
         """Number of rows T."""
         return self.time.size
 
+    @property
+    def has_commands_scaled_by_speeds(self) -> bool:
+        """Return whether measured rotor speeds scale the commands, which then share the common error of their sensors."""
+        return any(one.code == SCALED and bool(one.values["by_speeds"]) for one in self.notes)
+
     def rows_without_comparison(self, near: int) -> Flags | None:
         """Return the rows within ``near`` of ground contact or lost rows, and those up to ``SETTLE_S`` after lost commands.
 

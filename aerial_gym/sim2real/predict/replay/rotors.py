@@ -30,14 +30,19 @@ from aerial_gym.sim2real.predict.rows.batches import vehicle_of_row
 from aerial_gym.sim2real.predict.tolerances import VehicleForReplay
 
 
-def target_speeds_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
+def target_speeds_with_delay(
+    flight: Flight, model: Model, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = (), *, shift: float = 0.0
+) -> tuple[Tensor, Tensor, float]:
     """Return the target speeds at the start and in the rest of each row [rad/s], (T, R), and the first part's share.
 
     A command holds until the next row; ``shift`` interpolates it towards the next, as a share of a row. Before the first
-    one arrives, its value is assumed. Raise ``DataError`` if the log lacks a quantity that an effect needs.
+    one arrives, its value is assumed. ``sensors``: effects on the rotor sensors, whose error commands share if measured
+    speeds scale them. Raise ``DataError`` if the log lacks a quantity that an effect needs.
     """
     command = flight.rotor_command
     assert command is not None
+    if sensors and flight.has_commands_scaled_by_speeds:
+        command = command * float(true_rotor_speed(torch.from_numpy(command), sensors).mean()) / command.mean()
     moved = torch.from_numpy(command + shift * np.diff(command, axis=0, append=command[-1:]))
     late = flight.rate * sum(float(effect.delay(params)) for effect, params in model.effects[DelayEffect])
     whole = int(late)
@@ -53,9 +58,11 @@ def has_commands(flights: Sequence[Flight]) -> bool:
 
 def replace_by_arriving_commands(off: VehicleForReplay, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
     """Return the flights with commands as they arrive at the rotors, so that windows include those in transit."""
-    acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
-    model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])
-    arriving = (target_speeds_with_delay(flight, model, shift=off.command_shift) for flight in flights)
+    effects = [(EFFECTS.get(name), torch.tensor(values).reshape(1, -1)) for name, values in params.effects.items()]
+    acting = [one for one in effects if acts_on_commands(one[0].name) or isinstance(one[0], RotorSensorEffect)]
+    model = build_model(off.vehicle, acting)
+    sensors = model.effects[RotorSensorEffect]
+    arriving = (target_speeds_with_delay(flight, model, sensors, shift=off.command_shift) for flight in flights)
     means = [(share * earlier + (1.0 - share) * later).numpy() for earlier, later, share in arriving]
     return [replace(flight, rotor_command=mean) for flight, mean in zip(flights, means, strict=True)]
 
@@ -120,7 +127,8 @@ class RotorReplay:
         result: list[Array | None] = [None] * len(self._flights)
         if not self._members:
             return result
-        arriving = [target_speeds_with_delay(self._flights[index], model, shift=shift) for index in self._members]
+        flights = [self._flights[index] for index in self._members]
+        arriving = [target_speeds_with_delay(flight, model, sensors, shift=shift) for flight in flights]
         earlier, later, shares = zip(*arriving, strict=True)
         vehicle, limited = model.vehicle, model.vehicle.traits & {"slew", "reversible"}
         table = simulate_rotor_lag(

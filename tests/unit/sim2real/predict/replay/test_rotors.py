@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.physics.effects import RotorSensorEffect
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.flight_replay import replay_flights
 from aerial_gym.sim2real.identify.battery import robot_with_estimated_battery
@@ -23,9 +24,9 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
-from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay, replace_by_arriving_commands
 from aerial_gym.sim2real.predict.rollout import WindowBatch
-from aerial_gym.sim2real.predict.tolerances import Tolerances, tolerances_after_move
+from aerial_gym.sim2real.predict.tolerances import Tolerances, VehicleForReplay, tolerances_after_move
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
@@ -89,6 +90,36 @@ def test_tables_that_do_not_fit_are_refused() -> None:
     table, ends, one = torch.ones(5, 4, dtype=F64), torch.tensor([0, 6], dtype=torch.int32), torch.ones(1, dtype=F64)
     with pytest.raises(ShapeError, match=r"commands have shapes \(5, 4\) and \(5, 4\), expected \(6, 4\)"):
         simulate_rotor_lag(table[:1], table, table, one, ends=ends, step=one, tau_up=table[0], tau_down=table[0])
+
+
+# commands in the unit of a rotor sensor
+
+
+@pytest.mark.parametrize("by_speeds", [True, False])
+def test_commands_that_measured_speeds_scale_share_the_error_of_their_sensors(by_speeds: bool, tmp_path: Path) -> None:
+    """Scaled by readings of k w, the commands are k times the true ones: the readings of a linear lag hide k."""
+    note = Finding("relative_commands_scaled", "", {"full": 2000.0, "unit": "rad/s", "by_speeds": by_speeds})
+    driven = replace(step_flight(tmp_path, rate=100.0, seconds=3.0), notes=(note,))
+    exact, scale = replay_speeds(driven, make_model()), 1.04
+    model = make_model({"rotor_speed_scale": [scale]})
+    read = RotorReplay([driven]).speeds(model, 0.0, model.effects[RotorSensorEffect])[0]
+    hidden = np.allclose(read, exact, rtol=1e-12, atol=0.0)
+    assert hidden == by_speeds
+    off = VehicleForReplay(vehicle=make_model().vehicle, command_shift=0.0, joint_start=1.0)
+    params = ModelParams(effects={"rotor_speed_scale": np.array([scale])})
+    (arriving,) = replace_by_arriving_commands(off, [driven], params)
+    true = driven.rotor_command / (scale if by_speeds else 1.0)
+    np.testing.assert_allclose(arriving.rotor_command, true, rtol=1e-12)
+
+
+def test_commands_share_only_the_mean_error_of_the_rotor_sensors(tmp_path: Path) -> None:
+    """One line scales the commands of all rotors, so that one wrong sensor of four stays visible."""
+    note = Finding("relative_commands_scaled", "", {"full": 2000.0, "unit": "rad/s", "by_speeds": True})
+    driven = replace(step_flight(tmp_path, rate=100.0, seconds=3.0), notes=(note,))
+    model = make_model({"tachometer_scale": [2.0, 1.04]})
+    read = RotorReplay([driven]).speeds(model, 0.0, model.effects[RotorSensorEffect])[0]
+    mean = (3.0 + 1.0 / 1.04) / 4.0
+    np.testing.assert_allclose(read[45], 900.0 * mean * np.array([1.0, 1.04, 1.0, 1.0]), rtol=1e-4)
 
 
 # dead time
