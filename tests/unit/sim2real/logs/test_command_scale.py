@@ -75,6 +75,6 @@ def test_commands_that_thrust_scales_show_the_voltage_between_flights() -> None:
 
 def test_logs_without_a_voltage_or_of_two_kinds_keep_their_own_scale() -> None:
     logs = [fly(16.4), fly(15.0)]
-    for others in ([logs[0], replace(logs[1], battery=None)], [logs[0], fly(15.0, speeds=False)]):
-        assert with_common_command_scale(others, ROBOT, 2) == others
+    for mixture in ([logs[0], replace(logs[1], battery=None)], [logs[0], fly(15.0, speeds=False)]):
+        assert with_common_command_scale(mixture, ROBOT, 2) == mixture
     assert with_common_command_scale([], ROBOT, 0) == []
