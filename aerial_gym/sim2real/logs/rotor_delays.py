@@ -19,6 +19,7 @@ SLOWEST_SHARE = 0.05  # Lower end of the comparison as a share of the upper one:
 LEAST_EXPLAINED = 0.5  # Least share of the variance of an output that the rotors explain at the best delay
 TRIAL_S = 0.01  # Distance of the delays of the search [s]: a tenth of the shortest period
 GROUPS = 8  # Parts of a flight that are left out in turn; residuals of each, at least BLOCK_S long, are independent
+LOBE_S = 0.05  # Distance within which delays fit alike [s]: half of the shortest period
 STEPS = 3  # Linear fits about the best delay of the search
 
 
@@ -41,6 +42,10 @@ def rotor_delay(log: FlightLog, rotors: Array, largest: float) -> tuple[float, f
     best = int(np.argmin(left[:, explained].sum(axis=1)))
     if not explained.any() or best in (0, shifts.size - 1):
         return None
+    far = np.abs(shifts - shifts[best]) > LOBE_S * rate
+    rival = int(shifts[far][np.argmin(left[far][:, explained].sum(axis=1))])
+    if not _fits_better(outputs[:, explained], squares, inner, (int(shifts[best]), rival)):
+        return None
     refined = _refine(outputs[:, explained], squares, inner, float(shifts[best]) / rate, rate)
     return (
         None if refined is None or refined[1] > largest else refined
@@ -61,6 +66,17 @@ def _shares_left(outputs: Array, squares: Array, inner: slice, shifts: Indices) 
     inverse = np.linalg.pinv(squares[inner].T @ squares[inner])  # the same for all shifts, nearly
     explained = np.einsum("nro,rq,nqo->no", products, inverse, products)
     return 1.0 - explained / np.sum(target**2, axis=0).clip(1e-300)
+
+
+def _fits_better(outputs: Array, squares: Array, inner: slice, shifts: tuple[int, int]) -> bool:
+    """Return whether squared speeds at the first shift [rows] explain more than at the second, by a t test over groups."""
+    target, sums = outputs[inner] / np.sqrt(np.mean(outputs[inner] ** 2, axis=0)).clip(1e-300), []
+    for shift in shifts:
+        speed = squares[inner.start + shift : inner.stop + shift]
+        errors = target - speed @ np.linalg.lstsq(speed, target, rcond=None)[0]
+        sums.append([float(np.sum(part**2)) for part in np.array_split(errors, GROUPS)])
+    rise = np.subtract(sums[1], sums[0])
+    return float(rise.mean()) > student_quantile(0.975, GROUPS - 1) * float(rise.std(ddof=1)) / np.sqrt(GROUPS)
 
 
 def _refine(outputs: Array, squares: Array, inner: slice, delay: float, rate: float) -> tuple[float, float] | None:

@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.rotor_delays import rotor_delay
 from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps
 from aerial_gym.sim2real.logs.stream_delays import stream_delays
 from tests.unit.sim2real.flat_flights import flight
@@ -97,3 +99,15 @@ def test_a_vehicle_at_rest_shows_no_delay(table: pd.DataFrame) -> None:
     still[["omega_x", "omega_y", "omega_z"]] = 0.0
     log = read_topics(topics(still))
     assert {timing.delay for timing in log.streams.values()} == {None}
+
+
+def test_a_turn_that_rotors_explain_at_every_delay_shows_none() -> None:
+    """One frequency in two phases explains a torque at any delay; noise alone decides which one fits best."""
+    time, rng = np.arange(2400) / 200.0, np.random.default_rng(0)
+    for _ in range(8):
+        angle = 2.0 * np.pi * 1.3 * time + rng.uniform(0.0, 6.0)
+        speed = 900.0 + 30.0 * np.sin(angle[:, None] + np.array([0.0, 1.6, 3.1, 4.7])) + rng.standard_normal((2400, 4))
+        turning = 0.3 * np.sin(angle[:, None] + np.array([0.4, 2.0, 0.0])) + 0.01 * rng.standard_normal((2400, 3))
+        level = np.tile((0.0, 0.0, 0.0, 1.0), (2400, 1))
+        log = FlightLog(path="a", time=time, attitude=level, ang_vel=turning, rotor_speed=speed)
+        assert rotor_delay(log, speed, 0.5) is None
