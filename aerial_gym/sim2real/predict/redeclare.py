@@ -18,14 +18,19 @@ from aerial_gym.sim2real.predict.tolerances import STRAINED, Tolerances, split_d
 OF_VEHICLE = ("mass", "thrust", "inertia", "products", "com", "imu_place", "time_constant", "nominal_voltage")
 """Tolerances of values in a robot file; all others are of the log or its other sensor errors."""
 
+BESIDE_VEHICLE = ("velocity_place",)  # Of the log, but kinematics show only its difference from ``imu_place``
 PLACES = ("com", "imu_place")  # Vectors whose direction is arbitrary
 SIGNIFICANT_DIGITS = 6  # Significant digits of new values
 
 
 def deviation_of_vehicle(deviation: Array, robot: RobotCfg) -> Array:
-    """Return the deviations (N,) with those at zero that no robot file can have: of the log, its sensors, given thrusts."""
+    """Return the deviations (N,) with those at zero that no robot file can have: of the log, its sensors, given thrusts.
+
+    The point of the logged velocity stays, else an accelerometer in its right place would seem to contradict that velocity.
+    """
     parts, none = split_deviations(torch.from_numpy(deviation)), {"force": "thrust"}
-    names = [name for name in OF_VEHICLE if name not in {none.get(trait) for trait in robot.rotor_traits}]
+    absent = {none.get(trait) for trait in robot.rotor_traits}
+    names = [name for name in (*OF_VEHICLE, *BESIDE_VEHICLE) if name not in absent]
     return torch.cat([part if name in names else torch.zeros_like(part) for name, part in parts.items()]).numpy()
 
 
@@ -36,9 +41,11 @@ def deviations_beyond_tolerance(tolerances: Tolerances, deviation: Array, robot:
     """
     off, names = deviation_of_vehicle(deviation, robot), tolerances.names(robot.num_rotors)
     limit = float(chi2.isf(chi2.sf(STRAINED**2, 1), 3))
-    far = {name for name, part in split_deviations(torch.from_numpy(off)).items() if float(part @ part) > limit}
-    far = {f"{name}_{axis}" for name in far.intersection(PLACES) for axis in "xyz"}
-    return {name: size for name, size in zip(names, off.tolist(), strict=True) if abs(size) > STRAINED or name in far}
+    parts = split_deviations(torch.from_numpy(off))
+    far = {f"{name}_{axis}" for name in PLACES for axis in "xyz" if float(parts[name] @ parts[name]) > limit}
+    logged = {f"{name}_{axis}" for name in BESIDE_VEHICLE for axis in "xyz"}
+    sizes = {name: size for name, size in zip(names, off.tolist(), strict=True) if name not in logged}
+    return {name: size for name, size in sizes.items() if abs(size) > STRAINED or name in far}
 
 
 def redeclare(robot: RobotCfg, tolerances: Tolerances, deviation: Array, source: str) -> RobotCfg:

@@ -272,10 +272,11 @@ class SetSearch:
     ) -> tuple[EffectSetFit, Fitter]:
         """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
-        A delay of 6 ms is fitted only in part about a model without one. A divergent iteration keeps the earlier result. It
-        ends if the log posterior stays below ``least`` even with the last gain once more, as gains become smaller.
+        A delay of 6 ms is fitted only in part about a model without one. If deviations do not settle, the most probable turn
+        about the set itself is kept. The iteration ends if the log posterior stays below ``least`` even with the last gain
+        once more, as gains become smaller.
         """
-        first, last = about, np.inf
+        first, last, kept = about, np.inf, (fitted, about)
         for _ in range(MOST_TURNS):
             about.clear_nuisance_sums()
             if about is not first:
@@ -289,9 +290,11 @@ class SetSearch:
                 break
             gain = max(0.0, again.log_posterior - fitted.log_posterior)
             fitted, about, last = again, fitter, moved
+            if kept[1] is first or moved < SAME_DEVIATION or fitted.log_posterior >= kept[0].log_posterior:
+                kept = fitted, about
             if moved < SAME_DEVIATION or fitted.log_posterior + gain < least:
                 break
-        return fitted, about
+        return kept
 
     def fit_probable_sets(self, view: CandidateView) -> None:
         """Fit the sets that are probable in the linear model, in the order of their log posterior.

@@ -83,6 +83,17 @@ def test_only_values_of_the_robot_file_count() -> None:
     assert np.array_equal(deviation_of_vehicle(deviation, robot), make_deviation(robot, mass=3.5, com_x=-2.9))
 
 
+def test_predictions_with_a_new_place_of_the_accelerometer_take_the_point_of_the_velocity_too() -> None:
+    """Both are those of one estimator, 2 cm ahead: kinematics show no lever between them. A file holds only the first."""
+    robot = asymmetric_robot()
+    deviation = make_deviation(robot, imu_place_x=4.0, velocity_place_x=4.0, velocity_place_y=-3.5, gyro_bias_x=9.0)
+    kept = make_deviation(robot, imu_place_x=4.0, velocity_place_x=4.0, velocity_place_y=-3.5)
+    np.testing.assert_array_equal(deviation_of_vehicle(deviation, robot), kept)
+    new = deviations_beyond_tolerance(TOLERANCES, deviation, robot)
+    assert new == {"imu_place_x": 4.0, "imu_place_y": 0.0, "imu_place_z": 0.0}
+    assert redeclare(robot, TOLERANCES, kept, "test").body.accelerometer == pytest.approx((0.02, 0.0, 0.0))
+
+
 def test_no_moment_of_a_redeclared_robot_exceeds_the_sum_of_the_others() -> None:
     """A flat body declared at the limit, whose flights ask for 10 % more about z: no rigid body is like that."""
     robot = asymmetric_robot()

@@ -140,6 +140,23 @@ def test_a_set_that_stays_out_of_reach_is_not_fitted_about_itself_again(logs, tu
     assert refit_about_own_models(fits, least=-10.0)[0] is fits[turns]
 
 
+@pytest.mark.parametrize(
+    ("deviations", "logs", "turns"),
+    [
+        ((0.0, 1.0, 0.4, 1.0, 0.3), (0.0, -40.0, -20.0, -60.0, -50.0), 2),
+        ((0.0, 1.4, 1.8), (0.0, -20.0, -60.0), 2),
+    ],
+    ids=["never stays", "stays"],
+)
+def test_of_turns_that_do_not_settle_the_most_probable_one_is_kept(deviations, logs, turns) -> None:
+    """A settled turn counts even if it is less probable: the tolerances of others are linear about a distant model."""
+    pairs = zip(deviations, logs, strict=True)
+    fits = [replace(make_fit(log=log), deviation=np.array([one, 0.2])) for one, log in pairs]
+    result, fitter, _ = refit_about_own_models(fits)
+    assert result is fits[turns]
+    assert fitter == turns
+
+
 def refit_about_own_models(fits: list[EffectSetFit], **options: float) -> tuple[EffectSetFit, int, list[ModelParams]]:
     """Return the result of refits that give some fits in turn, the number of its fitter, and the models of all fitters."""
     number, about = 0, list[ModelParams]()
