@@ -55,7 +55,7 @@ class Ablation:
     """Relative rise of the errors of the test flights when one accepted effect is removed."""
 
     residual: dict[str, Rise]
-    """Rise of the residual (rms) of each channel, about the offset of each flight where that shows it better."""
+    """Rise of the residual (rms) of each channel, without offsets of flights or with deviations where that shows it better."""
 
     rollout: dict[float, dict[str, Rise]]
     """Rise of the free rollout's errors, by horizon [s] and quantity; empty without velocity in the logs."""
@@ -100,8 +100,14 @@ def ablations_of_effects(
     points: tuple[ModelParams, ModelParams],
     evaluations: tuple[ModelEvaluation, ModelEvaluation],
     selection: SelectionResult,
+    left: Sequence[Array],
 ) -> dict[str, Ablation]:
-    """Return the ablation of each accepted effect; ``points`` are the declared and the final model."""
+    """Return the ablation of each accepted effect; ``points`` are the declared and the final model.
+
+    A residual rises as the models alone show it, about the offset of each flight, or with the deviations that fit the
+    training flights best, whichever shows it better: a wrong mass hides a battery. ``left``: residuals of the final model
+    with these deviations, (T, C) of each test flight.
+    """
     train, tested = predictors
     _, final = points
     less = {name: selection.without[name] for name in selection.effect_names}
@@ -118,23 +124,24 @@ def ablations_of_effects(
         else:  # the only effect removed leaves the declared model
             flown = [evaluations[0].rollouts["free"]]
     residuals, group, flight = tested.residuals(final), time_block_of_rows(tested.times), flight_of_rows(tested.times)
-    residual, own = np.concatenate(residuals), selection.flight_offsets.size > 0.0
+    own = selection.flight_offsets.size > 0.0
     by_horizon, least = {}, selection.criteria.material
 
-    def about_offsets(parts: Sequence[Array]) -> Array:
-        """Return residuals (S, C) about the mean of each flight in channels where each flight has its own offset."""
-        return np.concatenate([part - own * part.mean(axis=0) for part in parts])
+    def about_offsets(parts: Sequence[Array]) -> list[Array]:
+        """Return residuals (T, C) about the mean of each flight in channels where each flight has its own offset."""
+        return [part - own * part.mean(axis=0) for part in parts]
+
+    def clearness(rise: Rise) -> tuple[bool, float]:
+        return rise.reaches(least, least=least), rise.low
 
     for place, (name, params) in enumerate(without.items()):
-        left = tested.residuals(params)
-        raw = rise_with_interval(np.concatenate(left), residual, group, flight)
-        about = rise_with_interval(about_offsets(left), about_offsets(residuals), group, flight)
-        rises = [
-            max(pair, key=lambda rise: (rise.reaches(least, least=least), rise.low))
-            for pair in zip(raw, about, strict=True)
-        ]
+        alone, within = tested.residuals(params), tested.residuals(less[name].model_with_deviations)
+        pairs = ((alone, residuals), (about_offsets(alone), about_offsets(residuals)), (within, left))
+        ways = [rise_with_interval(*map(np.concatenate, pair), group, flight) for pair in pairs]
+        best = [max(zip(way, pairs, strict=True), key=lambda one: clearness(one[0])) for way in zip(*ways, strict=True)]
+        rises = [rise for rise, _ in best]
         largest_rise = int(np.argmax([rise.value for rise in rises]))
-        octaves = share_removed_by_octave(tested, left, residuals, largest_rise)
+        octaves = share_removed_by_octave(tested, *best[largest_rise][1], largest_rise)
         rollout = rollout_rises_by_horizon(flown[place], evaluations[1].rollouts["free"]) if flown else {}
         by_horizon[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},

@@ -91,7 +91,7 @@ def judge_on_test_flights(
     doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
     result = selection_with_test_odds(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
-    effects = effects_with_ablations(declared, result, model, (before, named), unexplained.floor, seed=seed)
+    effects = effects_with_ablations(declared, result, model, (before, named), unexplained, seed=seed)
     gusts = ()
     if NAME not in declared.robot.effects and unexplained.wind.is_accepted:
         gusts = (unexplained.wind.as_effect(declared.stated),)
@@ -178,16 +178,14 @@ def effects_with_ablations(
     selection: SelectionResult,
     model: ModelParams,
     evaluations: tuple[ModelEvaluation, ModelEvaluation],
-    floor: Array | None,
+    unexplained: ResidualExcess,
     *,
     seed: int,
 ) -> tuple[NamedEffect, ...]:
-    """Return the accepted effects, each with its ablation and its active regime on the test flights.
-
-    ``floor`` is the noise floor of each channel, random wind included, (C,).
-    """
-    test, models = declared.test, (declared.params, model)
-    worth = ablations_of_effects(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
+    """Return the accepted effects, each with its ablation and its active regime on the test flights."""
+    test, models, floor = declared.test, (declared.params, model), unexplained.floor
+    pair = declared.train, test
+    worth = ablations_of_effects(declared.robot, test.flights, pair, models, evaluations, selection, unexplained.left)
     weight = selection.weights.weight
     regimes = {
         name: errors_where_effect_acts(test, *models, name, weight, floor, seed=seed) for name in selection.effect_names
