@@ -127,6 +127,7 @@ class Effect(ABC):
     )
     shown_by: ClassVar[tuple[str, ...]] = ()  # Parameters of which one must differ from neutral; empty: any of them
     told_by_torques: ClassVar[bool] = False  # Whether only torques distinguish it; without, it is no candidate
+    shown_by_forces: ClassVar[bool] = False  # Whether forces alone show it although it acts on one rotor
     told_by_rotor_speeds: ClassVar[bool] = False  # Whether measured rotor speeds beside commands are needed for that
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()  # Quantities that a log must hold in place of its memory
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")  # Allowed rotor features beyond a plain speed

@@ -101,7 +101,7 @@ class MotorTilt(VehicleEffect):
     )
     excitation = "thrust of that rotor that varies; yaw tells it from a shifted centre of mass"
     confused_with = ("com_offset", "weak_motor", "imu_misalignment", "torque_ratio")
-    told_by_torques = True
+    shown_by_forces = True  # Its sideways force follows the thrust of one rotor; a turned sensor's follows that of all
     rotors = ANY_ROTOR
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:

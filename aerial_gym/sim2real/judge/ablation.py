@@ -137,7 +137,7 @@ def ablations_of_effects(
     for place, (name, params) in enumerate(without.items()):
         alone, within = tested.residuals(params), tested.residuals(less[name].model_with_deviations)
         pairs = ((alone, residuals), (about_offsets(alone), about_offsets(residuals)), (within, left))
-        ways = [rise_with_interval(*map(np.concatenate, pair), group, flight) for pair in pairs]
+        ways = [rise_with_interval(np.concatenate(a), np.concatenate(b), group, flight) for a, b in pairs]
         best = [max(zip(way, pairs, strict=True), key=lambda one: clearness(one[0])) for way in zip(*ways, strict=True)]
         rises = [rise for rise, _ in best]
         largest_rise = int(np.argmax([rise.value for rise in rises]))

@@ -30,7 +30,9 @@ def finding_on_untestable_effect(
         flight.accelerometer or flight.gyro for flight in train
     ):
         return Finding("no_inertial_sensor", name)
-    by_torques = effect.told_by_torques or any(parameter.kind == "rotor" for parameter in effect.parameters)
+    of_one_rotor = any(parameter.kind == "rotor" for parameter in effect.parameters)
+    by_forces = effect.shown_by_forces and all(flight.lin_vel is not None for flight in flights)  # else drag is unknown
+    by_torques = effect.told_by_torques or (of_one_rotor and not by_forces)
     if by_torques and not all(flight.gyro for flight in flights):
         return Finding("torques_not_compared", name)
     needs = (*effect.logged, *effect.needs)

@@ -105,12 +105,16 @@ class RotorSearch:
                 yield one.support[name].log_odds_with_overdispersion - own, one
 
     def ties(self, fitted: EffectSetFit) -> dict[str, tuple[str, ...]]:
-        """Return the labels of effects on other rotors that are not clearly less probable, by the effect of one rotor."""
+        """Return the labels of effects on other rotors that are not clearly less probable, by the effect of one rotor.
+
+        One that the evidence alone clearly prefers is tied as well: the overdispersions of two sets differ by chance.
+        """
         results = dict[str, tuple[str, ...]]()
         for gain, one in self.exchanges(fitted):
             (gone,) = (name for name in fitted.effects if label_of_effect(fitted, name) not in one.label)
             (new,) = (name for name in one.effects if label_of_effect(one, name) not in fitted.label)
-            if gain > -LEAST_SCORE and one.is_supported:
+            evidence = (one.log_posterior - fitted.log_posterior) / one.parameter_overdispersion
+            if (gain > -LEAST_SCORE or evidence > LEAST_SCORE) and one.is_supported:
                 results[gone] = (*results.get(gone, ()), label_of_effect(one, new))
         return results
 

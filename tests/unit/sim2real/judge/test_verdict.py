@@ -417,7 +417,9 @@ def test_rotors_that_flights_do_not_distinguish_are_ties_of_the_named_one() -> N
 
 
 def test_without_torques_a_thrust_is_tied_with_that_of_one_rotor() -> None:
-    """Forces show the sum of the thrusts alone."""
+    """Forces show the sum of the thrusts alone, but the sideways thrust of a tilted rotor."""
     reasons = {name: Finding("torques_not_compared", name) for name in ("weak_motor", "arm_length", "com_offset")}
     selection = make_selection(make_choice(make_fit("thrust_coefficient"), make_fit(log=-40.0)), not_testable=reasons)
     assert verdict.names_of_ties("thrust_coefficient", selection) == ["weak_motor"]
+    tilted = make_selection(make_choice(make_fit("motor_tilt"), make_fit(log=-40.0)), not_testable=reasons)
+    assert verdict.names_of_ties("motor_tilt", tilted) == []

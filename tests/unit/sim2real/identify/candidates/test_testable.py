@@ -26,14 +26,19 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_pr
 from tests.unit.sim2real.predict.test_scene import hover
 
 
-@pytest.mark.parametrize("name", ["com_offset", "motor_tilt", "weak_motor"])
+@pytest.mark.parametrize("name", ["com_offset", "weak_motor"])
 def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) -> None:
     whole = hover("a", 5.0)
     without = replace(whole, gyro=False)
     assert finding_on_untestable_effect(name, ROBOT, [whole], [whole]) is None
     for train, test in (([whole, without], [whole]), ([whole], [without])):
         assert finding_on_untestable_effect(name, ROBOT, train, test) == Finding("torques_not_compared", name)
-    assert finding_on_untestable_effect("rotor_drag", ROBOT, [without]) is None
+    for shown in ("rotor_drag", "motor_tilt"):
+        assert finding_on_untestable_effect(shown, ROBOT, [without]) is None
+    unknown_air = replace(without, lin_vel=None)
+    assert finding_on_untestable_effect("motor_tilt", ROBOT, [unknown_air]) == Finding(
+        "torques_not_compared", "motor_tilt"
+    )
 
 
 @pytest.mark.parametrize(("noise", "shown"), [(0.0, True), (6.0, False)])

@@ -1,6 +1,7 @@
 """The proven set by fits that are given: effects of one rotor that stand in for each other."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -79,6 +80,23 @@ def test_an_effect_of_one_rotor_gives_way_to_one_with_larger_odds() -> None:
 def test_rotors_that_flights_do_not_distinguish_are_tied(other: float, ties: tuple[str, ...] | None) -> None:
     case = rotor_search({"weak_motor 1": 12.0, "weak_motor 3": other})
     assert case.ties(case.best_set(make_fit())) == ({} if ties is None else {"weak_motor": ties})
+
+
+@pytest.mark.parametrize(("ahead", "ties"), [(9.0, {"weak_motor": ("weak_motor 3",)}), (-9.0, {})])
+def test_a_rotor_that_evidence_prefers_is_tied_whatever_the_scatter_between_flights(ahead: float, ties: dict) -> None:
+    """Robust odds of 12 against 4: an overdispersion by chance. The evidence has rotor 3 ahead, or behind."""
+    case = rotor_search({"weak_motor 1": 12.0, "weak_motor 3": 4.0})
+    fit = case.view.fitter.fit
+
+    def fit_with_evidence(effects, structures, start, *_, **_compared):
+        fitted = fit(effects, structures, start)
+        third = [values[0] for values in start.effects.values()] == [3.0]
+        return replace(fitted, log_posterior=ahead if third else 0.0)
+
+    case.view.fitter.fit = fit_with_evidence
+    named = case.best_set(make_fit())
+    assert named.label == ("weak_motor 1",)
+    assert case.ties(named) == ties
 
 
 def test_a_rotor_that_only_the_linear_model_shows_is_not_named() -> None:
