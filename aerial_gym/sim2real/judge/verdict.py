@@ -324,13 +324,14 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     """Return the effects that explain the flights as well as an accepted one in its place.
 
     An effect whose first parameter is the same physical quantity, and that the logs cannot show for want of a column, is one
-    of them: a slung load is a mass as a payload is. Without torques a thrust of one rotor looks like one of all, and without
+    of them: a slung load is a mass as a payload is. Without torques an error of one rotor looks like one of all, and without
     rotor speeds a loss of speed with the voltage looks like a loss of thrust.
     """
     alike = {
         other: reason.code
         for other, reason in selection.not_testable.items()
         if name in EFFECTS.get(other).confused_with
+        and not (reason.code == "torques_not_compared" and EFFECTS.get(name).shown_by_forces)
     }
     unit, follows = EFFECTS.get(name).parameters[0].unit, set(EFFECTS.get(name).follows)
     hidden = [
@@ -342,11 +343,7 @@ def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
             and EFFECTS.get(other).told_by_rotor_speeds
             and follows & set(EFFECTS.get(other).follows)
         )
-        or (
-            code == "torques_not_compared"
-            and EFFECTS.get(other).acts_on == "rotor"
-            and not EFFECTS.get(name).shown_by_forces
-        )
+        or (code == "torques_not_compared" and EFFECTS.get(other).acts_on == "rotor")
     ]
     rivals = [rival.effect for rival in selection.effect_ties(name)]
     simple = [tie for tie in selection.value_ties if tie.is_as_simple and name in tie.replaced]
