@@ -331,12 +331,17 @@ class SetSearch:
         """Refit, about itself, each set with one effect less whose deviations differ from those of the present set.
 
         A tolerance in place of the effect has other derivatives at its own deviation: with those at the present one the set
-        seems less probable than it is.
+        seems less probable than it is. So does a set without an effect that then lacks support.
         """
         for fitted in view.smaller_sets_elsewhere(SAME_DEVIATION):
-            free_other_fitters(view.own, view.present.label)
+            about = view.fitter
             least = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least
-            view.add_relinearised_fit(*self.refit_about_own_model(fitted, view.fitter, least=least))
+            while fitted.label not in view.own:
+                free_other_fitters(view.own, view.present.label)
+                fitted, about = self.refit_about_own_model(fitted, about, least=least)
+                view.add_relinearised_fit(fitted, about)
+                if fitted.effects and not fitted.is_supported and fitted.most > least:
+                    fitted = about.refit_without_weakest(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""

@@ -193,6 +193,20 @@ def test_a_set_without_an_effect_whose_deviations_moved_is_compared_about_itself
     assert view.best_fit.effects == (() if refitted else best.effects)
 
 
+def test_a_smaller_set_that_lacks_support_is_left_for_its_part_about_itself() -> None:
+    """Without the offset the drag lacks support, so that the empty set is compared about itself as well."""
+    best = replace(make_fit("com_offset", "rotor_drag"), deviation=np.zeros(2))
+    less = replace(make_fit("rotor_drag", log=-1e3, odds={"rotor_drag": -1.0}), deviation=np.array([0.0, 0.6]))
+    empty = make_fit(log=-2e3)
+    view, climber = make_view({(0, 1): 0.0, (0,): -1e6, (1,): -1e6}, best, less, empty), SearchStub()
+    candidates = tuple(replace(one, named=k < 2) for k, one in enumerate(view.library.candidates))
+    view = replace(view, library=replace(view.library, candidates=candidates))
+    climber.refit_about_own_model = lambda fitted, about, least: (replace(fitted, log_posterior=5.0), about)
+    climber.refit_moved_sets(view)
+    assert {less.label, empty.label} <= view.own.keys()
+    assert view.best_fit.effects == ()
+
+
 def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
     both = make_fit("rotor_drag", "motor_tilt", odds={"motor_tilt": -1.0})
     drag = make_fit("rotor_drag", log=-3.0)
