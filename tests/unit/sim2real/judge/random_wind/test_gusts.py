@@ -213,8 +213,9 @@ def test_a_wind_of_less_power_than_noise_is_seen_if_it_may_add_a_material_share(
     flights = [fly_in_wind(number, 1.2) for number in range(3)]
     predictor, none = make_predictor(flights), np.zeros(len(make_predictor(flights).channels), bool)
     rms = np.sqrt(np.mean(np.square(np.concatenate(predictor.residuals(DRAGGED))), axis=0))
-    assert look(flights, floor=share * rms, remaining=none).is_accepted == accepted
-    refused = look(flights, floor=share * rms, remaining=none, tolerated=np.full(none.size, 10.0))
+    floor = np.maximum(share * rms, 1e-6)
+    assert look(flights, floor=floor, remaining=none).is_accepted == accepted
+    refused = look(flights, floor=floor, remaining=none, tolerated=np.full(none.size, 10.0))
     assert refused == RandomWind()  # without a note, as the residual is near the floor
 
 
