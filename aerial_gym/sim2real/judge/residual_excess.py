@@ -23,8 +23,10 @@ from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.noise_floor import NEAR_FLOOR
 from aerial_gym.sim2real.predict.predictor import Predictor
+
+NEAR_FLOOR = 2.0
+"""Ratio of the residual's mean square to that of the noise floor, below which the residual is near the floor."""
 
 TOLERATED = 0.5
 """Share of the residual (rms) caused by tolerances, below which an excess over the noise floor is immaterial."""

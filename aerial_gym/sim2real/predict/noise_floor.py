@@ -23,7 +23,6 @@ from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
-NEAR_FLOOR = 2.0  # Ratio of mean squares of residual and noise floor, up to which the residual is near the floor
 WIDE_BAND = 0.4  # Bandwidth of the residual's spectrum as a share of the rate
 FIT_FROM = 1.5  # Lower end of the fit in comparison bandwidths
 FIT_TO = 0.32  # Upper end of the fit as a share of the rate

@@ -31,7 +31,13 @@ from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView,
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_NAMING_ODDS, Criteria
 from aerial_gym.sim2real.identify.selection.kinematics import effects_against_kinematics
 from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
-from aerial_gym.sim2real.identify.selection.rotor_search import PossibleEffect, RotorSearch, effect_odds, is_proven
+from aerial_gym.sim2real.identify.selection.rotor_search import (
+    PossibleEffect,
+    RotorSearch,
+    effect_odds,
+    is_proven,
+    odds_against_parts,
+)
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -134,8 +140,9 @@ class _Chooser:
         present = best_special_case(view.present, fits, occam_window(view.present))
         surrogates = self.surrogate_effects(present, view.fitter)
         bare = self.best_set_without_structures(present, surrogates, fits, view.fitter)
-        named, unsure = self.drop_unproven(view.fitter.set_for_robot_file(bare), present, view.fitter)
-        search = RotorSearch(view, frozenset(present.effects).difference(surrogates))
+        most = odds_against_parts(present, fits)
+        named, unsure = self.drop_unproven(view.fitter.set_for_robot_file(bare), present, view.fitter, most)
+        search = RotorSearch(view, frozenset(present.effects).difference(surrogates), most)
         named = search.best_set(named)
         unsure = {name: odds for name, odds in unsure.items() if name not in named.effects}
         named, blind = self.drop_unidentified(named, view.fitter)
@@ -186,11 +193,13 @@ class _Chooser:
         return max([fitter.drop_unsupported(whole), *cases], key=lambda one: one.log_posterior)
 
     def drop_unproven(
-        self, fitted: EffectSetFit, present: EffectSetFit, fitter: Fitter
+        self, fitted: EffectSetFit, present: EffectSetFit, fitter: Fitter, most: Mapping[str, float] = {}
     ) -> tuple[EffectSetFit, dict[str, float]]:
         """Return the set of effects whose log odds exceed ``LEAST_NAMING_ODDS``, and the log odds of the removed ones."""
-        left = fitter.drop_unsupported(fitted, lambda one: is_proven(one, present))
-        return left, {name: odds for name, odds in effect_odds(fitted, present).items() if name not in left.effects}
+        left = fitter.drop_unsupported(fitted, lambda one: is_proven(one, present, most))
+        return left, {
+            name: odds for name, odds in effect_odds(fitted, present, most).items() if name not in left.effects
+        }
 
     def drop_unidentified(self, fitted: EffectSetFit, fitter: Fitter) -> tuple[EffectSetFit, list[str]]:
         """Return a set without the effects of which flights determine no parameter, which would be neutral, and these."""

@@ -5,8 +5,8 @@ set is tried again on every rotor. Sets are compared by the robust log odds of t
 (``Support.log_odds_with_overdispersion``), as their evidence overstates differences that the flights do not share.
 """
 
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import special
@@ -21,15 +21,37 @@ MOST_TRIED = 3  # Largest number of full fits for one place in a set, the best o
 MOST_CHANGES = 8  # Largest number of changes of a set
 
 
-def effect_odds(fitted: EffectSetFit, present: EffectSetFit) -> dict[str, float]:
+def effect_odds(fitted: EffectSetFit, present: EffectSetFit, most: Mapping[str, float]) -> dict[str, float]:
     """Return the robust log odds of each effect of a set: the larger of those in it and in the most probable set.
 
-    Without structures, their part of the residual looks like scatter between flights.
+    Without structures, their part of the residual looks like scatter between flights. ``most``: limits of the odds
+    (``odds_against_parts``).
     """
     results = {name: support.log_odds_with_overdispersion for name, support in fitted.support.items()}
     for name in results.keys() & present.support.keys():
         if label_of_effect(fitted, name) in present.label:  # the same rotor
-            results[name] = max(results[name], present.support[name].log_odds_with_overdispersion)
+            odds = max(results[name], present.support[name].log_odds_with_overdispersion)
+            results[name] = min(odds, most.get(name, np.inf))
+    return results
+
+
+def odds_against_parts(present: EffectSetFit, fits: Iterable[EffectSetFit]) -> dict[str, float]:
+    """Return the log odds of a set against its fitted parts without each effect, for effects with such a part.
+
+    Odds by derivatives about a set do not see tolerances that do elsewhere what the effect does here.
+    """
+    structures = {one.name for one in present.structures}
+    parts = [
+        one
+        for one in fits
+        if one.is_supported and structures.issuperset(structure.name for structure in one.structures)
+    ]
+    results = dict[str, float]()
+    for name in present.effects:
+        rest = set(present.effects) - {name}
+        likely = max((one.log_posterior for one in parts if rest.issuperset(one.effects)), default=-np.inf)
+        if np.isfinite(likely):
+            results[name] = (present.log_posterior - likely) / present.parameter_overdispersion
     return results
 
 
@@ -38,11 +60,10 @@ def label_of_effect(fitted: EffectSetFit, name: str) -> str:
     return set_label([(name, fitted.params.effects[name])], ())[0]
 
 
-def is_proven(fitted: EffectSetFit, present: EffectSetFit) -> bool:
+def is_proven(fitted: EffectSetFit, present: EffectSetFit, most: Mapping[str, float]) -> bool:
     """Return whether the log odds of all effects of a set exceed ``LEAST_NAMING_ODDS``."""
-    return fitted.is_supported and min(effect_odds(fitted, present).values(), default=LEAST_NAMING_ODDS + 1.0) > (
-        LEAST_NAMING_ODDS
-    )
+    odds = effect_odds(fitted, present, most).values()
+    return fitted.is_supported and all(one > LEAST_NAMING_ODDS for one in odds)
 
 
 @dataclass(frozen=True)
@@ -75,13 +96,16 @@ class RotorSearch:
 
     view: CandidateView
     pool: frozenset[str]  # Effects that may be added: those of the most probable set without surrogates
+    most: Mapping[str, float] = field(default_factory=dict)  # Limits of the log odds (``effect_odds``)
 
     def best_set(self, fitted: EffectSetFit) -> EffectSetFit:
         """Return the set after exchanges of effects of one rotor, then additions, until none is proven and better."""
         for _ in range(MOST_CHANGES):
             for change in (self.exchanges, self.additions):
                 gains = [
-                    (gain, one) for gain, one in change(fitted) if gain > 0.0 and is_proven(one, self.view.present)
+                    (gain, one)
+                    for gain, one in change(fitted)
+                    if gain > 0.0 and is_proven(one, self.view.present, self.most)
                 ]
                 if gains:
                     fitted = max(gains, key=lambda pair: pair[0])[1]

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, parameters_in_file
 from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.noise_floor import NEAR_FLOOR, noise_floor_of_flight
+from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
 
@@ -141,14 +141,11 @@ def find_random_wind(
 ) -> RandomWind:
     """Return the gusts fitted to the remaining residual, with the reasons why they are refused or not testable.
 
-    A slow wind shows below white noise of more power. So they are fitted also near the noise floor, where they could add a
-    material share to noise and tolerances.
-
     Args:
         params: The final model, with the best deviations within the tolerances.
         floor: Noise floor (rms) of each channel, (C,); None where the logs are too slow to tell.
         tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
-        remaining: Whether the residual of each channel exceeds noise and tolerances, (C,). Only then a refusal is of interest.
+        remaining: Whether the residual of each channel exceeds noise and tolerances, (C,).
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == "specific_force"]
     if floor is None:
@@ -158,10 +155,7 @@ def find_random_wind(
     response = [part[:, places] for part in wind_response(predictor, params)]
     if np.linalg.svd(np.concatenate(response), compute_uv=False)[:, -1].min() < LEAST_RESPONSE:
         return RandomWind(untestable=Finding("gusts_no_drag", NAME))
-    rms = np.sqrt(np.mean(np.square(np.concatenate(predictor.residuals(params))), axis=0))
-    least = np.maximum((floor / (1.0 - criteria.material)) ** 2, floor**2 + (criteria.visible * tolerated) ** 2)
-    is_hidden = (rms**2 > least) & (rms**2 <= NEAR_FLOOR * floor**2)
-    if not np.any((remaining | is_hidden)[places]):
+    if not remaining[places].any():
         return RandomWind()
     series = wind_series(predictor, params, response, places)
     fit = fit_process(series)
@@ -189,7 +183,7 @@ def find_random_wind(
         for process, p in p_values.items()
         if p < LEAST_P_VALUE
     ]
-    return replace(results, objections=tuple(objections)) if remaining[places].any() or not objections else RandomWind()
+    return replace(results, objections=tuple(objections))
 
 
 def wind_response(predictor: Predictor, params: ModelParams) -> list[Array]:

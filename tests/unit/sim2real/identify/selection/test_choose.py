@@ -157,19 +157,19 @@ def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() 
     both = make_fit("payload_mass", "torque_ratio", odds=odds)
     mass = make_fit("payload_mass", log=-0.7, odds={"payload_mass": 4.7})
     chooser, empty = object.__new__(_Chooser), make_fit(log=-3.8)
-    results, unsure = chooser.drop_unproven(both, both, FitStub(mass, empty))
+    results, unsure = chooser.drop_unproven(both, both, FitStub(mass, empty), {})
     assert results is mass
     assert unsure == {"torque_ratio": 0.7}
     alone = make_fit("torque_ratio", odds=odds)
-    assert chooser.drop_unproven(alone, alone, FitStub(empty)) == (empty, {"torque_ratio": 0.7})
-    assert chooser.drop_unproven(empty, empty, FitStub()) == (empty, {})
+    assert chooser.drop_unproven(alone, alone, FitStub(empty), {}) == (empty, {"torque_ratio": 0.7})
+    assert chooser.drop_unproven(empty, empty, FitStub(), {}) == (empty, {})
 
 
 @pytest.mark.parametrize(("beside", "without", "named"), [(4.7, 0.7, True), (4.7, -0.1, False), (4.5, 0.7, False)])
 def test_what_a_structure_explains_is_no_doubt_in_an_effect(beside: float, without: float, named: bool) -> None:
     best = make_fit("rotor_drag", odds={"rotor_drag": beside}, structures=(PLACE,))
     bare, empty = make_fit("rotor_drag", log=-4.0, odds={"rotor_drag": without}), make_fit(log=-9.0)
-    results, unsure = object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty))
+    results, unsure = object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty), {})
     assert results is (bare if named else empty)
     assert unsure == ({} if named else {"rotor_drag": max(beside, without)})
 
@@ -181,7 +181,7 @@ def test_what_speaks_for_another_rotor_speaks_not_for_this_one(rotor: float, nam
         for odds, structures, number in ((5.0, (PLACE,), 2.0), (0.7, (), rotor))
     )
     empty = make_fit(log=-9.0)
-    assert object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty))[0] is (bare if named else empty)
+    assert object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty), {})[0] is (bare if named else empty)
 
 
 def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> None:
@@ -190,7 +190,7 @@ def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> No
     drag, tilt = (
         make_fit(name, log=-2.5, odds={name: value}) for name, value in (("rotor_drag", 2.9), ("motor_tilt", 4.7))
     )
-    results, unsure = object.__new__(_Chooser).drop_unproven(both, both, FitStub(drag, tilt, make_fit(log=-6.0)))
+    results, unsure = object.__new__(_Chooser).drop_unproven(both, both, FitStub(drag, tilt, make_fit(log=-6.0)), {})
     assert results is tilt
     assert unsure == {"rotor_drag": 2.5}
 

@@ -13,10 +13,11 @@ from aerial_gym.sim2real.identify.selection.rotor_search import (
     PossibleEffect,
     RotorSearch,
     is_proven,
+    odds_against_parts,
     variance_between_sets,
 )
 from tests.unit.sim2real.flat_flights import ROBOT
-from tests.unit.sim2real.set_fits import FitStub, make_fit
+from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
 POOL = ("weak_motor", "motor_tilt")
 STARTS = [(name, np.array(start, float)) for name in POOL for start in EFFECTS.get(name).starts(ROBOT)]
@@ -103,7 +104,21 @@ def test_a_rotor_that_only_the_linear_model_shows_is_not_named() -> None:
     assert rotor_search({"weak_motor 1": 4.5}, {"weak_motor 1": 20.0}).best_set(make_fit()).effects == ()
     assert rotor_search({"weak_motor 1": 20.0}, {"weak_motor 1": -0.1}).best_set(make_fit()).effects == ()
     empty = make_fit()
-    assert is_proven(empty, empty)
+    assert is_proven(empty, empty, {})
+
+
+@pytest.mark.parametrize(
+    ("behind", "structures", "proven"), [(10.0, (), True), (2.0, (), False), (2.0, (PLACE,), True)]
+)
+def test_an_effect_that_tolerances_can_replace_is_not_proven(behind: float, structures: tuple, proven: bool) -> None:
+    """Derivatives give odds of 70; the set without the effect, fitted itself, is less behind.
+
+    A set with an unknown cause in place of the effect is no part.
+    """
+    present = make_fit("motor_asymmetry", odds={"motor_asymmetry": 70.0}, log=-100.0)
+    rival = make_fit("battery_sag", log=-100.5)
+    fits = [present, rival, make_fit(log=-100.0 - behind, structures=structures)]
+    assert is_proven(present, present, odds_against_parts(present, fits)) is proven
 
 
 def test_the_interval_covers_the_values_beside_effects_that_may_act() -> None:

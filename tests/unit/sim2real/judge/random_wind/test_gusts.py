@@ -207,18 +207,6 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     assert result.notes[1].values["log_odds"] > 0.0
 
 
-@pytest.mark.parametrize(("share", "accepted"), [(0.8, True), (0.98, False)])
-def test_a_wind_of_less_power_than_noise_is_seen_if_it_may_add_a_material_share(share: float, accepted: bool) -> None:
-    """The floor is a share of the residual: 0.8 leaves the wind 56 % of the noise power, 0.98 less than 5 % of the rms."""
-    flights = [fly_in_wind(number, 1.2) for number in range(3)]
-    predictor, none = make_predictor(flights), np.zeros(len(make_predictor(flights).channels), bool)
-    rms = np.sqrt(np.mean(np.square(np.concatenate(predictor.residuals(DRAGGED))), axis=0))
-    floor = np.maximum(share * rms, 1e-6)
-    assert look(flights, floor=floor, remaining=none).is_accepted == accepted
-    refused = look(flights, floor=floor, remaining=none, tolerated=np.full(none.size, 10.0))
-    assert refused == RandomWind()  # without a note, as the residual is near the floor
-
-
 def test_motion_that_answers_the_wind_is_no_objection_to_it() -> None:
     """Within a row of 0.1 s the velocity grows with the gust, so that gusts seemed to follow the velocity (p = 1e-23)."""
     result = look([fly_in_wind(number, 1.2, gain=2.0) for number in range(4)])
