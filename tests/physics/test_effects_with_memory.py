@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, TorchBackend, WarpBackend, build_model
 from aerial_gym.physics.effects.actuation import speed_factor, voltage_under_load
@@ -198,6 +198,62 @@ def test_a_random_force_pushes_along_the_world_alike_on_both_backends(backend) -
     assert state.ang_vel.abs().max() < 1e-6
     deviation = largest * sqrt(steps / 3.0) * hold / asymmetric_robot().body.mass
     assert abs(state.lin_vel[:, 2].std().item() / deviation - 1.0) < 5.0 / sqrt(2.0 * num)
+
+
+PUSH = {
+    f"{kind}_{axis}": size for kind in ("force", "torque") for axis, size in zip("xyz", (0.1, 0.2, 0.3), strict=True)
+}
+
+
+def test_random_pushes_are_uniform_and_come_with_their_probability() -> None:
+    """In a share p of the vehicles force and torque have the variance f² / 3, else both are 0; bounds: five deviations."""
+    num, probability, largest = 20000, 0.3, torch.tensor([0.1, 0.2, 0.3] * 2, dtype=F64)
+    model = make_model({"random_push": PUSH | {"probability": probability, "hold": 0.002}}, num)
+    memory, rotors = make_memory(model, 0.001), torch.zeros(num, 4, dtype=F64)
+    pushes: list[Tensor] = []
+    for _ in range(4):
+        _, _, memory = begin_substep(model, memory, rotors, rotors, 0.001)
+        pushes.append(memory.numbers / largest)
+        memory = end_substep(memory, link_state_of_load(model, memory))
+    assert torch.equal(pushes[0], pushes[1])
+    assert torch.equal(pushes[2], pushes[3])
+    acts = [(push != 0.0).all(-1) for push in (pushes[0], pushes[2])]
+    for push, act in zip((pushes[0], pushes[2]), acts, strict=True):
+        assert torch.equal((push != 0.0).any(-1), act)
+        assert abs(act.double().mean() - probability) < 5.0 * sqrt(probability * (1.0 - probability) / num)
+        drawn = push[act]
+        assert (drawn.abs() <= 1.0).all()
+        assert (drawn.mean(0).abs() < 5.0 * sqrt(1.0 / 3.0 / len(drawn))).all()
+        assert ((3.0 * drawn.var(0) - 1.0).abs() < 5.0 * sqrt(0.8 / len(drawn))).all()
+        covariance = drawn.T @ drawn / len(drawn)
+        assert (covariance - torch.diag(covariance.diag())).abs().max() < 5.0 / 3.0 / sqrt(len(drawn))
+    both = (acts[0] & acts[1]).double().mean()
+    assert abs(both - probability**2) < 5.0 * sqrt(probability**2 / num)
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_a_random_push_acts_along_and_about_body_axes(backend) -> None:
+    """At any attitude: a force along body z and a torque about body x of one interval give F T / m and M T / I."""
+    num, hold, robot = 4000, 0.002, asymmetric_robot()
+    robot = replace(robot, body=replace(robot.body, com=(0.0, 0.0, 0.0)))
+    row = torch.tensor([0.0, 0.0, 0.1, 1e-4, 0.0, 0.0, 1.0, hold])
+    stepper = backend()
+    model = build_model(
+        vehicle_from_config(robot, num_envs=num), [(EFFECTS.get("random_push"), row.expand(num, -1))], gravity=0.0
+    )
+    stepper.allocate(model, SpeedControl(), integrator="euler", random=Randomness(num))
+    attitude = quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))
+    state = single(rest_state(num, attitude=attitude[0].tolist()))
+    stepper.step(state, torch.zeros(num, 4), hold, 1)
+    up = quat_rotate(attitude, torch.tensor([[0.0, 0.0, 1.0]], dtype=F64)).float()
+    along = (state.lin_vel * up).sum(-1)
+    assert (state.lin_vel - along.unsqueeze(-1) * up).abs().max() < 1e-8
+    assert abs(along.abs().max() * robot.body.mass / (0.1 * hold) - 1.0) < 0.01
+    inertia = torch.tensor(robot.body.inertia, dtype=F64)
+    torque = state.ang_vel.double() @ inertia / (1e-4 * hold)
+    assert torque[:, 1:].abs().max() < 1e-3
+    assert abs(torque[:, 0].abs().max() - 1.0) < 0.01
+    assert abs(torch.corrcoef(torch.stack((along.double(), torque[:, 0])))[0, 1]) < 5.0 / sqrt(num)
 
 
 def test_a_ceiling_is_needed_by_name() -> None:

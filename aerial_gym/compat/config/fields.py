@@ -46,7 +46,6 @@ class ConfigField:
     read: Callable[[Any], object]  # Value in a class generated from a configuration
     write: Callable[[Values], Changes] | None = None  # Changes of the configuration from all values; None without any
     refused: bool = False  # Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged
-    warned: bool = False  # Whether another value acts there and not here, with ``remark`` as the remedy
 
 
 def native_field(
@@ -64,9 +63,9 @@ def same_fields(*names: str, **native_by_name: str) -> tuple[ConfigField, ...]:
     return tuple(native_field(name, native, attrgetter(native)) for name, native in pairs.items())
 
 
-def idle_field(script_name: str, value: object, remark: str, *, warned: bool = False) -> ConfigField:
+def idle_field(script_name: str, value: object, remark: str) -> ConfigField:
     """Return a field without meaning in this package, which takes any value."""
-    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value, warned=warned)
+    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value)
 
 
 def unchangeable_field(script_name: str, value: object, remark: str) -> ConfigField:
@@ -153,12 +152,10 @@ class ConfigTable:
         for each in self.fields:
             if each.script_name not in given or values_equal(given[each.script_name], each.read(cfg)):
                 continue
-            told = f"{_name_of_class(cls)}.{each.script_name} = {given[each.script_name]!r}"
             if each.refused:
+                told = f"{_name_of_class(cls)}.{each.script_name} = {given[each.script_name]!r}"
                 raise ConfigError(f"{told}: {each.remark}")
-            if each.warned:
-                log_once(f"{told}: without effect here: {each.remark}", logging.WARNING)
-            elif each.write is None:
+            if each.write is None:
                 idle.setdefault(each.remark, []).append(each.script_name)
             else:
                 changes |= each.write(values)

@@ -9,6 +9,7 @@ allocation matrix of its own it replaces the body. Thrust constants change from 
 """
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from math import pi
 from pathlib import Path
@@ -199,9 +200,46 @@ def _script_slew_rate(cfg: RobotCfg) -> float:
     return rotor.slew_rate / (2.0 * pi) if rotor.mode == "speed" else rotor.slew_rate
 
 
+_EFFECTS_SOURCE = "damping and disturbance of a robot class"
+_PUSH = "disturbance"
+_PUSH_NAMES = tuple(f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
+
+
+def _push_effect(probability: float, box: Sequence[float]) -> dict[str, float]:
+    """Return the effect of pushes drawn in each physics step: its shortest interval is below every step."""
+    return dict(zip(_PUSH_NAMES, map(float, box), strict=True)) | {"probability": float(probability), "hold": 0.0001}
+
+
+_SMALL_PUSH = _push_effect(0.02, [0.75] * 3 + [0.004] * 3)
+_PUSHES = {
+    **dict.fromkeys(("base_octarotor", "base_random", "base_rov"), _push_effect(0.05, [1.5] * 3 + [0.25] * 3)),
+    **dict.fromkeys(("lmf2_with_camera", "lmf2_radar", "magpie"), _push_effect(0.05, [4.75] * 3 + [0.03] * 3)),
+    **dict.fromkeys(("morphy_stiff", "snakey", "snakey5", "snakey6"), _SMALL_PUSH),
+}
+"""Pushes of the robots that have them in that simulator."""
+
+
+def _pushed_robot(name: str) -> RobotCfg:
+    """Return a registered robot with the pushes that it has in that simulator."""
+    cfg = ROBOTS.get(name)
+    if name not in _PUSHES:
+        return cfg
+    return replace_config_entries(cfg, {"effects_source": _EFFECTS_SOURCE, "effects.random_push": _PUSHES[name]})
+
+
+def _push_changes(values: Values) -> Changes:
+    """Return the effect of the pushes, with the probability 0 where a class turns off those of its robot."""
+    enabled = values[f"{_PUSH}.enable_disturbance"]
+    if not enabled and "random_push" not in values[STANDS_FOR].effects:
+        return {}
+    probability = values[f"{_PUSH}.prob_apply_disturbance"] if enabled else 0.0
+    push = _push_effect(probability, values[f"{_PUSH}.max_force_and_torque_disturbance"])
+    return {"effects_source": _EFFECTS_SOURCE, "effects.random_push": push}
+
+
 def _drag_changes(values: Values) -> Changes:
     """Return the drag effects of the damping coefficients; the same laws."""
-    changes: Changes = {"effects_source": "damping of a robot class"}
+    changes: Changes = {"effects_source": _EFFECTS_SOURCE}
     for name, order in (("rotor_drag", "linear"), ("quadratic_drag", "quadratic")):
         coefficients = values[f"damping.linvel_{order}_damping_coefficient"]
         if any(coefficients):
@@ -304,11 +342,13 @@ TABLE = ConfigTable(
                 _sensor_changes),
         native_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor_changes),
         native_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor_changes),
-        idle_field("disturbance.enable_disturbance", False,
-                "there a push was drawn at each physics step, so its strength depended on dt. The effects gusts and "
-                "quadratic_drag of a robot file disturb by wind", warned=True),
-        idle_field("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
-        idle_field("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
+        *(native_field(f"{_PUSH}.{name}", "effects.random_push", read, _push_changes, remark) for name, read, remark in (
+            ("enable_disturbance", lambda c: "random_push" in c.effects,
+             "drawn in each physics step, as there, so the effect depends on dt; it acts at the centre of mass"),
+            ("prob_apply_disturbance", lambda c: c.effects.get("random_push", _SMALL_PUSH)["probability"], ""),
+            ("max_force_and_torque_disturbance",
+             lambda c: [c.effects.get("random_push", _SMALL_PUSH)[name] for name in _PUSH_NAMES], ""),
+        )),
         native_field("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
                 lambda c: _drag_coefficients(c, "rotor_drag"), _drag_changes),
         native_field("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
@@ -418,7 +458,7 @@ def _base_robot(cls: Any, given: Values) -> RobotCfg:
 BaseQuadCfg = TABLE.make_class("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
 
 CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
-    robot: TABLE.make_class(name, ROBOTS.get(robot), parent=BaseQuadCfg)
+    robot: TABLE.make_class(name, _pushed_robot(robot), parent=BaseQuadCfg)
     for name, robot in (
         ("BaseQuadWithImuCfg", "base_quadrotor_with_imu"), ("BaseQuadWithCameraCfg", "base_quadrotor_with_camera"),
         ("BaseQuadWithCameraImuCfg", "base_quadrotor_with_camera_imu"), ("BaseQuadWithLidarCfg", "base_quadrotor_with_lidar"),

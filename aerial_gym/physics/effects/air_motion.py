@@ -210,7 +210,11 @@ class DownwashCore(Downwash):
 SMALLEST = 1e-12  # Added to a squared distance in widths, for a finite slope at the centre
 
 
-QUANTITY = 1  # Index that separates its draws from those of `gusts` in the same substep
+def _begins(moment: SubstepStart, hold: Tensor) -> Tensor:
+    """Return whether an interval of ``hold`` [s] begins: at the first substep that ends over half a substep after it, (E,)."""
+    share = moment.dt / hold
+    since = moment.since.to(hold.dtype)
+    return (moment.since == 0) | (((since + 0.5) * share).floor() > ((since - 0.5) * share).floor())
 
 
 class RandomForce(WrenchEffect):
@@ -237,13 +241,48 @@ class RandomForce(WrenchEffect):
 
     def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
         """Return the force of this substep, (E, 3)."""
-        share = moment.dt / values[:, 3]
-        since = moment.since.to(values.dtype)
-        begins = (moment.since == 0) | (((since + 0.5) * share).floor() > ((since - 0.5) * share).floor())
+        # Index 1 separates these draws from those of `gusts` in the same substep
         drawn = values[:, :3] * (2.0 * uniform_draws(moment.random, 1, 3, dtype=values.dtype) - 1.0)
-        return torch.where(begins.unsqueeze(-1), drawn, values[:, 4:])
+        return torch.where(_begins(moment, values[:, 3]).unsqueeze(-1), drawn, values[:, 4:])
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return the force in memory in body axes, without torque, (E, 6)."""
         force = quat_rotate_inverse(condition.attitude, params[:, 4:])
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
+
+
+class RandomPush(WrenchEffect):
+    """Random pushes: at regular intervals a force and a torque act with a probability, both uniform in a box of body axes.
+
+    ``F_i`` and ``M_i`` are uniform in -f_i to f_i and -m_i to m_i with the probability p, else 0; both are constant for the
+    interval T, as in ``random_force``. The impulse of an interval has the variance ``p f_i² T² / 3`` on each axis.
+    Source: github ntnu-arl/aerial_gym_simulator (robots/base_multirotor.py): pushes drawn in each physics step, at the origin
+    of the root link. Here they act at the centre of mass.
+    """
+
+    name = "random_push"
+    summary = "random force and torque at random moments, uniform in a box of body axes"
+    parameters = (
+        *(Parameter(f"force_{axis}", "N", 0.0, 100.0, 0.1, f"largest force along body {axis}") for axis in "xyz"),
+        *(Parameter(f"torque_{axis}", "N m", 0.0, 10.0, 0.01, f"largest torque about body {axis}") for axis in "xyz"),
+        Parameter("probability", "-", 0.0, 1.0, 0.1, "of a push in an interval"),
+        Parameter("hold", "s", 0.0001, 100.0, 0.002, "interval T between two draws", neutral=0.002),
+    )
+    excitation = "flights much longer than the interval"
+    confused_with = ("gusts", "random_force")
+    rotors = ANY_ROTOR
+    memory = (0.0,) * 6  # Force [N] and torque [N m], body axes
+    random = True
+
+    def remember(self, moment: SubstepStart, values: Tensor) -> Tensor:
+        """Return force and torque of this substep, (E, 6)."""
+        draws = uniform_draws(
+            moment.random, 2, 7, dtype=values.dtype
+        )  # 0 and 1 are those of `gusts` and `random_force`
+        acts = draws[:, 6:] < values[:, 6:7]
+        pushes = torch.where(acts, values[:, :6] * (2.0 * draws[:, :6] - 1.0), 0.0)
+        return torch.where(_begins(moment, values[:, 7]).unsqueeze(-1), pushes, values[:, 8:])
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque in memory, (E, 6)."""
+        return params[:, 8:]

@@ -49,6 +49,7 @@ for _name, _place in (
     ("wind_shear", "air_motion:WindShear"),
     ("gusts", "air_motion:Gusts"),
     ("random_force", "air_motion:RandomForce"),
+    ("random_push", "air_motion:RandomPush"),
     ("ground_effect", "rotor_flow:GroundEffect"),
     ("ceiling_effect", "rotor_flow:CeilingEffect"),
     ("ground_effect_curve", "rotor_flow:GroundEffectCurve"),

@@ -68,6 +68,8 @@ NEEDS: dict[str, dict[str, Any]] = {
     "file": {"asset_folder": "URDF"},
     "sensor_noise.std_a": {"sensor_noise.std_b": 0.0},
     "control_allocator_config.allocation_matrix": {"control_allocator_config.force_application_level": "root_link"},
+    "disturbance.prob_apply_disturbance": {"disturbance.enable_disturbance": True},
+    "disturbance.max_force_and_torque_disturbance": {"disturbance.enable_disturbance": True},
 }
 """What else must be set so that a field says something."""
 

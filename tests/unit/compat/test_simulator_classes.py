@@ -45,14 +45,17 @@ def test_every_robot_builds_and_flies(name: str) -> None:
     assert ((share >= low - 1e-3) & (share <= high + 1e-3)).all()
 
 
-FREE = {"summary", "initial_state", "sensors"}
+FREE = {"summary", "initial_state", "sensors", "effects_source"}
 """Fields of a robot that each class states itself."""
 
 
 @pytest.mark.parametrize("name", classes.ROBOTS)
 def test_every_class_gives_the_robot_of_its_name(name: str) -> None:
-    """Body, collision shapes, rotors, effects and control are those of the robot file."""
+    """Body, collision shapes, rotors, effects and control are those of the robot file; pushes are the class's own."""
     own, cfg = ROBOTS.get(name), robots.translate_robot(classes.ROBOTS[name][1])
+    disturbed = classes.ROBOTS[name][1].disturbance.enable_disturbance
+    assert ("random_push" in cfg.effects) == disturbed
+    cfg = replace(cfg, effects={effect: cfg.effects[effect] for effect in cfg.effects if effect != "random_push"})
     different = {each.name for each in fields(RobotCfg) if getattr(own, each.name) != getattr(cfg, each.name)} - FREE
     spins = [mount.spin for mount in cfg.mounts.layout]
     assert spins == classes.ROBOTS[name][1].control_allocator_config.motor_directions
@@ -77,6 +80,46 @@ def test_sensors_of_a_class_are_on_board() -> None:
     camera, imu = sensors["base_quadrotor_with_camera_imu"]
     assert isinstance(SENSORS.get(camera), CameraCfg)
     assert imu == "base_imu"
+
+
+PUSHES = {
+    "enable_disturbance": True,
+    "prob_apply_disturbance": 1.0,
+    "max_force_and_torque_disturbance": [0.0, 0.0, 2.0, 0, 0, 0],
+}
+
+
+def velocity_after_a_step(**pushes: Any) -> torch.Tensor:
+    """Return the velocity of two vehicles after 2 ms at thrust 0, m/s."""
+    cfg = type("Mine", (robots.BaseQuadCfg,), {"disturbance": type("disturbance", (), PUSHES | pushes)})
+    name = f"pushed_{len(robot_registry.names())}"
+    robot_registry.register(name, classes.BaseMultirotor, cfg)
+    env = build("empty_env", name)
+    env.reset()
+    env.step(torch.zeros(2, 4))
+    return env.get_obs()["robot_body_linvel"].clone()
+
+
+def test_pushes_act_as_a_class_says() -> None:
+    """At most ``F dt / m`` = 2 N 0.002 s / 0.25 kg = 0.016 m/s along body z, another one for each vehicle."""
+    still = velocity_after_a_step(enable_disturbance=False)
+    assert torch.equal(velocity_after_a_step(prob_apply_disturbance=0.0), still)
+    push = velocity_after_a_step() - still
+    assert push[:, :2].abs().max() < 1e-5
+    assert 1e-4 < push[:, 2].abs().min() <= push[:, 2].abs().max() <= 0.016
+    assert push[0, 2] != push[1, 2]
+
+
+def test_robots_of_that_simulator_keep_its_pushes_and_a_class_can_turn_them_off() -> None:
+    pushed = {name for name, cls in robots.CLASSES.items() if "random_push" in robots.translate_robot(cls).effects}
+    snakes = {"morphy_stiff", "snakey", "snakey5", "snakey6"}
+    assert pushed == snakes | {"base_octarotor", "base_random", "base_rov", "lmf2_with_camera", "lmf2_radar", "magpie"}
+    quiet = type("Quiet", (robots.CLASSES["magpie"],), {})
+    quiet.disturbance = type("disturbance", (quiet.disturbance,), {"enable_disturbance": False})
+    chances = [
+        robots.translate_robot(cls).effects["random_push"]["probability"] for cls in (robots.CLASSES["magpie"], quiet)
+    ]
+    assert chances == [0.05, 0.0]
 
 
 def test_joint_states_gains_and_a_held_base_are_those_of_the_class() -> None:
@@ -176,10 +219,9 @@ def test_fields_without_effect_and_helpers_are_named_once(caplog) -> None:
             environments.translate_environment(classes.ENVIRONMENTS["empty_env"])
             robots.translate_robot(classes.ROBOTS["base_octarotor"][1])
     texts = [record.getMessage() for record in caplog.records]
-    assert len(texts) == len(set(texts)) == 4
+    assert len(texts) == len(set(texts)) == 3
     assert "environment EnvironmentCfg: without effect here: env.e_s (an attribute of its own)" in texts[0]
     assert "env.perturb_observations" in texts[0]
     warnings = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert "enable_disturbance = True: without effect here" in warnings[0]
-    assert "octarotor.urdf: allocation_matrix differs" in warnings[1]
+    assert ["octarotor.urdf: allocation_matrix differs" in text for text in warnings] == [True]
     assert any("robot_asset.min_euler_angles, robot_asset.max_euler_angles" in text for text in texts)
