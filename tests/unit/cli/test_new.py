@@ -11,6 +11,7 @@ import yaml
 
 from aerial_gym.cli.new import NEXT_STEPS, TEMPLATES
 from aerial_gym.config import build, read_yaml
+from aerial_gym.config.environment import ONE_VEHICLE
 from aerial_gym.config.robot import RobotCfg, load_robot
 from tests.builders import simulation
 from tests.integration.commands import run
@@ -82,6 +83,10 @@ def test_impossible_names_are_refused(kind: str, name: str, words: str, tmp_path
     status, _, error = run(capsys, "new", kind, name, "--out", str(tmp_path / "sub"))
     assert (status, list(tmp_path.iterdir())) == (2, [])
     assert words in error
+
+
+def test_an_environment_states_that_it_has_one_vehicle() -> None:
+    assert ONE_VEHICLE in (TEMPLATES / "my_environment.yaml").read_text(encoding="utf-8")
 
 
 def test_existing_files_stay(tmp_path, capsys) -> None:
