@@ -4,11 +4,14 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from aerial_gym.cli.process import bytecode_folder
 from aerial_gym.cli.terminal import print_table
 from aerial_gym.config.console import json_line
-from aerial_gym.errors import UnknownNameError
+from aerial_gym.errors import UnknownNameError, suggest_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,14 +79,15 @@ class ListCachesCmd:
 class ClearCachesCmd:
     """Remove compiled code; the next command compiles what it needs, which takes some seconds."""
 
-    names: tuple[str, ...] = ()  # Caches to clear, kernels or bytecode; all of them if not given
+    names: Annotated[
+        tuple[str, ...], tyro.conf.Positional
+    ] = ()  # Caches to clear, kernels or bytecode; all if not given
 
     def run(self) -> int:
         """Clear the caches and print the size of each."""
         caches = find_caches()
-        unknown = [name for name in self.names if name not in caches]
-        if unknown:
-            raise UnknownNameError(f"no cache {', '.join(map(repr, unknown))}. Known: {', '.join(caches)}")
+        if unknown := [f"{name!r}.{suggest_name(name, caches)}" for name in self.names if name not in caches]:
+            raise UnknownNameError(f"no cache {' '.join(unknown)} Known: {', '.join(caches)}")
         for name in self.names or caches:
             before = caches[name].entry()
             caches[name].clear()

@@ -14,7 +14,7 @@ from aerial_gym.errors import ConfigError, suggest_name
 T = TypeVar("T")
 
 MOST_NAMES = 10  # Most known names in a message
-SIMULATION = ("task", "robot", "env", "sim")  # Configurations of a simulation, each first part of a key
+SIMULATION = ("task", "robot", "env", "sim", "controller")  # Configurations of a simulation, each first part of a key
 
 
 def changes_simulation(text: str) -> bool:
@@ -25,7 +25,10 @@ def changes_simulation(text: str) -> bool:
 
 def settings_of_run(settings: Iterable[str], *, robot: object, task: object) -> tuple[str, ...]:
     """Return the settings of a run that still apply where another robot or task, if not None, takes the place of its own."""
-    left_out = {*(("robot",) if robot is not None else ()), *(("task", "env", "sim") if task is not None else ())}
+    left_out = {
+        *(("robot",) if robot is not None else ()),
+        *(("task", "env", "sim", "controller") if task is not None else ()),
+    }
     return tuple(each for each in settings if each.partition(".")[0] not in left_out)
 
 

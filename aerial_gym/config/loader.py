@@ -15,7 +15,7 @@ from contextlib import suppress
 from math import inf
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
@@ -27,6 +27,13 @@ from aerial_gym.errors import AerialGymError, ConfigError, suggest_name
 T = TypeVar("T")
 
 LONGEST_SHOWN = 200  # Characters of a value in a message
+PLAIN_NAMES = {
+    float: "a number",
+    int: "a whole number",
+    str: "a text",
+    bool: "true or false",
+    Path: "a path",
+}  # In messages
 CONFIG_DIR = Path(__file__).parent  # Folder of the configurations that come with the package
 
 
@@ -200,6 +207,10 @@ def convert(hint: Any, value: Any, where: str) -> Any:
         return _convert_optional(args, value, where)
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return value if isinstance(value, hint) else build(hint, value, where=where)
+    if origin is Literal:
+        if value not in args:
+            raise ConfigError(f"{where} = {format_value(value)}: must be {' or '.join(map(repr, args))}")
+        return value
     if origin is tuple:
         return _convert_tuple(args, value, where)
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
@@ -263,7 +274,7 @@ def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
         return Path(value)
     if hint in (str, bool) and isinstance(value, hint):
         return value
-    raise ConfigError(f"{where} = {format_value(value)}: must be {getattr(hint, '__name__', hint)}")
+    raise ConfigError(f"{where} = {format_value(value)}: must be {PLAIN_NAMES.get(hint, hint)}")
 
 
 def format_value(value: object) -> str:

@@ -16,7 +16,6 @@ import torch
 
 from aerial_gym.config.changes import Changes
 from aerial_gym.config.storage import storage_errors, write_atomic
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import AerialGymError, ConfigError, StorageError, TrainingError
 from aerial_gym.interop import on_device, resolve_device, usual_settings
 from aerial_gym.physics import BACKENDS
@@ -169,8 +168,6 @@ def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
         find_checkpoint(cfg.initial)
     if cfg.encoder is not None:
         load_encoder(cfg.encoder)
-    if cfg.controller is not None:
-        CONTROLLERS.get(cfg.controller)
     if cfg.backend not in (None, "auto"):
         BACKENDS.get(cfg.backend)
 

@@ -24,6 +24,7 @@ from aerial_gym.task.gymnasium_ids import register_task
 if TYPE_CHECKING:
     import torch
 
+    from aerial_gym.config.controller import ControllerCfg
     from aerial_gym.config.environment import EnvironmentCfg
     from aerial_gym.config.robot import RobotCfg
     from aerial_gym.config.sim import SimCfg
@@ -67,7 +68,8 @@ class TaskRegistry(Registry[TaskCfg]):
             dtype: Float type of gradients; float32 if not given.
             encoder: Encoder file, or one that comes with the package, in place of the task's own; where the task shows the
                 nearest distances of 8 x 8 cells, its latents are shown instead.
-            settings: Changed settings ``KEY=VALUE`` of ``task``, ``robot``, ``env`` and ``sim``: ``robot.body.mass=0.3``.
+            settings: Changed settings ``KEY=VALUE`` of ``task``, ``robot``, ``env``, ``sim`` and ``controller``, such as
+                ``robot.body.mass=0.3``.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -81,7 +83,7 @@ class TaskRegistry(Registry[TaskCfg]):
         from aerial_gym.task.task import Task
 
         changes, given = Changes(settings), {"robot": robot, "controller": controller, "sim": sim, "env": env}
-        cfg, built_robot, built_env, built_sim = self.configurations(name, changes, num_envs=num_envs, **given)
+        cfg, built_robot, built_env, built_sim, law = self.configurations(name, changes, num_envs=num_envs, **given)
         changes.finish()
         if encoder is not None:
             cfg = task_with_encoder(cfg, encoder)
@@ -95,7 +97,7 @@ class TaskRegistry(Registry[TaskCfg]):
                 f'task {name} had then. Give level, which stood in gtd["curriculum_level"] when the episode began'
             )
         built = SimBuilder().build_env(
-            sim_name=built_sim, env_name=built_env, robot_name=built_robot, controller_name=cfg.controller,
+            sim_name=built_sim, env_name=built_env, robot_name=built_robot, controller_name=law,
             num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode,
             backend=backend, randomize=cfg.randomize, differentiable=differentiable, dtype=dtype or torch.float32,
         )  # fmt: skip
@@ -105,8 +107,9 @@ class TaskRegistry(Registry[TaskCfg]):
 
     def configurations(
         self, name: str, changes: Changes, **given: object
-    ) -> "tuple[TaskCfg, RobotCfg, EnvironmentCfg, SimCfg]":
-        """Return a task and its robot, environment and sim, with changed settings and given fields of the task."""
+    ) -> "tuple[TaskCfg, RobotCfg, EnvironmentCfg, SimCfg, ControllerCfg]":
+        """Return a task and its robot, environment, sim and controller, with changed settings and given fields of the task."""
+        from aerial_gym.control import CONTROLLERS
         from aerial_gym.env_manager.catalog import SIMS
         from aerial_gym.env_manager.sim_builder import environment_by_name
         from aerial_gym.robots.catalog import robot_by_name
@@ -117,7 +120,8 @@ class TaskRegistry(Registry[TaskCfg]):
         cfg = replace(changes.apply("task", self.get(name)), **given)
         robot = robot_by_name(cfg.robot)
         robot = changes.apply("robot", robot if cfg.start is None else replace(robot, initial_state=cfg.start))
-        return cfg, robot, changes.apply("env", environment_by_name(cfg.env)), changes.apply("sim", SIMS.get(cfg.sim))
+        env, sim = changes.apply("env", environment_by_name(cfg.env)), changes.apply("sim", SIMS.get(cfg.sim))
+        return cfg, robot, env, sim, changes.apply("controller", CONTROLLERS.get(cfg.controller))
 
     def get(self, name: str) -> TaskCfg:
         """Return the configuration of a task: a registered one, that of a file, or that of ``module:Name``.

@@ -33,9 +33,10 @@ def test_caches_have_folders_and_sizes(folders: dict[str, Path], capsys: pytest.
 
 
 def test_caches_are_cleared_by_name(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    status, _, told = run(capsys, "cache", "clear", "--names", "kernel")
-    assert (status, told) == (2, "aerial-gym: no cache 'kernel'. Known: kernels, bytecode\n")
-    assert run(capsys, "cache", "clear", "--names", "kernels")[0] == 0
+    status, _, told = run(capsys, "cache", "clear", "kernel", "BAD")
+    message = "aerial-gym: no cache 'kernel'. Did you mean 'kernels'? 'BAD'. Known: kernels, bytecode\n"
+    assert (status, told) == (2, message)
+    assert run(capsys, "cache", "clear", "kernels")[0] == 0
     assert [(folder / "inner" / "file").exists() for folder in folders.values()] == [False, True]
     assert run(capsys, "cache", "clear")[0] == 2  # the file of kernels is gone already
     folders["kernels"].joinpath("inner", "file").touch()

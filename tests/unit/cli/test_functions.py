@@ -40,7 +40,7 @@ def test_arguments_are_the_options_of_the_command(name: str) -> None:
 
 def test_wrong_arguments_are_refused_as_the_command_refuses_them() -> None:
     assert_refused(ConfigError, "train: .*'max_time'. Did you mean 'max_time_s'", train, max_time=3)
-    assert_refused(ConfigError, "train: max_time_s = 'long': must be float", train, max_time_s="long")
+    assert_refused(ConfigError, "train: max_time_s = 'long': must be a number", train, max_time_s="long")
     assert_refused(ConfigError, "evaluate: json belongs to the command line", evaluate, HOVER, json=True)
     assert_refused(ConfigError, "evaluate: field 'policy' is missing", evaluate)
     assert_refused(UnknownNameError, "no task 'hover'", train, "hover")

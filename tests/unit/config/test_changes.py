@@ -61,19 +61,22 @@ def test_all_wrong_settings_are_reported_together() -> None:
 @pytest.mark.parametrize(("setting", "message"), [
     ("robot.body.mass=-1", "BodyCfg.mass = -1.0: must be > 0"),
     ("robot.body.com=[0, 0]", "robot.body.com = .*must have 3 entries"),
-    ("robot.mounts.layout.0.spin=up", "robot.mounts.layout.0.spin = 'up': must be int"),
+    ("controller.allocation=clmp", "controller.allocation = 'clmp': must be 'prioritised' or 'clamp'"),
+    ("robot.mounts.layout.0.spin=up", "robot.mounts.layout.0.spin = 'up': must be a whole number"),
 ])  # fmt: skip
 def test_impossible_values_are_refused_with_the_rule(setting, message) -> None:
+    changes = Changes([setting])
+    task_registry.configurations("position_setpoint_task", changes)
     with pytest.raises(ConfigError, match=message):
-        apply_to_base(setting)
+        changes.finish()
 
 
 def test_settings_of_a_run_end_with_their_robot_or_task() -> None:
-    settings = ("robot.body.mass=1", "task.episode_len_steps=5", "env.clearance=1")
+    settings = ("robot.body.mass=1", "task.episode_len_steps=5", "env.clearance=1", "controller.rate_hz=50")
     assert settings_of_run(settings, robot=None, task=None) == settings
     assert settings_of_run(settings, robot="x500", task=None) == settings[1:]
     assert settings_of_run(settings, robot=None, task="racing_task") == settings[:1]
-    assert [changes_simulation(each) for each in (*settings, "robot=x500", "ppo.horizon=3")] == [True] * 3 + [False] * 2
+    assert [changes_simulation(each) for each in (*settings, "robot=x500", "ppo.horizon=3")] == [True] * 4 + [False] * 2
 
 
 def test_a_task_refuses_a_setting_that_is_an_argument_too() -> None:
@@ -82,7 +85,8 @@ def test_a_task_refuses_a_setting_that_is_an_argument_too() -> None:
 
 
 def test_a_task_is_built_with_changed_settings() -> None:
-    settings = ("robot.body.mass=0.3", "sim.dt=0.02", "task.num_envs=3")
+    settings = ("robot.body.mass=0.3", "sim.dt=0.02", "task.num_envs=3", "controller.action_delay=0.04")
     with task_registry.make_task("position_setpoint_task", device="cpu", settings=settings) as task:
         assert task.env.gtd["robot_mass"].tolist() == pytest.approx([0.3] * 3)
         assert task.env.dt == pytest.approx(0.02)
+    assert task_registry.configurations("position_setpoint_task", Changes(settings))[-1].action_delay == 0.04

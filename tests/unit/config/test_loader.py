@@ -138,7 +138,7 @@ OBSERVATION = partial(ObservationCfg, term="attitude")
 @pytest.mark.parametrize(("make", "given", "message"), [
     (body, {"mass": 0.0}, "BodyCfg.mass = 0.0: must be > 0 and finite"),
     (body, {"mass": float("nan")}, "BodyCfg.mass = nan: must be > 0 and finite"),
-    (body, {"mass": "heavy"}, "here: mass = 'heavy': must be float"),
+    (body, {"mass": "heavy"}, "here: mass = 'heavy': must be a number"),
     (body, {"inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 5e-3]]}, "violate the triangle inequality"),
     (body, {"inertia": [[1e-3, 0, 0], [0, -1e-3, 0], [0, 0, 1e-3]]}, "principal moments must be > 0"),
     (body, {"inertia": [[1e-3, 1e-4, 0], [0, 1e-3, 0], [0, 0, 1e-3]]}, "must be symmetric"),
@@ -208,7 +208,7 @@ def test_a_parameter_of_a_term_is_no_larger_than_single_precision(number: float)
     ("dt: " + "[" * 5000 + "]" * 5000, "nested too deeply|not valid YAML|too long to show"),
     ("dt: &a [*a]", "an alias refers to a node that contains it"),
     ("dt: &a {b: [1, *a]}", "an alias refers to a node that contains it"),
-    ("dt: [&a [1], *a, *a]", "must be float"),
+    ("dt: [&a [1], *a, *a]", "must be a number"),
     ("? [1, 2]\n: 3", "not valid YAML|unknown field"),
     ("", "must hold a mapping"),
     ("dt: [1, 2", "not valid YAML"),
@@ -355,11 +355,11 @@ visible: maybe
 FAULTS_OF_ROBOT = [
     r"body: BodyCfg.mass = -1.0: must be > 0", r"body: BodyCfg.com = .*: must be finite",
     r"body: BodyCfg.inertia = .*triangle inequality", r"rotor: unknown field 'torque'",
-    r"rotor: field 'time_constant_down' is missing", r"rotor: time_constant_up = 'fast': must be float",
+    r"rotor: field 'time_constant_down' is missing", r"rotor: time_constant_up = 'fast': must be a number",
     r"rotor: RotorCfg: give exactly one of torque_ratio and torque_map", r"rotor: RotorCfg.thrust_range = .*: needs low < high",
     r"layout\[0\]: position = \[0.1, -0.1\]: must have 3 entries", r"layout\[1\]: field 'position' is missing",
     r"layout\[1\]: MountCfg.spin = 2: must be 1 or -1", r"field 'collision' is missing",
-    r"RobotCfg.effects.rotor_drag.dx = inf: must be finite", r"visible = 'maybe': must be bool",
+    r"RobotCfg.effects.rotor_drag.dx = inf: must be finite", r"visible = 'maybe': must be true or false",
 ]  # fmt: skip
 
 

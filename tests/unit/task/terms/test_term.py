@@ -40,8 +40,8 @@ def test_a_signature_says_what_is_read_and_taken() -> None:
 @pytest.mark.parametrize(("params", "message"), [
     ({}, "it: parameter 'by' is missing. It takes by, axis"),
     ({"by": 1.0, "axes": 1}, "it: no parameter 'axes'. Did you mean 'axis'"),
-    ({"by": "far"}, "it: by = 'far': must be float"),
-    ({"by": 1.0, "axis": 1.5}, "it: axis = 1.5: must be int"),
+    ({"by": "far"}, "it: by = 'far': must be a number"),
+    ({"by": 1.0, "axis": 1.5}, "it: axis = 1.5: must be a whole number"),
 ])  # fmt: skip
 def test_numbers_that_do_not_fit_are_told(params: dict[str, object], message: str) -> None:
     assert_refused(ConfigError, message, bind_term, Term(name="stretched", value=stretch), params, "it")
@@ -52,7 +52,7 @@ def test_one_message_names_all_wrong_terms_of_a_task() -> None:
     ends = {"far": TerminationCfg(term="far_from_target", kind="crash", params={"distance": "far"})}
     words = (
         r"(?s)^6 faults:.*no reward term 'distance_bel'. Did you mean 'distance_bell'.*'up' \(upright\): no parameter 'hight'"
-        r".*'height' is missing.*'offset' is missing.*'far' \(far_from_target\): distance = 'far': must be float"
+        r".*'height' is missing.*'offset' is missing.*'far' \(far_from_target\): distance = 'far': must be a number"
         r".*observation term 'attitude': no parameter 'x'"
     )
     observations = (ObservationCfg(term="attitude", params={"x": 1}),)
