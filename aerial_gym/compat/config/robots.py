@@ -219,7 +219,7 @@ _PUSHES = {
 """Pushes of the robots that have them in that simulator."""
 
 
-def _pushed_robot(name: str) -> RobotCfg:
+def _robot_with_pushes(name: str) -> RobotCfg:
     """Return a registered robot with the pushes that it has in that simulator."""
     cfg = ROBOTS.get(name)
     if name not in _PUSHES:
@@ -458,7 +458,7 @@ def _base_robot(cls: Any, given: Values) -> RobotCfg:
 BaseQuadCfg = TABLE.make_class("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
 
 CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
-    robot: TABLE.make_class(name, _pushed_robot(robot), parent=BaseQuadCfg)
+    robot: TABLE.make_class(name, _robot_with_pushes(robot), parent=BaseQuadCfg)
     for name, robot in (
         ("BaseQuadWithImuCfg", "base_quadrotor_with_imu"), ("BaseQuadWithCameraCfg", "base_quadrotor_with_camera"),
         ("BaseQuadWithCameraImuCfg", "base_quadrotor_with_camera_imu"), ("BaseQuadWithLidarCfg", "base_quadrotor_with_lidar"),
