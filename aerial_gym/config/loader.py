@@ -301,13 +301,9 @@ def load_extended(
 
 
 def _load_file(
-    cls: type[T],
-    path: Path,
-    family: str,
-    located: Callable[[T, Path], T],
-    above: tuple[Path, ...],
+    cls: type[T], path: Path, family: str, located: Callable[[T, Path], T], above: tuple[Path, ...],
     base: Path | None = None,
-) -> T:
+) -> T:  # fmt: skip
     data, resolved = read_yaml(path), path.resolve()
     if base is not None:
         data.setdefault("extends", str(base))

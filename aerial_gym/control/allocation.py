@@ -164,13 +164,9 @@ class Allocation:
     """Pseudo-inverse allocation within the rotors' limits."""
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        gravity: float,
-        *,
-        saturation: Saturation = "prioritised",
+        self, vehicle: Vehicle, gravity: float, *, saturation: Saturation = "prioritised",
         effectiveness: str = "nominal",
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Compute the allocation of a declared vehicle.
 
         Args:

@@ -31,15 +31,9 @@ SLOW_REMEDY = "Give its integrators more gain, or let a task begin when they hav
 
 
 def check_closed_loop(
-    robot: RobotCfg,
-    controller: ControllerCfg,
-    *,
-    gravity: float,
-    dt: float,
-    integrator: str,
-    names: tuple[str, str],
+    robot: RobotCfg, controller: ControllerCfg, *, gravity: float, dt: float, integrator: str, names: tuple[str, str],
     randomize: Randomize | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Refuse a robot that does not hover under its controller at this time step, and warn of a poor hover.
 
     The check covers derived gains, gains of robot files and registered controllers, and laws of other packages that state

@@ -123,16 +123,9 @@ class ClosedLoop:
     """The closed loop of a robot, or of several vehicles, under one controller at any time step."""
 
     def __init__(
-        self,
-        robot: RobotCfg,
-        controller: ControllerCfg,
-        *,
-        gravity: float,
-        integrator: str,
-        names: tuple[str, str],
-        drawn: Mapping[str, RandomizeCfg] | None = None,
-        model: Model | None = None,
-    ) -> None:
+        self, robot: RobotCfg, controller: ControllerCfg, *, gravity: float, integrator: str, names: tuple[str, str],
+        drawn: Mapping[str, RandomizeCfg] | None = None, model: Model | None = None,
+    ) -> None:  # fmt: skip
         """Find the hover thrusts and the controlled axes.
 
         Args:

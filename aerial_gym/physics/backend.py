@@ -71,16 +71,9 @@ class PhysicsBackend(Protocol):
         ...
 
     def allocate(
-        self,
-        model: Model,
-        control: ControlLaw,
-        *,
-        integrator: str,
-        ground: Ground | None = None,
-        hook: SubstepHook | None = None,
-        random: Randomness | None = None,
-        efforts: JointEfforts | None = None,
-    ) -> None:
+        self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None,
+        hook: SubstepHook | None = None, random: Randomness | None = None, efforts: JointEfforts | None = None,
+    ) -> None:  # fmt: skip
         """Set model, control law, integrator, ground, substep hook and random numbers, and allocate all buffers.
 
         Without random numbers, seed 0 counts. ``step`` writes the efforts applied to joints into ``efforts``, if given.

@@ -88,14 +88,9 @@ def apply_contact_impulses(
 
 
 def _velocity_change(
-    contacts: Contacts,
-    cfg: ContactCfg,
-    mass: Tensor,
-    inertia: Tensor,
-    velocity: tuple[Tensor, Tensor],
-    dt: float,
+    contacts: Contacts, cfg: ContactCfg, mass: Tensor, inertia: Tensor, velocity: tuple[Tensor, Tensor], dt: float,
     share: float,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return the changes of velocity and angular velocity, world, (E, 6), for mass (E, 1) and inertia (E, 6, 6)."""
     gap, lever, normal = contacts.gap, contacts.lever, contacts.normal
     to_point = torch.cat(

@@ -80,15 +80,10 @@ def load_articulation(robot: RobotCfg, *, like: Tensor) -> "Articulation | None"
 
 
 def build_model(
-    vehicle: Vehicle,
-    effects: Sequence[EffectParams] = (),
-    *,
-    gravity: float = STANDARD_GRAVITY,
-    ground_height: float | Tensor = 0.0,
-    ceiling_height: float | Tensor | None = None,
-    other_position: Tensor | None = None,
-    articulation: "Articulation | None" = None,
-) -> Model:
+    vehicle: Vehicle, effects: Sequence[EffectParams] = (), *, gravity: float = STANDARD_GRAVITY,
+    ground_height: float | Tensor = 0.0, ceiling_height: float | Tensor | None = None,
+    other_position: Tensor | None = None, articulation: "Articulation | None" = None,
+) -> Model:  # fmt: skip
     """Build the model of a declared vehicle with effects; differentiable in vehicle and parameters.
 
     Args:
@@ -193,13 +188,9 @@ def _inverse(inertia: Tensor) -> Tensor:
 
 
 def effects_from_config(
-    effects: Mapping[str, Mapping[str, float]],
-    *,
-    num_envs: int,
-    device: torch.device,
-    dtype: torch.dtype,
+    effects: Mapping[str, Mapping[str, float]], *, num_envs: int, device: torch.device, dtype: torch.dtype,
     robot: RobotCfg | None = None,
-) -> list[EffectParams]:
+) -> list[EffectParams]:  # fmt: skip
     """Return the effects of a robot file with their parameters in every environment.
 
     Effects with parameters for parts of the robot need ``robot``.

@@ -49,14 +49,9 @@ def air_velocity(model: Model, position: Tensor, attitude: Tensor, com_vel: Tens
 
 
 def body_wrench(
-    model: Model,
-    position: Tensor,
-    attitude: Tensor,
-    com_vel: Tensor,
-    ang_vel: Tensor,
-    rotor_speed: Tensor,
+    model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor, ang_vel: Tensor, rotor_speed: Tensor,
     rotor_acc: Tensor,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Return the force without gravity [N] and the torque about the centre of mass [N m], body, each (E, 3).
 
     Args:
@@ -114,14 +109,9 @@ def adapt_condition(vehicle: Vehicle, known: Condition) -> Condition:
 
 
 def condition_of_motion(
-    model: Model,
-    position: Tensor,
-    attitude: Tensor,
-    com_vel: Tensor,
-    ang_vel: Tensor,
-    rotor_speed: Tensor,
+    model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor, ang_vel: Tensor, rotor_speed: Tensor,
     rotor_acc: Tensor,
-) -> Condition:
+) -> Condition:  # fmt: skip
     """Return the condition of effects; arguments as for ``body_wrench``."""
     return Condition(
         position=position,
@@ -156,13 +146,9 @@ class ForceBreakdown:
 
 
 def force_breakdown(
-    model: Model,
-    condition: Condition,
-    answers: EffectCache[Condition] | None = None,
-    *,
-    apart: bool = False,
+    model: Model, condition: Condition, answers: EffectCache[Condition] | None = None, *, apart: bool = False,
     hubs: Condition | None = None,
-) -> ForceBreakdown:
+) -> ForceBreakdown:  # fmt: skip
     """Return the contributions to the wrench in a condition, without fluid and load, which depend on their sum.
 
     Args:
@@ -330,15 +316,10 @@ class Accelerations:
 
 
 def accelerations(
-    model: Model,
-    state: BodyState,
-    rotor_acc: Tensor | None = None,
-    *,
-    load: Tensor | None = None,
-    remembered: Mapping[str, Tensor] | None = None,
-    condition: Condition | None = None,
+    model: Model, state: BodyState, rotor_acc: Tensor | None = None, *, load: Tensor | None = None,
+    remembered: Mapping[str, Tensor] | None = None, condition: Condition | None = None,
     answers: EffectCache[Condition] | None = None,
-) -> Accelerations:
+) -> Accelerations:  # fmt: skip
     """Return the readings of ideal inertial sensors at the body origin in a state; each row may be a moment of a flight log.
 
     ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R), 0 by default. ``load`` is direction and rate of

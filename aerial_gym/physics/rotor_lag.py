@@ -163,15 +163,9 @@ def stage_rates(
 
 
 def slew_limited_rate(
-    state: Tensor,
-    command: Tensor,
-    tau_up: Tensor,
-    tau_down: Tensor,
-    slew_up: Tensor,
-    slew_down: Tensor,
-    jump: Tensor,
+    state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, slew_up: Tensor, slew_down: Tensor, jump: Tensor,
     dt: float | Tensor,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return ``clip((c - x) / tau, -S, S)``, (E, R), and without lag ``jump / dt`` in place of the quotient."""
     falls = state * (command - state) < 0.0
     tau, slew = torch.where(falls, tau_down, tau_up), torch.where(falls, slew_down, slew_up)
@@ -181,14 +175,9 @@ def slew_limited_rate(
 
 
 def slew_limited_lag(
-    state: Tensor,
-    command: Tensor,
-    tau_up: Tensor,
-    tau_down: Tensor,
-    slew_up: Tensor,
-    slew_down: Tensor,
+    state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, slew_up: Tensor, slew_down: Tensor,
     dt: float | Tensor,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return the state after ``dt`` under a constant command with lag and slew limit, exact for any division of the span.
 
     The distance to the command shrinks at the slew rate S down to ``S tau``, then by ``exp(-t / tau)``. A state that passes

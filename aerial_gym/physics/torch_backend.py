@@ -73,16 +73,9 @@ def advance(
 
 
 def advance_remembering(
-    model: Model,
-    stepper: Stepper,
-    control: ControlLaw | None,
-    state: BodyState,
-    command: Tensor | LinearRotorSpeeds,
-    dt: float,
-    substeps: int,
-    memory: Memory | None,
-    law_memory: LawMemory | None = None,
-) -> tuple[BodyState, Memory | None]:
+    model: Model, stepper: Stepper, control: ControlLaw | None, state: BodyState, command: Tensor | LinearRotorSpeeds,
+    dt: float, substeps: int, memory: Memory | None, law_memory: LawMemory | None = None,
+) -> tuple[BodyState, Memory | None]:  # fmt: skip
     """Return the state of ``advance`` from a given memory, and the new memory; None if no effect has memory.
 
     Without a control law, ``command`` is the rotor command.
@@ -98,13 +91,9 @@ def advance_remembering(
 
 
 def _substep(
-    model: Model,
-    stepper: Stepper,
-    state: BodyState,
-    rotor_command: Tensor | LinearRotorSpeeds,
-    dt: float,
+    model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor | LinearRotorSpeeds, dt: float,
     memory: Memory | None,
-) -> tuple[MassState, MassState, Memory | None]:
+) -> tuple[MassState, MassState, Memory | None]:  # fmt: skip
     """Return the motion before and after a substep, and the new memory."""
     if isinstance(rotor_command, Tensor):
         rotor_command = stop_in_dead_band(model.vehicle, rotor_command)
@@ -171,16 +160,9 @@ class TorchBackend:
     law_memory: LawMemory | None = None  # Memory of the control law; None before its first step, and without memory
 
     def allocate(
-        self,
-        model: Model,
-        control: ControlLaw,
-        *,
-        integrator: str,
-        ground: Ground | None = None,
-        hook: SubstepHook | None = None,
-        random: Randomness | None = None,
-        efforts: JointEfforts | None = None,
-    ) -> None:
+        self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None,
+        hook: SubstepHook | None = None, random: Randomness | None = None, efforts: JointEfforts | None = None,
+    ) -> None:  # fmt: skip
         """Set model, control law, integrator by name, ground, hook, random numbers and tensors of applied efforts."""
         if integrator not in self.capabilities.integrators:
             known = ", ".join(self.capabilities.integrators)

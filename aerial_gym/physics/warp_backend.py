@@ -104,16 +104,9 @@ class WarpBackend:
         return not (self._differentiable and effect.remembers)
 
     def allocate(
-        self,
-        model: Model,
-        control: ControlLaw,
-        *,
-        integrator: str,
-        ground: Ground | None = None,
-        hook: SubstepHook | None = None,
-        random: Randomness | None = None,
-        efforts: JointEfforts | None = None,
-    ) -> None:
+        self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None,
+        hook: SubstepHook | None = None, random: Randomness | None = None, efforts: JointEfforts | None = None,
+    ) -> None:  # fmt: skip
         """Compose the kernel and make the buffers.
 
         Raises:

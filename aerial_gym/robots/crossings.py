@@ -180,13 +180,9 @@ def _make_earlier_crossing(*, cores: bool) -> wp.Function:
 
     @wp.func
     def earlier_crossing(
-        solid: Shape,
-        sweep: ShapeSweep,
-        done: Substep,
-        crash_approach_speed: float,
-        known: NormalsOfSubstep,
+        solid: Shape, sweep: ShapeSweep, done: Substep, crash_approach_speed: float, known: NormalsOfSubstep,
         hit: Crossing,
-    ):
+    ):  # fmt: skip
         """Return the earlier of the given crossing and that of a part or face, and the known normals.
 
         A shape that starts inside a mesh counts as on the side of its contact normal.
@@ -278,13 +274,9 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
 
     @wp.func
     def first_crossing(
-        around: ContactScene,
-        obstacles: obstacles_type,
-        crash_approach_speed: float,
-        env: int,
-        done: Substep,
+        around: ContactScene, obstacles: obstacles_type, crash_approach_speed: float, env: int, done: Substep,
         path: Path,
-    ) -> Crossing:
+    ) -> Crossing:  # fmt: skip
         """Return the first crossing of a path; touches at ``crash_approach_speed`` [m/s] or faster are crashes."""
         scene = around.scene
         hit = Crossing()

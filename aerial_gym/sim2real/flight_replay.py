@@ -88,18 +88,10 @@ class Replay:
 
 
 def replay(
-    robot: str | Path,
-    flights: Sequence[str | Path],
-    out_dir: str | Path | None = None,
-    *,
-    mapping: str | Path | None = None,
-    bandwidth: float = 10.0,
-    setpoints: bool = False,
-    corrected: str | Path | None = None,
-    controller: str | None = None,
-    seed: int = 0,
-    progress: Progress = silent,
-) -> Replay:
+    robot: str | Path, flights: Sequence[str | Path], out_dir: str | Path | None = None, *,
+    mapping: str | Path | None = None, bandwidth: float = 10.0, setpoints: bool = False,
+    corrected: str | Path | None = None, controller: str | None = None, seed: int = 0, progress: Progress = silent,
+) -> Replay:  # fmt: skip
     """Return the prediction errors of a declared robot on flights; unusable logs become findings.
 
     With ``out_dir``, write replay.json, report.html, residuals.csv and profiles.csv there.

@@ -37,24 +37,12 @@ if TYPE_CHECKING:
 
 
 def close_loop(
-    robot: str | Path,
-    train: Sequence[str | Path],
-    test: Sequence[str | Path],
-    out_dir: str | Path,
-    *,
-    mapping: str | Path | None = None,
-    bandwidth: float = 10.0,
-    seed: int = 0,
-    criteria: Criteria | None = None,
-    tolerances: Tolerances | None = None,
-    effects: Sequence[str] | None = None,
-    failures: bool = False,
-    joints: bool = False,
-    learn_residual: bool = False,
-    ranges: bool = False,
-    settings: Sequence[str] = (),
+    robot: str | Path, train: Sequence[str | Path], test: Sequence[str | Path], out_dir: str | Path, *,
+    mapping: str | Path | None = None, bandwidth: float = 10.0, seed: int = 0, criteria: Criteria | None = None,
+    tolerances: Tolerances | None = None, effects: Sequence[str] | None = None, failures: bool = False,
+    joints: bool = False, learn_residual: bool = False, ranges: bool = False, settings: Sequence[str] = (),
     progress: Progress = silent,
-) -> Verdict:
+) -> Verdict:  # fmt: skip
     """Identify errors of the declared robot, and write verdict.json, robot.yaml, report.html, report.md and tables.
 
     Args:
@@ -142,19 +130,10 @@ def _identify_joints(robot: RobotCfg, inputs: FlightInputs, progress: Progress) 
 
 
 def judge_flights(
-    robot: RobotCfg,
-    train: Sequence[Flight],
-    test: Sequence[Flight],
-    *,
-    bandwidth: float = 10.0,
-    seed: int = 0,
-    criteria: Criteria | None = None,
-    tolerances: Tolerances | None = None,
-    effects: Sequence[str] | None = None,
-    failures: bool = False,
-    learn_residual: bool = False,
-    progress: Progress = silent,
-) -> LoopResult:
+    robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float = 10.0, seed: int = 0,
+    criteria: Criteria | None = None, tolerances: Tolerances | None = None, effects: Sequence[str] | None = None,
+    failures: bool = False, learn_residual: bool = False, progress: Progress = silent,
+) -> LoopResult:  # fmt: skip
     """Return the result of the closed loop for flights in memory; arguments as for ``close_loop``.
 
     With ``failures``, flights are compared up to their first failure. Otherwise a note reports suspected failures.

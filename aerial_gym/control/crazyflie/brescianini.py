@@ -38,13 +38,9 @@ class BrescianiniGains:
 
 
 def outer_loop(
-    state: BodyState,
-    target: FlatTarget,
-    gains: BrescianiniGains,
-    *,
-    gravity: float,
+    state: BodyState, target: FlatTarget, gains: BrescianiniGains, *, gravity: float,
     max_inclination: float | None = None,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Return thrust [N] and body-rate setpoint [rad/s], (E, 4), of position and attitude control.
 
     ``a = e_p / tau² + 2 zeta / tau e_v + a_d + g e_z``. The thrust ``m a_z / (R e_z)_z`` gives the vertical part of a at any

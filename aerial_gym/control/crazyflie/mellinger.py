@@ -48,15 +48,9 @@ class FlatTarget:
 
 
 def mellinger_control(
-    state: BodyState,
-    target: FlatTarget,
-    kept: Tensor,
-    gains: MellingerGains,
-    *,
-    gravity: float,
-    dt: float,
+    state: BodyState, target: FlatTarget, kept: Tensor, gains: MellingerGains, *, gravity: float, dt: float,
     max_inclination: float | None = None,
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
     """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and the new memory, (E, 8).
 
     ``F = K_p e_p + K_v e_v + K_i int e_p + m (g + a)``; the thrust is its component along body z. The moment

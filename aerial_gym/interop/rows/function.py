@@ -45,16 +45,9 @@ class RowFunction:
     """A torch function applied to every row in one Warp kernel, without gradients."""
 
     def __init__(
-        self,
-        function: Callable[..., Tensor | tuple[Tensor, ...]],
-        inputs: Sequence[Tensor],
-        *,
-        masked: bool = False,
-        made: KernelInput | None = None,
-        beside: RowWork | None = None,
-        lifts: bool = False,
-        fresh: bool = False,
-    ) -> None:
+        self, function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor], *, masked: bool = False,
+        made: KernelInput | None = None, beside: RowWork | None = None, lifts: bool = False, fresh: bool = False,
+    ) -> None:  # fmt: skip
         """Trace the function and write its kernel; the first call compiles it.
 
         Args:
@@ -190,13 +183,9 @@ class DifferentiableRows:
     """A torch function applied to every row in one Warp kernel, with its gradient in another."""
 
     def __init__(
-        self,
-        function: Callable[..., tuple[Tensor, ...]],
-        inputs: Sequence[Tensor],
-        *,
-        lifts: bool = False,
+        self, function: Callable[..., tuple[Tensor, ...]], inputs: Sequence[Tensor], *, lifts: bool = False,
         has_gradient: Callable[[int], bool] = lambda _: True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Trace the function and its gradient with respect to all float inputs.
 
         A result that a loss ignores has a gradient of 0; if its derivatives are not finite, the product is NaN.
@@ -278,16 +267,9 @@ class RowUpdate:
     """
 
     def __init__(
-        self,
-        function: Callable[..., tuple[Tensor, ...]],
-        sources: Sequence[Tensor],
-        targets: Sequence[Tensor],
-        *,
-        mask: Tensor,
-        made: KernelInput,
-        beside: RowWork,
-        plain: Callable[..., tuple[Tensor, ...]] | None = None,
-    ) -> None:
+        self, function: Callable[..., tuple[Tensor, ...]], sources: Sequence[Tensor], targets: Sequence[Tensor], *,
+        mask: Tensor, made: KernelInput, beside: RowWork, plain: Callable[..., tuple[Tensor, ...]] | None = None,
+    ) -> None:  # fmt: skip
         """Record the launch for fixed tensors.
 
         Args:

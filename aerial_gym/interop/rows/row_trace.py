@@ -92,14 +92,10 @@ class Trace:
 
 
 def trace(
-    function: Callable[..., Tensor | tuple[Tensor, ...]],
-    inputs: Sequence[Tensor],
-    *,
-    lifts: bool = False,
-    fixes: bool = False,
-    constants: Mapping[tuple[int, int], float] | None = None,
+    function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor], *, lifts: bool = False,
+    fixes: bool = False, constants: Mapping[tuple[int, int], float] | None = None,
     known: Callable[[Tensor], Mapping[int, float]] | None = None,
-) -> Trace:
+) -> Trace:  # fmt: skip
     """Trace a function on one row.
 
     Args:
@@ -266,14 +262,9 @@ class _Recorder(TorchDispatchMode):
         return self._record_call if self.into.simplifies else None
 
     def _record_call(
-        self,
-        function: Callable[..., Any],
-        arguments: Sequence[Tensor],
-        condition: Tensor | None = None,
-        otherwise: Sequence[Tensor] = (),
-        *,
-        apply_by_element: bool = False,
-    ) -> tuple[Tensor, ...]:
+        self, function: Callable[..., Any], arguments: Sequence[Tensor], condition: Tensor | None = None,
+        otherwise: Sequence[Tensor] = (), *, apply_by_element: bool = False,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
         """Trace a function as a body of its own, and return placeholders of the results of a call.
 
         Args:
@@ -319,14 +310,9 @@ class _Recorder(TorchDispatchMode):
         }
 
     def _trace_call(
-        self,
-        function: Callable[..., Any],
-        shapes: Sequence[tuple[int, ...]],
-        dtypes: Sequence[torch.dtype],
-        constants: dict[tuple[int, int], float],
-        results: Sequence[tuple[int, ...]] | None,
-        dtype: torch.dtype,
-    ) -> FunctionCall:
+        self, function: Callable[..., Any], shapes: Sequence[tuple[int, ...]], dtypes: Sequence[torch.dtype],
+        constants: dict[tuple[int, int], float], results: Sequence[tuple[int, ...]] | None, dtype: torch.dtype,
+    ) -> FunctionCall:  # fmt: skip
         """Return a call; ``results`` are the shapes of the results of a conditional one, else None."""
         body = None
         if not hasattr(function, "make_warp"):
@@ -344,12 +330,9 @@ class _Recorder(TorchDispatchMode):
         )
 
     def _trace_body(
-        self,
-        function: Callable[..., Any],
-        shapes: Sequence[tuple[int, ...]],
-        dtypes: Sequence[torch.dtype],
+        self, function: Callable[..., Any], shapes: Sequence[tuple[int, ...]], dtypes: Sequence[torch.dtype],
         constants: dict[tuple[int, int], float],
-    ) -> Trace:
+    ) -> Trace:  # fmt: skip
         """Return the trace of a function that reads its arguments only."""
         outer = self.into, self.constants, self._literals
         self.into, self.constants, self._literals = Trace(simplifies=True), constants, {}
@@ -500,14 +483,9 @@ class _ExternalTensors(TorchFunctionMode):
     """Function mode that refuses tensors from elsewhere, which may change between calls, or lifts them to inputs."""
 
     def __init__(
-        self,
-        watch: _Recorder,
-        num_inputs: int,
-        num_rows: int | None,
-        *,
-        fixes: bool,
+        self, watch: _Recorder, num_inputs: int, num_rows: int | None, *, fixes: bool,
         known: Callable[[Tensor], Mapping[int, float]] | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Store the number of inputs, and of rows if tensors are lifted, and the function of their known entries."""
         super().__init__()
         self._watch, self._next, self._num_rows, self._fixes, self._known = watch, num_inputs, num_rows, fixes, known

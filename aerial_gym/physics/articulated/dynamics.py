@@ -47,14 +47,9 @@ class TreeAccelerations:
 
 
 def equations_of_motion(
-    tree: Tree,
-    links: Links,
-    state: TreeState,
-    *,
-    gravity: float,
-    wrench: Tensor | None = None,
+    tree: Tree, links: Links, state: TreeState, *, gravity: float, wrench: Tensor | None = None,
     effort: Tensor | None = None,
-) -> EquationsOfMotion:
+) -> EquationsOfMotion:  # fmt: skip
     """Return the equations of motion.
 
     Args:
@@ -142,14 +137,9 @@ def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> TreeAcce
 
 
 def accelerations(
-    tree: Tree,
-    links: Links,
-    state: TreeState,
-    *,
-    gravity: float,
-    wrench: Tensor | None = None,
+    tree: Tree, links: Links, state: TreeState, *, gravity: float, wrench: Tensor | None = None,
     effort: Tensor | None = None,
-) -> TreeAccelerations:
+) -> TreeAccelerations:  # fmt: skip
     """Return the accelerations of a tree; arguments as for ``equations_of_motion``."""
     system = equations_of_motion(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
     return solve(tree, state, system.mass, system.force)

@@ -32,16 +32,10 @@ from aerial_gym.physics.vehicle import is_shared, share_row
 
 
 def articulated_step(
-    model: Model,
-    state: ArticulatedState,
-    rotor_command: RotorCommand,
-    joint_command: Tensor,
-    dt: float,
-    *,
-    crept: Tensor | None = None,
-    stepper: Callable[..., TreeState] = implicit_euler,
+    model: Model, state: ArticulatedState, rotor_command: RotorCommand, joint_command: Tensor, dt: float, *,
+    crept: Tensor | None = None, stepper: Callable[..., TreeState] = implicit_euler,
     applied: JointEfforts | None = None,
-) -> ArticulatedState:
+) -> ArticulatedState:  # fmt: skip
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
 
     Args:

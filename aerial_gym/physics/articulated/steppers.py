@@ -30,21 +30,11 @@ from aerial_gym.physics.state import JointEfforts
 
 
 def implicit_euler(
-    tree: Tree,
-    links: Links,
-    laws: Sequence[joint_laws.JointLaw],
-    state: TreeState,
-    dt: float,
-    *,
-    gravity: float,
-    drive: joint_laws.Drive | None = None,
-    friction: joint_laws.Drive | None = None,
-    wrench: Tensor | None = None,
-    effort: Tensor | None = None,
-    damping: LinkDamping | None = None,
-    fluid: LinkFluid | None = None,
+    tree: Tree, links: Links, laws: Sequence[joint_laws.JointLaw], state: TreeState, dt: float, *, gravity: float,
+    drive: joint_laws.Drive | None = None, friction: joint_laws.Drive | None = None, wrench: Tensor | None = None,
+    effort: Tensor | None = None, damping: LinkDamping | None = None, fluid: LinkFluid | None = None,
     applied: JointEfforts | None = None,
-) -> TreeState:
+) -> TreeState:  # fmt: skip
     """Return the state after one step.
 
     With the effort ``f - K (q' dt + a dt²) - C a dt`` of stiffness K and damping C at the step's end:
@@ -77,17 +67,10 @@ def implicit_euler(
 
 
 def step_within_limits(
-    step: Callable[[joint_laws.Effort, TreeState], TreeState],
-    laws: Sequence[joint_laws.JointLaw],
-    drive: joint_laws.Drive | None,
-    friction: joint_laws.Drive | None,
-    state: TreeState,
-    dt: float,
-    *,
-    rounds: int = joint_laws.ROUNDS,
-    centered: bool = False,
-    applied: JointEfforts | None = None,
-) -> TreeState:
+    step: Callable[[joint_laws.Effort, TreeState], TreeState], laws: Sequence[joint_laws.JointLaw],
+    drive: joint_laws.Drive | None, friction: joint_laws.Drive | None, state: TreeState, dt: float, *,
+    rounds: int = joint_laws.ROUNDS, centered: bool = False, applied: JointEfforts | None = None,
+) -> TreeState:  # fmt: skip
     """Return the state after a step under laws, drives and dry friction, each within its limit at the end of the step.
 
     The first solution, with the initial rates, gives the rates in the middle. The second, with those, is the step.
@@ -158,17 +141,9 @@ def advance_state(state: TreeState, lin_vel: Tensor, ang_vel: Tensor, joint_vel:
 
 
 def rk4(
-    tree: Tree,
-    links: Links,
-    laws: Sequence[joint_laws.JointLaw],
-    state: TreeState,
-    dt: float,
-    *,
-    gravity: float,
-    wrench: Tensor | None = None,
-    effort: Tensor | None = None,
-    fluid: LinkFluid | None = None,
-) -> TreeState:
+    tree: Tree, links: Links, laws: Sequence[joint_laws.JointLaw], state: TreeState, dt: float, *, gravity: float,
+    wrench: Tensor | None = None, effort: Tensor | None = None, fluid: LinkFluid | None = None,
+) -> TreeState:  # fmt: skip
     """Return the state after one classical Runge-Kutta step; arguments as for ``implicit_euler``."""
 
     def slope(at: TreeState) -> tuple[Tensor, ...]:

@@ -77,15 +77,9 @@ def _choose_branch(
 
 @wp.func
 def displace(
-    law: ContactParameters,
-    dt: float,
-    position: wp.vec3,
-    attitude: wp.quat,
-    lin_vel: wp.vec3,
-    ang_vel: wp.vec3,
-    delta: wp.vec3,
-    delta_turn: wp.vec3,
-):
+    law: ContactParameters, dt: float, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+    delta: wp.vec3, delta_turn: wp.vec3,
+):  # fmt: skip
     """Return position [m], attitude, velocity [m/s] and angular velocity [rad/s, body] after changes in world axes."""
     turned = rotation_quat(law.share * dt * delta_turn) * attitude
     return (
@@ -107,18 +101,9 @@ def make_velocity_change(count: int) -> wp.Function:
 
     @wp.func
     def velocity_change(
-        law: ContactParameters,
-        dt: float,
-        mass: float,
-        inertia: wp.mat33,
-        attitude: wp.quat,
-        lin_vel: wp.vec3,
-        turn: wp.vec3,
-        gaps: vector,
-        levers: rows,
-        normals: rows,
-        surface_vels: rows,
-    ):
+        law: ContactParameters, dt: float, mass: float, inertia: wp.mat33, attitude: wp.quat, lin_vel: wp.vec3,
+        turn: wp.vec3, gaps: vector, levers: rows, normals: rows, surface_vels: rows,
+    ):  # fmt: skip
         one = wp.identity(n=3, dtype=float)
         rotation = wp.quat_to_matrix(attitude)
         hardness = dt * mass * (law.share * dt * law.stiffness + law.damping)
@@ -207,18 +192,10 @@ def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp
 
     @wp.func
     def push_off_ground(
-        vehicle: vehicle_type,
-        law: ContactParameters,
-        spheres: wp.array[wp.vec4],
-        height: float,
-        first_lin_vel: wp.vec3,
-        first_ang_vel: wp.vec3,
-        position: wp.vec3,
-        attitude: wp.quat,
-        lin_vel: wp.vec3,
-        ang_vel: wp.vec3,
-        dt: float,
-    ):
+        vehicle: vehicle_type, law: ContactParameters, spheres: wp.array[wp.vec4], height: float,
+        first_lin_vel: wp.vec3, first_ang_vel: wp.vec3, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, dt: float,
+    ):  # fmt: skip
         first_turn = rotate(attitude, first_ang_vel)
         gaps = vector()
         levers = rows()

@@ -68,14 +68,9 @@ CommandOf = Callable[[Tensor | float], RotorCommand]  # Function from a factor o
 
 
 def _trace_each_rotor(
-    name: str,
-    function: Callable[[RotorLag, list[Tensor], CommandOf, Tensor], tuple[Tensor, ...]],
-    states: Sequence[str],
-    num_results: int,
-    num_rotors: int,
-    general: bool,
-    late: bool,
-) -> wp.Function:
+    name: str, function: Callable[[RotorLag, list[Tensor], CommandOf, Tensor], tuple[Tensor, ...]],
+    states: Sequence[str], num_results: int, num_rotors: int, general: bool, late: bool,
+) -> wp.Function:  # fmt: skip
     """Return the function (vehicle, states, commands, span [s]) that calls a traced function of one rotor for each rotor.
 
     One trace for all rotors would mix their operations, which takes more registers.
@@ -158,28 +153,15 @@ def make_stepper(model: Model, integrator: str, constants: Constants) -> wp.Func
 
 
 def _make_euler(
-    vehicle_type: Any,
-    vector: Any,
-    command_type: Any,
-    params_type: Any,
-    accelerations: wp.Function,
-    any_load: bool,
+    vehicle_type: Any, vector: Any, command_type: Any, params_type: Any, accelerations: wp.Function, any_load: bool,
     follow: wp.Function,
-) -> wp.Function:
+) -> wp.Function:  # fmt: skip
     @wp.func
     def euler(
-        vehicle: vehicle_type,
-        params: params_type,
-        gravity: float,
-        position: wp.vec3,
-        attitude: wp.quat,
-        lin_vel: wp.vec3,
-        ang_vel: wp.vec3,
-        rotor_speed: vector,
-        load: wp.spatial_vector,
-        command: command_type,
+        vehicle: vehicle_type, params: params_type, gravity: float, position: wp.vec3, attitude: wp.quat,
+        lin_vel: wp.vec3, ang_vel: wp.vec3, rotor_speed: vector, load: wp.spatial_vector, command: command_type,
         dt: float,
-    ):
+    ):  # fmt: skip
         rotors = follow(vehicle, rotor_speed, command, dt)
         spin_up = (1.0 / dt) * (rotors - rotor_speed)
         acc, ang_acc, swing = accelerations(
@@ -197,16 +179,9 @@ def _make_euler(
 
 
 def _make_euler_in_fluid(
-    vehicle_type: Any,
-    vector: Any,
-    command_type: Any,
-    params_type: Any,
-    accelerations: wp.Function,
-    any_load: bool,
-    follow: wp.Function,
-    coast: wp.Function,
-    free_accelerations: wp.Function,
-) -> wp.Function:
+    vehicle_type: Any, vector: Any, command_type: Any, params_type: Any, accelerations: wp.Function, any_load: bool,
+    follow: wp.Function, coast: wp.Function, free_accelerations: wp.Function,
+) -> wp.Function:  # fmt: skip
     """Return the Warp version of ``integrators.euler_in_fluid``."""
 
     @wp.func
@@ -216,18 +191,10 @@ def _make_euler_in_fluid(
 
     @wp.func
     def euler_in_fluid(
-        vehicle: vehicle_type,
-        params: params_type,
-        gravity: float,
-        position: wp.vec3,
-        attitude: wp.quat,
-        lin_vel: wp.vec3,
-        ang_vel: wp.vec3,
-        rotor_speed: vector,
-        load: wp.spatial_vector,
-        command: command_type,
+        vehicle: vehicle_type, params: params_type, gravity: float, position: wp.vec3, attitude: wp.quat,
+        lin_vel: wp.vec3, ang_vel: wp.vec3, rotor_speed: vector, load: wp.spatial_vector, command: command_type,
         dt: float,
-    ):
+    ):  # fmt: skip
         half = 0.5 * dt
         rotors = follow(vehicle, rotor_speed, command, dt)
         spin_up = (1.0 / dt) * (rotors - rotor_speed)
@@ -250,30 +217,15 @@ def _make_euler_in_fluid(
 
 
 def _make_rk4(
-    vehicle_type: Any,
-    vector: Any,
-    command_type: Any,
-    params_type: Any,
-    accelerations: wp.Function,
-    any_load: bool,
-    follow_half: wp.Function,
-    follow: wp.Function,
-    stage_rates: wp.Function,
-) -> wp.Function:
+    vehicle_type: Any, vector: Any, command_type: Any, params_type: Any, accelerations: wp.Function, any_load: bool,
+    follow_half: wp.Function, follow: wp.Function, stage_rates: wp.Function,
+) -> wp.Function:  # fmt: skip
     @wp.func
     def rk4(
-        vehicle: vehicle_type,
-        params: params_type,
-        gravity: float,
-        position: wp.vec3,
-        attitude: wp.quat,
-        lin_vel: wp.vec3,
-        ang_vel: wp.vec3,
-        rotor_speed: vector,
-        load: wp.spatial_vector,
-        command: command_type,
+        vehicle: vehicle_type, params: params_type, gravity: float, position: wp.vec3, attitude: wp.quat,
+        lin_vel: wp.vec3, ang_vel: wp.vec3, rotor_speed: vector, load: wp.spatial_vector, command: command_type,
         dt: float,
-    ):
+    ):  # fmt: skip
         half = 0.5 * dt
         middle = follow_half(vehicle, rotor_speed, command, half)
         end = follow(vehicle, rotor_speed, command, dt)

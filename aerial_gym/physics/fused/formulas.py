@@ -203,13 +203,9 @@ def make_hub_loads(model: Model, constants: Constants, rotors: Sequence[int], or
         return torch.stack([rows[:, rotor] for rotor in rotors], dim=1)
 
     def hub_loads(
-        plant: SimpleNamespace,
-        values: Tensor,
-        thrusts: Tensor,
-        rotor_speed: Tensor,
-        rotor_acc: Tensor,
+        plant: SimpleNamespace, values: Tensor, thrusts: Tensor, rotor_speed: Tensor, rotor_acc: Tensor,
         **motion: Tensor,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor]:  # fmt: skip
         fields = {name: some(rows) for name, rows in vars(plant).items() if name.startswith(_ROTOR_FIELDS)}
         fields |= {"rotor_lever": some(plant.rotor_lever) + (plant.com - origin).unsqueeze(1), "com": 0.0 * plant.com}
         link = SimpleNamespace(**(vars(plant) | fields))

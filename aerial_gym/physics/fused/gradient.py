@@ -20,15 +20,9 @@ class Rollout:
     """A differentiable call of the kernel over several substeps."""
 
     def __init__(
-        self,
-        kernel: wp.Kernel,
-        shared: Sequence[Any],
-        ground: tuple[Any, ...],
-        gravity: float,
-        dt: float,
-        substeps: int,
-        kinds: Sequence[type],
-    ) -> None:
+        self, kernel: wp.Kernel, shared: Sequence[Any], ground: tuple[Any, ...], gravity: float, dt: float,
+        substeps: int, kinds: Sequence[type],
+    ) -> None:  # fmt: skip
         """Store the kernel, its structs, ground and scalars, and the Warp types of state and action."""
         self.kernel, self.shared, self.substeps = kernel, list(shared), substeps
         *plane, self.contact, self.impulse = ground

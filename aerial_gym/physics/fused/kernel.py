@@ -43,17 +43,9 @@ def _make_access(kind: Any) -> tuple[wp.Function, wp.Function]:
 
 
 def make_kernel(
-    model: Model,
-    law: FusedLaw,
-    integrator: str,
-    packing: Packing,
-    *,
-    num_spheres: int,
-    compliant: bool,
-    com_offset: bool,
-    hook: FusedHook | None,
-    differentiable: bool,
-) -> wp.Kernel:
+    model: Model, law: FusedLaw, integrator: str, packing: Packing, *, num_spheres: int, compliant: bool,
+    com_offset: bool, hook: FusedHook | None, differentiable: bool,
+) -> wp.Kernel:  # fmt: skip
     """Return the kernel; absent features cost nothing.
 
     Args:
@@ -90,22 +82,10 @@ def make_kernel(
 
     @wp.func
     def step_once(
-        vehicle: vehicle_type,
-        law: law_type,
-        params: params_type,
-        gravity: float,
-        x: wp.vec3,
-        q: wp.quat,
-        v: wp.vec3,
-        w: wp.vec3,
-        n: vector,
-        load: wp.spatial_vector,
-        u: prepared_type,
-        memory: memories_type,
-        env: int,
-        since: int,
+        vehicle: vehicle_type, law: law_type, params: params_type, gravity: float, x: wp.vec3, q: wp.quat, v: wp.vec3,
+        w: wp.vec3, n: vector, load: wp.spatial_vector, u: prepared_type, memory: memories_type, env: int, since: int,
         dt: float,
-    ):
+    ):  # fmt: skip
         origin = x
         origin_vel = v
         if wp.static(com_offset):

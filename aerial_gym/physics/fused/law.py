@@ -223,13 +223,9 @@ def _fuse_with_memory(control: Any, trace_law: TraceLaw, reads: _Reads, num_acti
         memory = vector_type(max(width, 1))
 
         def rows(
-            signal: Tensor,
-            memory: Tensor,
-            begins: Tensor,
-            function: Any = function,
-            width: int = width,
+            signal: Tensor, memory: Tensor, begins: Tensor, function: Any = function, width: int = width,
             **motion: Tensor,
-        ) -> tuple[Tensor, ...]:
+        ) -> tuple[Tensor, ...]:  # fmt: skip
             made, after = function(BodyState(**motion), signal, memory[:, :width], begins.unsqueeze(-1))
             return (made, after) if width else (made,)
 

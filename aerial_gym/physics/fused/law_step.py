@@ -36,12 +36,9 @@ def make_memory_access(kind: Any, width: int, first: int, changed: Sequence[int]
 
 
 def make_memory_step(
-    needs: LawNeeds,
-    vector: Any,
-    struct: Any,
-    outer_level: tuple[wp.Function, MemoryAccess],
+    needs: LawNeeds, vector: Any, struct: Any, outer_level: tuple[wp.Function, MemoryAccess],
     inner_level: tuple[wp.Function, MemoryAccess],
-) -> wp.Function:
+) -> wp.Function:  # fmt: skip
     """Return ``FusedLaw.command`` of a law with memory, which updates the memory.
 
     Args:

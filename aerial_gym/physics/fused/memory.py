@@ -65,15 +65,9 @@ def make_substep_start(model: Model) -> wp.Function:
 
     @wp.func
     def begin(
-        vehicle: vehicle_type,
-        all_values: values,
-        command: vector,
-        speed: vector,
-        arrays: MemoryArrays,
-        env: int,
-        since: int,
-        dt: float,
-    ):
+        vehicle: vehicle_type, all_values: values, command: vector, speed: vector, arrays: MemoryArrays, env: int,
+        since: int, dt: float,
+    ):  # fmt: skip
         now = moment()
         now.rotor_speed = speed
         now.since = since

@@ -47,15 +47,9 @@ DTYPES = {
 
 
 def trace_to_warp(
-    name: str,
-    arguments: Mapping[str, Any],
-    function: RowsOfArguments,
-    returns: Sequence[Any],
-    *,
-    constants: Mapping[str, Tensor] | None = None,
-    shared: Collection[str] = (),
-    differentiable: bool = False,
-) -> wp.Function:
+    name: str, arguments: Mapping[str, Any], function: RowsOfArguments, returns: Sequence[Any], *,
+    constants: Mapping[str, Tensor] | None = None, shared: Collection[str] = (), differentiable: bool = False,
+) -> wp.Function:  # fmt: skip
     """Return a ``wp.func`` that computes a torch function for one environment.
 
     Args:
@@ -95,16 +89,10 @@ class ArgumentsTrace:
 
 
 def trace_arguments(
-    name: str,
-    arguments: Mapping[str, Any],
-    function: RowsOfArguments,
-    *,
-    constants: Mapping[str, Tensor] | None = None,
-    shared: Collection[str] = (),
-    num_envs: int = 2,
-    lifts: bool = False,
+    name: str, arguments: Mapping[str, Any], function: RowsOfArguments, *,
+    constants: Mapping[str, Tensor] | None = None, shared: Collection[str] = (), num_envs: int = 2, lifts: bool = False,
     known: Callable[[Tensor], Mapping[int, float]] | None = None,
-) -> ArgumentsTrace:
+) -> ArgumentsTrace:  # fmt: skip
     """Return the trace of a function; arguments as for ``trace_to_warp``.
 
     Args:
@@ -153,15 +141,9 @@ _TRACER = (str(Path(torch.__file__).parent), str(Path(row_trace.__file__).parent
 
 
 def compile_traced(
-    name: str,
-    arguments: Mapping[str, Any],
-    returns: Sequence[Any],
-    lines: Sequence[str],
-    trace: Trace,
-    *,
-    differentiable: bool,
-    names: Mapping[str, Any] | None = None,
-) -> wp.Function:
+    name: str, arguments: Mapping[str, Any], returns: Sequence[Any], lines: Sequence[str], trace: Trace, *,
+    differentiable: bool, names: Mapping[str, Any] | None = None,
+) -> wp.Function:  # fmt: skip
     """Return the ``wp.func`` with the given body.
 
     Args:

@@ -93,16 +93,9 @@ class Floor:
 
 
 def write_mjcf(
-    tree: Tree,
-    links: Links,
-    *,
-    env: int = 0,
-    gravity: float,
-    dt: float,
-    integrator: str = "Euler",
-    floor: Floor | None = None,
-    actuated: bool = False,
-) -> str:
+    tree: Tree, links: Links, *, env: int = 0, gravity: float, dt: float, integrator: str = "Euler",
+    floor: Floor | None = None, actuated: bool = False,
+) -> str:  # fmt: skip
     """Return the MJCF of one environment.
 
     Without a floor MuJoCo computes neither collisions nor constraints.

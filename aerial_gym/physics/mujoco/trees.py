@@ -103,21 +103,10 @@ class MujocoTrees(ABC):
             self._write_armature(changed, armature[changed])
 
     def move(
-        self,
-        tree: Tree,
-        links: Links,
-        laws: Sequence[JointLaw],
-        state: TreeState,
-        dt: float,
-        *,
-        gravity: float,
-        wrench: Tensor,
-        drive: Drive | None = None,
-        friction: Drive | None = None,
-        damping: LinkDamping | None = None,
-        fluid: LinkFluid | None = None,
-        applied: JointEfforts | None = None,
-    ) -> TreeState:
+        self, tree: Tree, links: Links, laws: Sequence[JointLaw], state: TreeState, dt: float, *, gravity: float,
+        wrench: Tensor, drive: Drive | None = None, friction: Drive | None = None, damping: LinkDamping | None = None,
+        fluid: LinkFluid | None = None, applied: JointEfforts | None = None,
+    ) -> TreeState:  # fmt: skip
         """Return the state after one step; arguments as for ``steppers.implicit_euler``, but with constant damping of links.
 
         Rows with a number that is not finite, or beyond ``bodies.LARGEST``, become NaN without a step.

@@ -163,14 +163,9 @@ class FlightWatch:
     """Monitors one flight up to a lasting failure; rotors are not monitored while a sensor has stopped."""
 
     def __init__(
-        self,
-        robot: RobotCfg,
-        header: Sequence[str],
-        *,
-        name: str = "flight",
-        torques: bool = True,
+        self, robot: RobotCfg, header: Sequence[str], *, name: str = "flight", torques: bool = True,
         false_alarm_hours: float = FALSE_ALARM_HOURS,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take the declared robot and the column names; raise ``DataError`` if a required one is missing or one is twice.
 
         ``torques``: whether the rotor data show torques; slow rows without rotor speeds never do.

@@ -61,14 +61,9 @@ class ErrorsWhereActive:
 
 
 def errors_by_flight(
-    predictor: Predictor,
-    models: tuple[ModelParams, ModelParams],
-    evaluations: tuple[ModelEvaluation, ModelEvaluation],
-    floors: Sequence[Array | None],
-    *,
-    least: float,
-    seed: int,
-) -> dict[str, list[FlightError]]:
+    predictor: Predictor, models: tuple[ModelParams, ModelParams], evaluations: tuple[ModelEvaluation, ModelEvaluation],
+    floors: Sequence[Array | None], *, least: float, seed: int,
+) -> dict[str, list[FlightError]]:  # fmt: skip
     """Return the errors of the declared and the corrected model in each channel and in the free rollout at 1 s, by flight."""
     before, after = (predictor.residuals(model) for model in models)
     results: dict[str, list[FlightError]] = {}
@@ -109,15 +104,9 @@ def _rollout_errors(
 
 
 def errors_where_effect_acts(
-    predictor: Predictor,
-    declared: ModelParams,
-    final: ModelParams,
-    name: str,
-    weight: Array,
-    floor: Array | None,
-    *,
+    predictor: Predictor, declared: ModelParams, final: ModelParams, name: str, weight: Array, floor: Array | None, *,
     seed: int,
-) -> ErrorsWhereActive:
+) -> ErrorsWhereActive:  # fmt: skip
     """Return the errors of both models in the rows in which an effect changes the prediction most.
 
     The effect's contribution is the final prediction minus the one with its parameters at neutral. Rows are ranked by the

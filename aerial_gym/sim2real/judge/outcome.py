@@ -63,12 +63,9 @@ class Outcome:
 
 
 def error_outcomes(
-    predictor: Predictor,
-    models: tuple[ModelParams, ModelParams],
-    evaluations: tuple[ModelEvaluation, ModelEvaluation],
-    *,
-    least: float,
-) -> tuple[Outcome, ...]:
+    predictor: Predictor, models: tuple[ModelParams, ModelParams], evaluations: tuple[ModelEvaluation, ModelEvaluation],
+    *, least: float,
+) -> tuple[Outcome, ...]:  # fmt: skip
     """Return the outcome of every channel and every rollout from the declared to the corrected model."""
     results = channel_outcomes(predictor, models, least=least)
     old, new = (evaluation.rollouts for evaluation in evaluations)
@@ -108,14 +105,9 @@ def decision_on_materiality(made: Decision, material: Sequence[bool | None]) -> 
 
 
 def verdict_decision(
-    ties: Mapping[str, Sequence[str]],
-    unexplained: Sequence[str],
-    floor_known: bool,
-    *,
-    open_to: Sequence[str] = (),
-    left_open: Sequence[str] = (),
-    of_flights: Sequence[str] = (),
-) -> Decision:
+    ties: Mapping[str, Sequence[str]], unexplained: Sequence[str], floor_known: bool, *, open_to: Sequence[str] = (),
+    left_open: Sequence[str] = (), of_flights: Sequence[str] = (),
+) -> Decision:  # fmt: skip
     """Return the kind, candidates and open points of a verdict.
 
     Args:

@@ -133,12 +133,9 @@ class ResidualCriterion:
 
 
 def effects_left_open(
-    train: Predictor,
-    test: Predictor,
-    models: tuple[ModelParams, ModelParams],
-    selection: SelectionResult,
+    train: Predictor, test: Predictor, models: tuple[ModelParams, ModelParams], selection: SelectionResult,
     asked: ResidualCriterion,
-) -> tuple[str, ...]:
+) -> tuple[str, ...]:  # fmt: skip
     """Return the effects that would explain the test residual and that training does not rule out, the best first.
 
     Each effect is fitted alone, together with the named effects and the tolerances.

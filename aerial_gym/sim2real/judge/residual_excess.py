@@ -68,13 +68,9 @@ class ResidualExcess:
 
 
 def find_residual_excess(
-    train: Predictor,
-    test: Predictor,
-    selection: SelectionResult,
-    models: tuple[ModelParams, ModelParams],
-    after: ModelEvaluation,
-    floor: Array | None,
-) -> ResidualExcess:
+    train: Predictor, test: Predictor, selection: SelectionResult, models: tuple[ModelParams, ModelParams],
+    after: ModelEvaluation, floor: Array | None,
+) -> ResidualExcess:  # fmt: skip
     """Return the test residual of the final model with its unexplained and open channels, random wind and structure.
 
     Args:

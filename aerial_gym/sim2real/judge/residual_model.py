@@ -21,14 +21,9 @@ def can_learn_residual(declared: LoopSetup) -> bool:
 
 
 def fit_residual(
-    declared: LoopSetup,
-    selection: SelectionResult,
-    model: ModelParams,
-    within: ModelParams,
-    floor: Array | None,
-    *,
+    declared: LoopSetup, selection: SelectionResult, model: ModelParams, within: ModelParams, floor: Array | None, *,
     seed: int,
-) -> ResidualFit:
+) -> ResidualFit:  # fmt: skip
     """Return a residual learned on the training flights, with its share of the error of the test flights.
 
     Cross-validation over the training flights decides whether it is kept; the test flights only report. It must also hold

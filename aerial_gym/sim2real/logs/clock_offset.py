@@ -80,14 +80,9 @@ class OffsetCurve:
 
 
 def offset_curve(
-    measured: Array,
-    predicted: Array,
-    disturbance: Array,
-    rate: float,
-    bandwidth: float,
-    *,
+    measured: Array, predicted: Array, disturbance: Array, rate: float, bandwidth: float, *,
     largest: float = LARGEST_SHIFT_S,
-) -> OffsetCurve:
+) -> OffsetCurve:  # fmt: skip
     """Return the residual curve of the accelerometer against the rotor log, for offsets up to ``largest`` [s].
 
     ``measured`` and ``predicted``: specific force along body z [m/s²], (T,), by accelerometer and rotor log.

@@ -121,15 +121,10 @@ class RolloutErrors:
 
 @torch.inference_mode()
 def rollout_errors_of_models(
-    robot: RobotCfg,
-    flights: Sequence[Flight],
-    models: Sequence[ModelParams],
-    variants: Mapping[str, bool],
-    *,
-    links: Sequence[Sequence[LoadLink] | None],
-    horizons: Sequence[float] = HORIZONS_S,
+    robot: RobotCfg, flights: Sequence[Flight], models: Sequence[ModelParams], variants: Mapping[str, bool], *,
+    links: Sequence[Sequence[LoadLink] | None], horizons: Sequence[float] = HORIZONS_S,
     tolerances: Tolerances | None = None,
-) -> list[dict[str, RolloutErrors]]:
+) -> list[dict[str, RolloutErrors]]:  # fmt: skip
     """Return the rollout errors of models in several variants, simulated as one batch where possible.
 
     ``variants``: whether each prescribes the measured attitude and angular velocity. ``links``: state of each model's load
@@ -226,16 +221,9 @@ class WindowBatch:
     """Batch of windows of flights with one rate."""
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        effects: Sequence[EffectParams],
-        flights: Sequence[Flight],
-        flight: Indices,
-        row: Indices,
-        *,
-        load: Array | None = None,
-        settled: float = 1.0,
-    ) -> None:
+        self, vehicle: Vehicle, effects: Sequence[EffectParams], flights: Sequence[Flight], flight: Indices,
+        row: Indices, *, load: Array | None = None, settled: float = 1.0,
+    ) -> None:  # fmt: skip
         """Prepare windows from a vehicle of one environment and effects with parameters (W, P).
 
         ``flights`` have commands as they arrive at the rotors; ``flight`` and ``row``: flight index and first row of each

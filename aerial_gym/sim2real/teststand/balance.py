@@ -157,14 +157,9 @@ class Balance:
 
 
 def judge_balance(
-    baseline: Sequence[HoverEffort],
-    flights: Sequence[HoverEffort],
-    *,
-    robot: RobotCfg,
-    test: Sequence[HoverEffort] = (),
-    repeats: Sequence[HoverEffort] = (),
-    added_mass: float | None = None,
-) -> Balance:
+    baseline: Sequence[HoverEffort], flights: Sequence[HoverEffort], *, robot: RobotCfg,
+    test: Sequence[HoverEffort] = (), repeats: Sequence[HoverEffort] = (), added_mass: float | None = None,
+) -> Balance:  # fmt: skip
     """Return the probable causes of a change of the rotors' efforts at hover.
 
     Args:
@@ -251,13 +246,9 @@ def _physical_parameters(cause: BalanceCause, fit: ScatterFit) -> dict[str, Esti
 
 
 def _test_on_left_out_logs(
-    estimate: CauseFit,
-    flights: Sequence[HoverEffort],
-    test: Sequence[HoverEffort],
-    usual: Array,
-    scatter: Scatter,
+    estimate: CauseFit, flights: Sequence[HoverEffort], test: Sequence[HoverEffort], usual: Array, scatter: Scatter,
     count: int,
-) -> CauseFit:
+) -> CauseFit:  # fmt: skip
     """Return the fit with its prediction error on left-out logs."""
     if not test and len(flights) < 2:
         return estimate
@@ -339,12 +330,9 @@ def _exponential_of_estimate(estimate: Estimate, less: float = 0.0) -> Estimate:
 
 
 def _balance_notes(
-    baseline: Sequence[HoverEffort],
-    flights: Sequence[HoverEffort],
-    test: Sequence[HoverEffort],
-    scatter: Scatter,
+    baseline: Sequence[HoverEffort], flights: Sequence[HoverEffort], test: Sequence[HoverEffort], scatter: Scatter,
     added_mass: float | None,
-) -> list[Finding]:
+) -> list[Finding]:  # fmt: skip
     results = [Finding("balance_assumptions")]
     if added_mass is not None:
         results.append(Finding("mass_added", "", {"added_kg": added_mass}))

@@ -184,13 +184,9 @@ class LawFit:
 
 
 def fit_law(
-    name: str,
-    labels: Sequence[str],
-    predict: Callable[[Array], Array],
-    measured: Array,
-    bounds: tuple[Array, Array, Array],
-    fold: Indices,
-) -> LawFit:
+    name: str, labels: Sequence[str], predict: Callable[[Array], Array], measured: Array,
+    bounds: tuple[Array, Array, Array], fold: Indices,
+) -> LawFit:  # fmt: skip
     """Return a law fitted to all rows; fits without a fold start near that one.
 
     ``bounds``: start, lowest and highest parameters, (K,) each. ``fold``: fold of each row, (N,).

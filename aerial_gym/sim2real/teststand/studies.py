@@ -261,13 +261,9 @@ def _error_texts(errors: Mapping[str, float]) -> list[str]:
 
 
 def study_hover(
-    paths: Sequence[Path],
-    *,
-    layout: LogMapping | None,
-    mass: float,
-    mass_std: float = 0.0,
+    paths: Sequence[Path], *, layout: LogMapping | None, mass: float, mass_std: float = 0.0,
     robot: RobotCfg | None = None,
-) -> Study:
+) -> Study:  # fmt: skip
     """Return a study of the thrust coefficient from hover in flight logs."""
     logs = read_flights(paths, mapping=layout)
     rotor = None if robot is None else robot.the_rotor("identify hover")
@@ -293,15 +289,9 @@ def study_hover(
 
 
 def study_balance(
-    baseline: Sequence[Path],
-    flights: Sequence[Path],
-    *,
-    layout: LogMapping | None,
-    robot: RobotCfg,
-    test: Sequence[Path] = (),
-    repeats: Sequence[Path] = (),
-    added_mass: float | None = None,
-) -> Study:
+    baseline: Sequence[Path], flights: Sequence[Path], *, layout: LogMapping | None, robot: RobotCfg,
+    test: Sequence[Path] = (), repeats: Sequence[Path] = (), added_mass: float | None = None,
+) -> Study:  # fmt: skip
     """Return a study of the cause of changed rotor efforts at hover against a baseline."""
     named = [path.resolve() for path in (*baseline, *flights, *test)]
     if len(set(named)) < len(named):

@@ -48,13 +48,9 @@ FASTEST_FALL = 10.0  # Change of the vertical velocity over a flight [m/s] that 
 
 
 def draft_vehicle(
-    paths: Sequence[str | Path],
-    *,
-    mass: float | None = None,
-    arm: float | None = None,
-    frame: str | None = None,
+    paths: Sequence[str | Path], *, mass: float | None = None, arm: float | None = None, frame: str | None = None,
     mapping: LogMapping | None = None,
-) -> LogDraft:
+) -> LogDraft:  # fmt: skip
     """Return the numbers of a robot file from logs of one vehicle; ``frame``: name or robot file of its rotors."""
     for name, value in (("mass", mass), ("arm", arm)):
         if value is not None and not 0.0 < value < inf:
@@ -262,12 +258,9 @@ def _assemble_draft(
 
 
 def _torque_ratio_and_yaw_inertia(
-    layout: RotorLayout,
-    effect: Effectiveness | None,
-    thrust: float,
-    values: dict[str, ValueWithOrigin],
+    layout: RotorLayout, effect: Effectiveness | None, thrust: float, values: dict[str, ValueWithOrigin],
     notes: list[str],
-) -> tuple[ValueWithOrigin, ValueWithOrigin]:
+) -> tuple[ValueWithOrigin, ValueWithOrigin]:  # fmt: skip
     """Return drag torque per thrust [m] and inertia about z; one of them fixes the other by the effectiveness about yaw."""
     x, y = values["inertia_x"].value, values["inertia_y"].value
     flat = ValueWithOrigin(value=x + y, origin="assumed: flat body, x + y")

@@ -76,14 +76,9 @@ def make_type_of_step_constants(vector: Any, dashpots: Any, params_type: Any, ro
 
 
 def make_recursion(
-    articulation: Articulation,
-    types: RotorTypes,
-    joints: JointTypes,
-    air: Mapping[int, wp.Function],
-    hubs: Mapping[int, wp.Function],
-    *,
-    centered: bool,
-) -> tuple[wp.Function, wp.Function]:
+    articulation: Articulation, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function],
+    hubs: Mapping[int, wp.Function], *, centered: bool,
+) -> tuple[wp.Function, wp.Function]:  # fmt: skip
     """Return the inward and the outward pass.
 
     Inward: (vehicle, positions of joints, their rates, rates of the velocity terms, constants of the step, thrusts, drag
@@ -214,15 +209,9 @@ def _make_outward(k: int, revolute: bool, joints: JointTypes, carried: wp.Functi
 
 
 def _make_link(
-    articulation: Articulation,
-    k: int,
-    types: RotorTypes,
-    joints: JointTypes,
-    air: Mapping[int, wp.Function],
-    hubs: Mapping[int, wp.Function],
-    passive_effort: wp.Function,
-    centered: bool,
-) -> Any:
+    articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes, air: Mapping[int, wp.Function],
+    hubs: Mapping[int, wp.Function], passive_effort: wp.Function, centered: bool,
+) -> Any:  # fmt: skip
     """Return a function that makes the inward pass of joint k from that of its link's children."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held

@@ -90,12 +90,9 @@ class Tangent:
 
 
 def linearise_candidates(
-    predictor: Predictor,
-    declared: ModelParams,
-    present: ModelParams,
-    accepted: Sequence[str] = (),
+    predictor: Predictor, declared: ModelParams, present: ModelParams, accepted: Sequence[str] = (),
     skipped: Collection[str] = (),
-) -> list[Tangent]:
+) -> list[Tangent]:  # fmt: skip
     """Return the linearisations of accepted effects at fitted values and others at neutral, as ``build_library``."""
     candidates, base = list[Tangent](), predictor.predict(present)
     for name, params in linearisation_points(declared, present, accepted, skipped, predictor.robot):
@@ -110,20 +107,11 @@ def linearise_candidates(
 
 
 def build_library(
-    predictor: Predictor,
-    declared: ModelParams,
-    present: ModelParams,
-    accepted: Sequence[str],
-    weight: Array,
-    *,
-    frozen: Frozen = frozenset(),
-    skipped: Collection[str] = (),
-    structures: Structures | None = None,
-    tangents: list[Tangent] | None = None,
-    tolerance: SparseColumns | None = None,
-    by_channel: bool = False,
+    predictor: Predictor, declared: ModelParams, present: ModelParams, accepted: Sequence[str], weight: Array, *,
+    frozen: Frozen = frozenset(), skipped: Collection[str] = (), structures: Structures | None = None,
+    tangents: list[Tangent] | None = None, tolerance: SparseColumns | None = None, by_channel: bool = False,
     parts: int = 1,
-) -> Library:
+) -> Library:  # fmt: skip
     """Return the library of all candidates about a model that contains some of them.
 
     Derivatives of accepted effects are at the fitted values, corrected to be exact back to neutral; those of others at

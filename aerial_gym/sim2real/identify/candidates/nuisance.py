@@ -69,13 +69,9 @@ class Nuisances:
     """All structures that the given flights can show."""
 
     def __init__(
-        self,
-        flights: Sequence[Flight],
-        times: Sequence[Array],
-        channels: Sequence[Channel],
-        declared: Sequence[Array],
+        self, flights: Sequence[Flight], times: Sequence[Array], channels: Sequence[Channel], declared: Sequence[Array],
         most: Array,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take flights, residuals of the declared model (T, C), which give sizes, and the largest flight offsets (C,)."""
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
         motion = [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]

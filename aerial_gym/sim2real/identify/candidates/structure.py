@@ -42,12 +42,9 @@ IN_WORLD = ("position", "heading")  # Kinds whose forces are evaluated in world 
 
 
 def find_structure(
-    flights: Sequence[Flight],
-    times: Sequence[Array],
-    residuals: Sequence[Array],
-    channels: Sequence[Channel],
+    flights: Sequence[Flight], times: Sequence[Array], residuals: Sequence[Array], channels: Sequence[Channel],
     chosen: Sequence[int],
-) -> Structure:
+) -> Structure:  # fmt: skip
     """Return the strongest structure in the chosen channels; ``none`` for a single flight or a small share."""
     if len(flights) < LEAST_FLIGHTS or not chosen:
         return Structure()
@@ -68,12 +65,9 @@ def find_structure(
 
 
 def rotate_residuals(
-    kind: str,
-    flights: Sequence[Flight],
-    times: Sequence[Array],
-    residuals: Sequence[Array],
+    kind: str, flights: Sequence[Flight], times: Sequence[Array], residuals: Sequence[Array],
     channels: Sequence[Channel],
-) -> list[Array]:
+) -> list[Array]:  # fmt: skip
     """Return the residuals in the axes that suit a kind of structure, (T, C) each."""
     if kind not in IN_WORLD:
         return list(residuals)

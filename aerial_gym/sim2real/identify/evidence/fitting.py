@@ -167,16 +167,10 @@ class Fitter:
         return neutral_params(name, self.declared, self.predictor.robot)
 
     def fit(
-        self,
-        effects: Sequence[str],
-        structures: Sequence[NuisanceColumns],
-        start: ModelParams,
-        derivatives: Derivatives | None = None,
-        *,
-        fresh: bool = False,
-        frozen: Frozen = frozenset(),
+        self, effects: Sequence[str], structures: Sequence[NuisanceColumns], start: ModelParams,
+        derivatives: Derivatives | None = None, *, fresh: bool = False, frozen: Frozen = frozenset(),
         rule: StopRule = CONVERGENCE,
-    ) -> EffectSetFit:
+    ) -> EffectSetFit:  # fmt: skip
         """Return a set fitted from ``start``, with ``derivatives`` (rows, C, P) at the start if ``fresh``, else near it.
 
         ``frozen`` parameters are fixed. Without a ``rule`` the fit converges.
@@ -219,13 +213,9 @@ class Fitter:
         )
 
     def fit_set(
-        self,
-        library: Library,
-        sets: SetPosterior,
-        model: Model,
-        structures: Sequence[NuisanceColumns],
+        self, library: Library, sets: SetPosterior, model: Model, structures: Sequence[NuisanceColumns],
         rule: StopRule = CONVERGENCE,
-    ) -> EffectSetFit:
+    ) -> EffectSetFit:  # fmt: skip
         """Return a set of a library fitted from the present model, the best over the starts of its new effects."""
         chosen = [library.candidates[k] for k in model]
         beside = {candidate.name for candidate in chosen if candidate.structure}

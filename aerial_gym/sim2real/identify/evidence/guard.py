@@ -168,12 +168,9 @@ def supports_of_fit(fit: LinearFit, step: Array, log_names: float) -> dict[str, 
 
 
 def supports_of_candidates(
-    candidates: Candidates,
-    whole: NormalEquations,
-    parts: Sequence[NormalEquations],
-    step: Array,
+    candidates: Candidates, whole: NormalEquations, parts: Sequence[NormalEquations], step: Array,
     log_odds: Mapping[int, float],
-) -> dict[int, Support]:
+) -> dict[int, Support]:  # fmt: skip
     """Return the support of each candidate of a set, given its most probable ``step`` and log odds."""
     model = tuple(log_odds)
     columns, count = candidates.columns_of_set(model)

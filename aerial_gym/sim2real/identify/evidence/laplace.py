@@ -253,14 +253,9 @@ def _prior_precision(step: Array, effects: Flags) -> Array:
 
 
 def _laplace_approximation(
-    candidates: Candidates,
-    product: Array,
-    gradient: Array,
-    columns: Indices,
-    effects: Flags,
-    *,
+    candidates: Candidates, product: Array, gradient: Array, columns: Indices, effects: Flags, *,
     start: Array | None = None,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return steps (M, k), covariances (M, k, k) and log evidences (M,) up to a constant, of equations (M, k, k), (M, k).
 
     ``effects`` (M, k): columns with Cauchy priors and bounds; others have normal priors. ``start``: initial steps (M, k).

@@ -71,12 +71,9 @@ class DerivativesWithWeights:
     """Derivatives of all flights by K parameters, times the square root of the channel weights."""
 
     def __init__(
-        self,
-        flights: Sequence[Sequence[Part]],
-        offsets: FlightOffsets,
-        *,
+        self, flights: Sequence[Sequence[Part]], offsets: FlightOffsets, *,
         first: "DerivativesWithWeights | None" = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Store the parts of each flight, consecutive among the K columns, with random flight ``offsets`` integrated out.
 
         Columns ``first``, with the same weights and offsets, come before them and are shared.
@@ -155,12 +152,9 @@ class TimeBlocks:
         return sums
 
     def add_products_of_flight(
-        self,
-        sums: Array,
-        flight: int,
-        one: Sequence[Sequence[IndexedColumns]],
+        self, sums: Array, flight: int, one: Sequence[Sequence[IndexedColumns]],
         other: Sequence[Sequence[IndexedColumns]],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add a flight's products to the sums of its blocks, (B, K, K'); ``one`` and ``other`` are columns by channel."""
         for here, a, there, b in _pairs_of_columns(one, other):
             place = (here[:, None] * sums.shape[2] + there).ravel()
@@ -173,15 +167,9 @@ class NuisanceSums:
     """Nuisance columns (tolerances and structures), with the sums that all effects share."""
 
     def __init__(
-        self,
-        times: Sequence[Array],
-        flights: Sequence[Sequence[Part]],
-        weight: Array,
-        *,
-        parts: int = 1,
-        offsets: FlightOffsets | None = None,
-        first: DerivativesWithWeights | None = None,
-    ) -> None:
+        self, times: Sequence[Array], flights: Sequence[Sequence[Part]], weight: Array, *, parts: int = 1,
+        offsets: FlightOffsets | None = None, first: DerivativesWithWeights | None = None,
+    ) -> None:  # fmt: skip
         """Take row times [s], derivatives and the weight of one row (C,); random flight ``offsets`` are integrated out.
 
         Columns ``first`` come before the others.
@@ -221,13 +209,9 @@ class NuisanceSums:
 
 
 def weighted_moments(
-    times: Sequence[Array],
-    residuals: Sequence[Array],
-    flights: Sequence[Sequence[Part]],
-    weight: Array,
-    *,
+    times: Sequence[Array], residuals: Sequence[Array], flights: Sequence[Sequence[Part]], weight: Array, *,
     parts: int = 1,
-) -> Moments:
+) -> Moments:  # fmt: skip
     """Return the block sums over all channels as one channel of weight 1, flight by flight to save memory."""
     return concatenate_moments(
         [

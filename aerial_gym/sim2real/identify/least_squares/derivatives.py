@@ -59,13 +59,9 @@ def zero_columns(like: Array, parameters: int, dtype: type[np.floating] = np.flo
 
 
 def effect_jacobian(
-    predictor: Predictor,
-    params: ModelParams,
-    effects: Sequence[str],
-    base: list[Array],
-    *,
+    predictor: Predictor, params: ModelParams, effects: Sequence[str], base: list[Array], *,
     beside: list[Array] | None = None,
-) -> list[Array]:
+) -> list[Array]:  # fmt: skip
     """Return derivatives by the effects' parameters, per scale, (rows, C, P) each, then the columns ``beside`` (rows, C, N)."""
     here, scale = parameter_row(params, effects), parameter_scales(effects)
     highest = parameter_bounds(predictor.robot, effects)[1]

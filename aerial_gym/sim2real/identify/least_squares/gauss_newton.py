@@ -145,13 +145,9 @@ def left_out_mean_square(fit: ModelFit, weight: Array) -> Array:
 
 
 def linearise_at_params(
-    predictor: Predictor,
-    effects: tuple[str, ...],
-    params: ModelParams,
-    tolerance: Derivatives,
-    *,
+    predictor: Predictor, effects: tuple[str, ...], params: ModelParams, tolerance: Derivatives, *,
     offsets: FlightOffsets | None = None,
-) -> ModelFit:
+) -> ModelFit:  # fmt: skip
     """Return the linearised fit at a point, by derivatives (rows, C, N) of tolerances, without flight ``offsets``."""
     predicted = predictor.predict(params)
     own = effect_jacobian(predictor, params, effects, predicted)
@@ -182,16 +178,10 @@ def fit_of_moments(
 
 
 def fit_effects(
-    predictor: Predictor,
-    effects: tuple[str, ...],
-    start: ModelParams,
-    beside: NuisanceSums,
-    *,
-    frozen: Frozen = frozenset(),
-    derivatives: Derivatives | None = None,
-    fresh: bool = False,
+    predictor: Predictor, effects: tuple[str, ...], start: ModelParams, beside: NuisanceSums, *,
+    frozen: Frozen = frozenset(), derivatives: Derivatives | None = None, fresh: bool = False,
     rule: StopRule = CONVERGENCE,
-) -> tuple[ModelFit, list[Array], float]:
+) -> tuple[ModelFit, list[Array], float]:  # fmt: skip
     """Return a Gauss-Newton fit of effects, its derivatives, and the log likelihood that it may have missed beyond these.
 
     Steps that overshoot are halved. Nuisance columns ``beside``, with the channel weights (``UNIT``), are fitted jointly.

@@ -96,14 +96,9 @@ def replacement_effects(name: str, best: Sequence[str], other: Sequence[str]) ->
 
 
 def select_effects(
-    predictor: Predictor,
-    declared: ModelParams,
-    criteria: Criteria,
-    progress: Progress = silent,
-    *,
-    test: Sequence[Flight] = (),
-    candidates: Sequence[str] | None = None,
-) -> SelectionResult:
+    predictor: Predictor, declared: ModelParams, criteria: Criteria, progress: Progress = silent, *,
+    test: Sequence[Flight] = (), candidates: Sequence[str] | None = None,
+) -> SelectionResult:  # fmt: skip
     """Return the most probable set of effects given the training flights, added to the declared model.
 
     ``test``: test flights, only to skip effects whose quantities their logs lack. ``candidates``: effects to consider;

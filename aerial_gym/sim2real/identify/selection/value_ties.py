@@ -80,15 +80,9 @@ def find_undetermined_effects(flights: Sequence[Flight]) -> tuple[str, ...]:
 
 
 def find_value_ties(
-    predictor: Predictor,
-    declared: ModelParams,
-    fit: ModelFit,
-    beside: NuisanceSums,
-    names: Sequence[str],
-    *,
-    window: float,
-    overdispersion: float,
-) -> tuple[ValueTie, ...]:
+    predictor: Predictor, declared: ModelParams, fit: ModelFit, beside: NuisanceSums, names: Sequence[str], *,
+    window: float, overdispersion: float,
+) -> tuple[ValueTie, ...]:  # fmt: skip
     """Return the ties whose loss of log likelihood is below ``window``, none of which contains another.
 
     ``names`` are the effects that may act, beside undetermined ones; ``beside`` holds the tolerances, with the channel weights.

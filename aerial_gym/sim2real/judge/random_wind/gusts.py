@@ -131,14 +131,9 @@ def noise_floors_with_wind(floors: Sequence[Array | None], wind: Array) -> list[
 
 
 def find_random_wind(
-    predictor: Predictor,
-    params: ModelParams,
-    criteria: Criteria,
-    *,
-    floor: Array | None,
-    tolerated: Array,
+    predictor: Predictor, params: ModelParams, criteria: Criteria, *, floor: Array | None, tolerated: Array,
     remaining: Flags,
-) -> RandomWind:
+) -> RandomWind:  # fmt: skip
     """Return the gusts fitted to the remaining residual, with the reasons why they are refused or not testable.
 
     Args:

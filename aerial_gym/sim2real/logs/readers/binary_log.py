@@ -110,16 +110,9 @@ def _find_column(raw: RawLog, column: str) -> tuple[Topic, str]:
 
 
 def flight_of_streams(
-    all_streams: Mapping[str, Stream],
-    span: FlightSpan,
-    path: str,
-    notes: list[Finding],
-    *,
-    relative: bool = True,
-    hover: bool = False,
-    partial: bool = False,
-    fastest: float = inf,
-) -> FlightLog:
+    all_streams: Mapping[str, Stream], span: FlightSpan, path: str, notes: list[Finding], *, relative: bool = True,
+    hover: bool = False, partial: bool = False, fastest: float = inf,
+) -> FlightLog:  # fmt: skip
     """Return a flight, with delays of its streams corrected where its motion shows them.
 
     ``relative``: whether commands are shares of the largest speed. ``fastest``: largest rate of the rows [Hz].

@@ -177,16 +177,9 @@ def require_column(table: pd.DataFrame, column: str, path: str) -> Array:
 
 
 def read_numbers(
-    table: pd.DataFrame,
-    columns: list[str],
-    quantity: ColumnsCfg,
-    time: Array,
-    path: str,
-    notes: list[Finding],
-    *,
-    gaps: bool = False,
-    held: bool = False,
-) -> Array:
+    table: pd.DataFrame, columns: list[str], quantity: ColumnsCfg, time: Array, path: str, notes: list[Finding], *,
+    gaps: bool = False, held: bool = False,
+) -> Array:  # fmt: skip
     """Return numbers (T, columns), short gaps filled by a line, or ``held``; with ``gaps`` NaN stays."""
     matrix, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):

@@ -56,17 +56,9 @@ def _make_lag_kernel(limited: bool) -> Any:
 
 
 def simulate_rotor_lag(
-    first: Tensor,
-    earlier: Tensor,
-    later: Tensor,
-    share: Tensor,
-    *,
-    ends: Tensor,
-    step: Tensor,
-    tau_up: Tensor,
-    tau_down: Tensor,
-    slew_rates: tuple[Tensor, Tensor] | None = None,
-) -> Tensor:
+    first: Tensor, earlier: Tensor, later: Tensor, share: Tensor, *, ends: Tensor, step: Tensor, tau_up: Tensor,
+    tau_down: Tensor, slew_rates: tuple[Tensor, Tensor] | None = None,
+) -> Tensor:  # fmt: skip
     """Return the rotor speeds at the rows of all flights in sequence [rad/s], float64, (N, R).
 
     The lag is ``rotor_lag.DecayLag``, or ``SlewLimitedLag`` with slew rates.

@@ -102,13 +102,9 @@ class RoundTrip:
 
 
 def fly_round_trip(
-    vehicles: Mapping[str, RobotCfg],
-    flights: Sequence[Flight],
-    *,
-    controller: str | None = None,
-    seed: int = 0,
+    vehicles: Mapping[str, RobotCfg], flights: Sequence[Flight], *, controller: str | None = None, seed: int = 0,
     progress: Progress = silent,
-) -> RoundTrip:
+) -> RoundTrip:  # fmt: skip
     """Return the round trip of flights in vehicles; the law is that of the vehicle ``declared`` in all of them.
 
     Args:

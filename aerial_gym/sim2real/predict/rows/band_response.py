@@ -67,14 +67,9 @@ class BandResponse:
         self._known.clear()
 
     def accelerations_in_band(
-        self,
-        model: Model,
-        rotor_speed: Tensor,
-        acting: ForceBreakdown,
-        *,
-        about: Tensor | None = None,
+        self, model: Model, rotor_speed: Tensor, acting: ForceBreakdown, *, about: Tensor | None = None,
         late: SensorDelays | None = None,
-    ) -> Accelerations:
+    ) -> Accelerations:  # fmt: skip
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
         The rotation is measured, so errors of the torque model do not enter the forces. ``rotor_speed``: true speeds

@@ -58,14 +58,9 @@ class Dataset:
     """Flights whose rows are evaluated in one batch, in sequence."""
 
     def __init__(
-        self,
-        flights: Sequence[Flight],
-        *,
-        rotors: Sequence[RotorEstimate | None],
-        bandwidth: float,
-        channels: Sequence[Channel],
-        every_row: bool,
-    ) -> None:
+        self, flights: Sequence[Flight], *, rotors: Sequence[RotorEstimate | None], bandwidth: float,
+        channels: Sequence[Channel], every_row: bool,
+    ) -> None:  # fmt: skip
         """Load the flights with the rotor speeds of the prediction; ``every_row``: without thinning to the band."""
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
         self.stride = [1 if every_row else row_stride(f, bandwidth) for f in flights]

@@ -122,14 +122,9 @@ def _read_four(data: wp.array[wp.uint8], cursor: wp.array[int], out: wp.array[in
 
 @wp.func
 def _read_group(
-    data: wp.array[wp.uint8],
-    cursor: wp.array[int],
-    encodings: wp.array2d[int],
-    kind: int,
-    field: int,
-    count: int,
+    data: wp.array[wp.uint8], cursor: wp.array[int], encodings: wp.array2d[int], kind: int, field: int, count: int,
     out: wp.array[int],
-):
+):  # fmt: skip
     """Read the fields that share a code, from ``field`` on, and return their number."""
     code = encodings[kind, field]
     size = wp.int32(1)
@@ -176,16 +171,9 @@ def _count_unlogged(constants: wp.array[int], iteration: int):
 
 @wp.func
 def _add_prediction(
-    frame: wp.array[int],
-    field: int,
-    code: int,
-    has_sign: bool,
-    before: wp.array2d[int],
-    last: int,
-    last_but_one: int,
-    home: wp.array[int],
-    constants: wp.array[int],
-):
+    frame: wp.array[int], field: int, code: int, has_sign: bool, before: wp.array2d[int], last: int, last_but_one: int,
+    home: wp.array[int], constants: wp.array[int],
+):  # fmt: skip
     """Add the prediction from earlier frames to a field."""
     value = wp.int32(0)
     if code == 4:
