@@ -57,8 +57,7 @@ class RandomWind:
     untestable: Finding | None = None  # Reason why the flights cannot show gusts; None if they can
     vertical: tuple[float, ...] = ()  # Relative std and correlation time of the vertical axis; empty if it has no own
 
-    gain: float = 0.0
-    """Log likelihood that a vertical axis of its own gains, less the cost of its two parameters."""
+    gain: float = 0.0  # Log likelihood that a vertical axis of its own gains, less the cost of its two parameters
 
     @property
     def is_accepted(self) -> bool:

@@ -84,75 +84,45 @@ class ColumnsCfg:
 class LogMapping:
     """Layout of a log; unmapped quantities count as not measured."""
 
-    summary: str
-    """One-line description."""
-
-    time: ColumnsCfg
-    """Time [s]."""
+    summary: str  # One-line description
+    time: ColumnsCfg  # Time [s]
 
     attitude: ColumnsCfg | None = None
     """Unit quaternion; name its columns in the order x, y, z, w, whatever their order in the file. Without attitude,
     position and velocity it is integrated from the angular velocity, which suffices for body-axis channels."""
 
-    position: ColumnsCfg | None = None
-    """Body origin [m], world."""
-
-    lin_vel: ColumnsCfg | None = None
-    """Velocity of the body origin [m/s], world."""
-
-    ang_vel: ColumnsCfg | None = None
-    """Angular velocity [rad/s], body."""
+    position: ColumnsCfg | None = None  # Body origin [m], world
+    lin_vel: ColumnsCfg | None = None  # Velocity of the body origin [m/s], world
+    ang_vel: ColumnsCfg | None = None  # Angular velocity [rad/s], body
 
     specific_force: ColumnsCfg | None = None
     """Specific force at the body origin [m/s²], body: +9.81 on z (flu) at hover."""
 
-    rotor_speed: ColumnsCfg | None = None
-    """Measured rotor speeds [rad/s]."""
-
-    rotor_command: ColumnsCfg | None = None
-    """Commanded rotor speeds [rad/s], in force mode thrusts [N]."""
+    rotor_speed: ColumnsCfg | None = None  # Measured rotor speeds [rad/s]
+    rotor_command: ColumnsCfg | None = None  # Commanded rotor speeds [rad/s], in force mode thrusts [N]
 
     rotor_share: ColumnsCfg | None = None
     """Commands as shares of the largest rotor speed, 0 to 1, as firmwares log them; ``rotor_command`` comes first."""
 
-    battery: ColumnsCfg | None = None
-    """Battery voltage [V]."""
-
-    armed: ColumnsCfg | None = None
-    """1 while the vehicle is armed, else 0: the file is split there."""
-
-    landed: ColumnsCfg | None = None
-    """1 while the vehicle stands on the ground, else 0: the file is split there."""
-
-    ground_height: ColumnsCfg | None = None
-    """Height of the ground [m], world, constant; 0 if unmapped or missing."""
-
-    ceiling_height: ColumnsCfg | None = None
-    """Height of the ceiling [m], world, constant."""
-
-    other_position: ColumnsCfg | None = None
-    """Position of another vehicle nearby [m], world."""
+    battery: ColumnsCfg | None = None  # Battery voltage [V]
+    armed: ColumnsCfg | None = None  # 1 while the vehicle is armed, else 0: the file is split there
+    landed: ColumnsCfg | None = None  # 1 while the vehicle stands on the ground, else 0: the file is split there
+    ground_height: ColumnsCfg | None = None  # Height of the ground [m], world, constant; 0 if unmapped or missing
+    ceiling_height: ColumnsCfg | None = None  # Height of the ceiling [m], world, constant
+    other_position: ColumnsCfg | None = None  # Position of another vehicle nearby [m], world
 
     position_setpoint: ColumnsCfg | None = None
     """Setpoint of the position [m], world; empty fields are allowed in all setpoints."""
 
-    velocity_setpoint: ColumnsCfg | None = None
-    """Velocity of the position setpoint [m/s], world."""
-
-    yaw_setpoint: ColumnsCfg | None = None
-    """Setpoint of the heading [rad], world."""
-
-    attitude_setpoint: ColumnsCfg | None = None
-    """Setpoint of the attitude, named as those of ``attitude``."""
-
-    rate_setpoint: ColumnsCfg | None = None
-    """Setpoint of the angular velocity [rad/s], body."""
+    velocity_setpoint: ColumnsCfg | None = None  # Velocity of the position setpoint [m/s], world
+    yaw_setpoint: ColumnsCfg | None = None  # Setpoint of the heading [rad], world
+    attitude_setpoint: ColumnsCfg | None = None  # Setpoint of the attitude, named as those of ``attitude``
+    rate_setpoint: ColumnsCfg | None = None  # Setpoint of the angular velocity [rad/s], body
 
     thrust_setpoint: ColumnsCfg | None = None
     """Collective thrust command as a share of the largest, 0 to 1, before the firmware's thrust curve."""
 
-    specific_thrust_setpoint: ColumnsCfg | None = None
-    """Collective thrust command per mass [m/s²], upwards positive."""
+    specific_thrust_setpoint: ColumnsCfg | None = None  # Collective thrust command per mass [m/s²], upwards positive
 
     companion: Mapping[str, str] = field(default_factory=dict)
     """Replacements in the file name that give the log of another vehicle, flown together on the same clock. Its position
@@ -172,23 +142,18 @@ class LogMapping:
     torques: bool = True
     """Whether the logs resolve torques; false if gyro or commands were logged too slowly, so only forces count."""
 
-    lacks: str = ""
-    """One sentence on missing quantities and the consequence, shown in findings and refusals."""
-
-    body_frame: str = "flu"
-    """Axes of body quantities in the file: flu (x forward, y left, z up) or frd."""
+    lacks: str = ""  # One sentence on missing quantities and the consequence, shown in findings and refusals
+    body_frame: str = "flu"  # Axes of body quantities in the file: flu (x forward, y left, z up) or frd
 
     attitude_body_frame: str | None = None
     """Body axes to which the attitude refers, flu or frd, if others than ``body_frame``, those of the inertial sensors."""
 
-    world_frame: str = "enu"
-    """Axes of world quantities in the file: enu (z up) or ned (z down)."""
+    world_frame: str = "enu"  # Axes of world quantities in the file: enu (z up) or ned (z down)
 
     attitude_direction: str = "body_to_world"
     """Direction of the rotation by the quaternion: body_to_world or world_to_body."""
 
-    source: str
-    """Reference that describes the layout."""
+    source: str  # Reference that describes the layout
 
     def __post_init__(self) -> None:
         for name, known in (
