@@ -52,17 +52,17 @@ class Environment:
         shutil.rmtree(self.folder, ignore_errors=True)
         subprocess.run([python, "-m", "venv", str(self.folder / "venv")], check=True)
         self._bin, self._versions = self.folder / "venv" / "bin", constraints(python)
+        self._environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
     def install(self, wheel: Path, extras: str = "") -> None:
         """Install the wheel with extras such as ``[all]`` in the tested versions."""
         command = [self._bin / "pip", "install", "-q", "--no-compile", "-c", self._versions, f"{wheel}{extras}"]
-        subprocess.run(list(map(str, command)), check=True)
+        subprocess.run(list(map(str, command)), env=self._environ, check=True)
 
     def run(self, *words: str, status: int = 0) -> tuple[str, str]:
         """Run a command of ``aerial-gym``, check its exit status, and return stdout and stderr."""
-        environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
         command = [str(self._bin / "aerial-gym"), *words]
-        done = subprocess.run(command, cwd=self.folder, env=environ, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=self.folder, env=self._environ, capture_output=True, text=True, check=False)
         assert done.returncode == status, f"{words}: status {done.returncode}\n{done.stdout}\n{done.stderr}"
         assert "Traceback" not in done.stderr, f"{words}:\n{done.stderr}"
         return done.stdout, done.stderr
