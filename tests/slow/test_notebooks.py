@@ -24,6 +24,9 @@ def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.Mon
         (effect,) = verdict["effects"]
         assert effect["name"] == "rotor_drag"
         assert [effect["params"][axis] for axis in ("dx", "dy")] == pytest.approx([0.15, 0.15], abs=0.01)
+        harder = json.loads((tmp_path / "harder" / "verdict.json").read_text(encoding="utf-8"))
+        assert harder["verdict"] == "ambiguous"
+        assert "weak_motor" in [effect["name"] for effect in harder["effects"]]
 
 
 def test_there_are_three_notebooks_without_outputs() -> None:
