@@ -42,10 +42,6 @@ def _key_of_joined_rows(key: str, columns: int, remark: str) -> TensorKey:
     return TensorKey(native=native, remark=remark, read=lambda env: env.gtd[key].view(-1, columns))
 
 
-def _gravity_vector(env: EnvManager) -> Tensor:
-    return torch.tensor([0.0, 0.0, -env.sim_cfg.gravity], device=env.device).expand(env.num_envs, 3)
-
-
 def _first_present_image(*names: str) -> Read:
     """Return the function that reads the first key of the GTD that is there; the last one raises if it is missing."""
     return lambda env: env.gtd[next((name for name in names if name in env.gtd), names[-1])]
@@ -121,7 +117,10 @@ KEYS: dict[str, TensorKey] = {
         "curriculum_level",
         remark="of a task of ours with a curriculum; a script may keep its own number under this key",
     ),
-    "gravity": TensorKey(native="sim_cfg.gravity", remark="(E, 3), world", read=_gravity_vector),
+    "gravity": TensorKey(
+        native="sim_cfg.gravity", remark="(E, 3), world",
+        read=lambda env: torch.tensor([0.0, 0.0, -env.sim_cfg.gravity], device=env.device).expand(env.num_envs, 3),
+    ),
     "dt": TensorKey(native="sim_cfg.dt", remark="of a physics step, as there", read=lambda env: env.sim_cfg.dt),
     **_same_keys("robot_mass", remark="of each environment, also where it is randomised; read-only"),
     **_same_keys(

@@ -58,7 +58,7 @@ class Changes:
         With a wrong setting, the configuration is returned unchanged, and ``finish`` raises the error.
         """
         self._roots.append(root)
-        own = [key for key in self._texts if (root and key.startswith(f"{root}.")) or self._is_rest(root, key)]
+        own = [key for key in self._texts if (key.startswith(f"{root}.") if root else not changes_simulation(key))]
         merged, known = to_mapping(config) if own else {}, len(self._errors)
         for key in own:
             parts = key.removeprefix(f"{root}." if root else "").split(".")
@@ -73,9 +73,6 @@ class Changes:
         except ConfigError as error:
             self._errors.append(str(error))
             return config
-
-    def _is_rest(self, root: str, key: str) -> bool:
-        return not root and not changes_simulation(key)
 
     def finish(self) -> None:
         """Raise ``ConfigError`` with all wrong settings; one whose root was not applied is wrong."""

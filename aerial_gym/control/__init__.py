@@ -12,14 +12,8 @@ if TYPE_CHECKING:
     from aerial_gym.control.timing import make_timing
 
 __all__ = [
-    "CONTROLLERS",
-    "CONTROL_LAWS",
-    "Controller",
-    "LeeController",
-    "StatefulController",
-    "check_closed_loop",
-    "make_controller",
-    "make_timing",
-]
+    "CONTROLLERS", "CONTROL_LAWS", "Controller", "LeeController", "StatefulController", "check_closed_loop",
+    "make_controller", "make_timing",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -20,32 +20,10 @@ if TYPE_CHECKING:
     from aerial_gym.physics.warp_backend import WarpBackend
 
 __all__ = [
-    "BACKENDS",
-    "EFFECTS",
-    "INTEGRATORS",
-    "ROTOR_MAPS",
-    "Accelerations",
-    "BodyState",
-    "Capabilities",
-    "ControlLaw",
-    "Ground",
-    "Model",
-    "PhysicsBackend",
-    "RotorMap",
-    "SubstepHook",
-    "TorchBackend",
-    "Trajectory",
-    "Vehicle",
-    "WarpBackend",
-    "accelerations",
-    "advance",
-    "advance_remembering",
-    "build_model",
-    "condition_in",
-    "effects_from_config",
-    "rotor_state_for_thrust",
-    "state_at_rest",
-    "vehicle_from_config",
-]
+    "BACKENDS", "EFFECTS", "INTEGRATORS", "ROTOR_MAPS", "Accelerations", "BodyState", "Capabilities", "ControlLaw",
+    "Ground", "Model", "PhysicsBackend", "RotorMap", "SubstepHook", "TorchBackend", "Trajectory", "Vehicle",
+    "WarpBackend", "accelerations", "advance", "advance_remembering", "build_model", "condition_in",
+    "effects_from_config", "rotor_state_for_thrust", "state_at_rest", "vehicle_from_config",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

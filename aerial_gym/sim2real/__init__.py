@@ -13,14 +13,7 @@ if TYPE_CHECKING:
     from aerial_gym.sim2real.loop import close_loop, judge_flights
 
 __all__ = [
-    "FlightLog",
-    "LogMapping",
-    "Verdict",
-    "close_loop",
-    "find_mapping",
-    "judge_flights",
-    "read_flight_log",
-    "replay",
-]
+    "FlightLog", "LogMapping", "Verdict", "close_loop", "find_mapping", "judge_flights", "read_flight_log", "replay",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

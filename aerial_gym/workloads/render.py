@@ -115,19 +115,11 @@ class RenderBench:
         median = rates["frames_per_s"]
         settings = ("num_envs", "width", "height", "segmentation", "lidar", "scan_columns")
         own_row = {
-            "case": "render",
-            "name": "aerial_gym",
-            "scene": self.scene,
-            "device": device_name(device),
-            **{name: getattr(self, name) for name in settings},
-            "settings": list(self.set),
-            "threads": threads,
-            **rates,
-            "rays_per_s": median * self.width * self.height,
-            "image_s": statistics.median(seconds),
-            "move_s": move,
-            **provided,
-        }
+            "case": "render", "name": "aerial_gym", "scene": self.scene, "device": device_name(device),
+            **{name: getattr(self, name) for name in settings}, "settings": list(self.set), "threads": threads,
+            **rates, "rays_per_s": median * self.width * self.height, "image_s": statistics.median(seconds),
+            "move_s": move, **provided,
+        }  # fmt: skip
         beside = [{**row, "ratio": median / row["frames_per_s"]} for row in peer_results]  # above 1: ours is faster
         return [own_row, *beside], failures
 

@@ -61,15 +61,11 @@ def _shape_changes(values: fields.Values) -> fields.Changes:
     return {"shapes": tuple(shapes), "family": None}
 
 
-def _asset_folder(cfg: AssetCfg) -> str:
-    return f"{AERIAL_GYM_DIRECTORY}/{_FOLDER}/{cfg.name}"
-
-
 TABLE = fields.ConfigTable(
     kind="asset",
     fields=(
         *fields.same_fields(num_assets="count"),
-        fields.native_field("asset_folder", "shapes", _asset_folder, _shape_changes,
+        fields.native_field("asset_folder", "shapes", lambda c: f"{AERIAL_GYM_DIRECTORY}/{_FOLDER}/{c.name}", _shape_changes,
                 "URDF files; folders of that simulator stand for the same shapes here"),
         fields.native_field("file", "shapes", lambda _: None, _shape_changes, "one file of the folder; None takes all"),
         fields.native_field("min_state_ratio", "position_ratio_low, euler_low",

@@ -23,10 +23,6 @@ def _asset_changes(values: Values) -> Changes:
     return {"assets": tuple(asset for asset in assets if asset is not None)}
 
 
-def _ground_changes(values: Values) -> Changes:
-    return {"ground_height": 0.0 if values["env.create_ground_plane"] else None}
-
-
 _DEAD = "read nowhere there either"
 
 TABLE = ConfigTable(
@@ -40,8 +36,8 @@ TABLE = ConfigTable(
                 "must be 0 here: there one number was drawn for all environments, and could be none. A delay is the effect "
                 "actuation_delay of the robot"),
         class_only_field("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
-        native_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground_changes,
-                "at z = 0"),
+        native_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None,
+                lambda v: {"ground_height": 0.0 if v["env.create_ground_plane"] else None}, "at z = 0"),
         *(native_field(f"env.{script_name}", native, lambda c, native=native: list(getattr(c, native)))
           for script_name, native in (
             ("lower_bound_min", "bounds_lower_low"), ("lower_bound_max", "bounds_lower_high"),

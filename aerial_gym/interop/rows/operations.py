@@ -16,40 +16,11 @@ from torch import Tensor
 if TYPE_CHECKING:
     from aerial_gym.interop.rows.row_trace import Trace
 
-MOVES = frozenset(
-    [
-        "alias",
-        "cat",
-        "clone",
-        "constant_pad_nd",
-        "contiguous",
-        "detach",
-        "diagonal",
-        "expand",
-        "flip",
-        "index_select",
-        "lift_fresh",
-        "movedim",
-        "permute",
-        "repeat",
-        "reshape",
-        "roll",
-        "select",
-        "slice",
-        "split",
-        "split_with_sizes",
-        "squeeze",
-        "stack",
-        "t",
-        "transpose",
-        "unbind",
-        "unfold",
-        "unsqueeze",
-        "view",
-        "_reshape_alias",
-        "_unsafe_view",
-    ]
-)
+MOVES = frozenset([
+    "alias", "cat", "clone", "constant_pad_nd", "contiguous", "detach", "diagonal", "expand", "flip", "index_select",
+    "lift_fresh", "movedim", "permute", "repeat", "reshape", "roll", "select", "slice", "split", "split_with_sizes",
+    "squeeze", "stack", "t", "transpose", "unbind", "unfold", "unsqueeze", "view", "_reshape_alias", "_unsafe_view",
+])  # fmt: skip
 """Operations that only move elements."""
 
 CODE = {
@@ -206,13 +177,6 @@ def _logical_or_bitwise(kind: str) -> Pointwise:
     )
 
 
-def _right_subtraction() -> Pointwise:
-    return Pointwise(
-        make=lambda into, row, dtype: into.number("sub", (row[1], row[0]), dtype),
-        arguments=lambda args, kwargs: args[:2],
-    )
-
-
 def _power(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     base, exponent = row
     scalar = into.scalars[exponent]
@@ -246,10 +210,6 @@ def _first_argument(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> 
     return row[0]
 
 
-def _fill_arguments(value: float) -> Arguments:
-    return lambda args, kwargs: (value,)
-
-
 def _select_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
     if len(args) < 3:
         raise ValueError("torch.where needs three arguments")
@@ -259,10 +219,6 @@ def _select_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[An
 def _select_scalar(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     condition, yes, no = row
     return into.number("where", (condition, into.cast(yes, dtype), into.cast(no, dtype)), dtype)
-
-
-def _mask_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
-    return args[1], args[2], args[0]
 
 
 _LIKE = frozenset({"dtype", "layout", "device", "pin_memory", "memory_format", "non_blocking"})
@@ -289,7 +245,10 @@ POINTWISE: dict[str, Pointwise] = {
     "isfinite": Pointwise(make=_operation_of_kind("isfinite"), types=(None,)),
     "add": _alpha_operation("add"),
     "sub": _alpha_operation("sub"),
-    "rsub": _right_subtraction(),
+    "rsub": Pointwise(
+        make=lambda into, row, dtype: into.number("sub", (row[1], row[0]), dtype),
+        arguments=lambda args, kwargs: args[:2],
+    ),
     "pow": Pointwise(make=_power),
     "square": Pointwise(make=lambda into, row, dtype: into.number("mul", (row[0], row[0]), dtype)),
     "clamp": Pointwise(make=_clamp_scalar, arguments=_clamp_arguments, known=frozenset({"min", "max"})),
@@ -298,11 +257,13 @@ POINTWISE: dict[str, Pointwise] = {
     "sgn": Pointwise(make=_operation_of_kind("sign"), floats=True),
     "relu": Pointwise(make=_clamp_scalar, arguments=lambda args, kwargs: (args[0], 0.0, inf)),
     "where": Pointwise(make=_select_scalar, arguments=_select_arguments, types=(_BOOL, None, None)),
-    "masked_fill": Pointwise(make=_select_scalar, arguments=_mask_arguments, types=(_BOOL, None, None)),
+    "masked_fill": Pointwise(
+        make=_select_scalar, arguments=lambda args, kwargs: (args[1], args[2], args[0]), types=(_BOOL, None, None)
+    ),
     "_to_copy": Pointwise(make=_first_argument, arguments=lambda args, kwargs: args[:1], known=_LIKE),
     "full_like": Pointwise(make=_first_argument, arguments=lambda args, kwargs: (args[1],), known=_LIKE),
     **{
-        name: Pointwise(make=_first_argument, arguments=_fill_arguments(value), known=_LIKE)
+        name: Pointwise(make=_first_argument, arguments=lambda args, kwargs, value=value: (value,), known=_LIKE)
         for name, value in (("zeros_like", 0.0), ("ones_like", 1.0), ("new_zeros", 0.0), ("new_ones", 1.0))
     },
 }

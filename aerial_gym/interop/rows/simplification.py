@@ -10,23 +10,10 @@ if TYPE_CHECKING:
     from aerial_gym.interop.rows.row_trace import Trace
 
 EVALUATED: dict[str, Callable[..., Any]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "neg": operator.neg,
-    "abs": abs,
-    "minimum": min,
-    "maximum": max,
-    "lt": operator.lt,
-    "le": operator.le,
-    "gt": operator.gt,
-    "ge": operator.ge,
-    "eq": operator.eq,
-    "ne": operator.ne,
-    "and": operator.and_,
-    "or": operator.or_,
-    "not": operator.not_,
-}
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg, "abs": abs, "minimum": min,
+    "maximum": max, "lt": operator.lt, "le": operator.le, "gt": operator.gt, "ge": operator.ge, "eq": operator.eq,
+    "ne": operator.ne, "and": operator.and_, "or": operator.or_, "not": operator.not_,
+}  # fmt: skip
 """Operations that are computed where all arguments are constants."""
 
 

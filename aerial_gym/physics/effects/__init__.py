@@ -30,30 +30,10 @@ if TYPE_CHECKING:
     from aerial_gym.physics.effects.learned_residual import LearnedResidual
 
 __all__ = [
-    "EFFECTS",
-    "AttitudeSensorEffect",
-    "CommandEffect",
-    "Condition",
-    "DelayEffect",
-    "Effect",
-    "EffectParams",
-    "EffectsByKind",
-    "FluidEffect",
-    "ImuEffect",
-    "LearnedResidual",
-    "LinearWrenchEffect",
-    "LinkEffect",
-    "LinkFluidEffect",
-    "LinkWrenchEffect",
-    "LoadEffect",
-    "Parameter",
-    "RotorEffect",
-    "RotorSensorEffect",
-    "SubstepStart",
-    "SuspensionMotion",
-    "VehicleEffect",
-    "WindEffect",
-    "WrenchEffect",
-]
+    "EFFECTS", "AttitudeSensorEffect", "CommandEffect", "Condition", "DelayEffect", "Effect", "EffectParams",
+    "EffectsByKind", "FluidEffect", "ImuEffect", "LearnedResidual", "LinearWrenchEffect", "LinkEffect",
+    "LinkFluidEffect", "LinkWrenchEffect", "LoadEffect", "Parameter", "RotorEffect", "RotorSensorEffect",
+    "SubstepStart", "SuspensionMotion", "VehicleEffect", "WindEffect", "WrenchEffect",
+]  # fmt: skip
 
 __getattr__, __dir__ = exports(__name__, __file__)

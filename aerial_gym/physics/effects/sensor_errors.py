@@ -69,10 +69,7 @@ class AttitudeBias(AttitudeSensorEffect):
 
     name = "attitude_bias"
     summary = "a logged attitude whose axes are turned against the body"
-    parameters = tuple(
-        Parameter(name, "rad", -0.8, 0.8, 0.02, f"turn about {axis}")
-        for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
-    )
+    parameters = ImuMisalignment.parameters
     excitation = (
         "inertial sensors beside attitude and velocity; thrust for roll and pitch, sideways force or turns for yaw"
     )

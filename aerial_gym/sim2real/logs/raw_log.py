@@ -116,17 +116,9 @@ class RawLog:
 
 
 QUANTITIES = {
-    "attitude": 4,
-    "position": 3,
-    "lin_vel": 3,
-    "ang_vel": 3,
-    "specific_force": 3,
-    "rotor_speed": 0,
-    "rotor_command": 0,
-    "battery": 1,
-    "armed": 1,
-    "landed": 1,
-}
+    "attitude": 4, "position": 3, "lin_vel": 3, "ang_vel": 3, "specific_force": 3, "rotor_speed": 0,
+    "rotor_command": 0, "battery": 1, "armed": 1, "landed": 1,
+}  # fmt: skip
 """Number of components of each quantity of a log channel; 0: the number of rotors."""
 
 STATES = ("armed", "landed")  # Quantities that are no measurements of motion

@@ -18,24 +18,10 @@ MAPPING_DIR = Path(__file__).parents[1] / "mappings"  # Folder of the built-in m
 UNIT_G = 9.80665  # Standard gravity as a unit [m/s²], independent of the place: BIPM (2019), The SI, table 8
 
 UNITS: dict[str, float] = {
-    "si": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "ns": 1e-9,
-    "mm": 1e-3,
-    "cm": 1e-2,
-    "ft": 0.3048,
-    "mm/s": 1e-3,
-    "cm/s": 1e-2,
-    "ft/s": 0.3048,
-    "km/h": 1.0 / 3.6,
-    "mph": 0.44704,
-    "kn": 1.852 / 3.6,
-    "deg/s": 0.017453292519943295,
-    "g": UNIT_G,
-    "rpm": 0.10471975511965977,
-    "rev/s": 6.283185307179586,
-}
+    "si": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "mm/s": 1e-3, "cm/s": 1e-2,
+    "ft/s": 0.3048, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1.852 / 3.6, "deg/s": 0.017453292519943295, "g": UNIT_G,
+    "rpm": 0.10471975511965977, "rev/s": 6.283185307179586,
+}  # fmt: skip
 """Factors to SI units. Foot and mile are international: NIST SP 811 (2008), B.8."""
 
 BODY_FRAMES = ("flu", "frd")
