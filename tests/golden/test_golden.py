@@ -2,17 +2,21 @@
 
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+from tests.golden.__main__ import TOPICS
 from tests.golden.compare import compact, differences, is_machine_bound
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_quick_results_are_those_of_the_reference() -> None:
-    command = [sys.executable, "-m", "tests.golden", "--quick", "--jobs", "1"]
+    """The reference of the interface holds what classes inherit from gymnasium 0.29, so it counts with that version alone."""
+    topics = TOPICS if version("gymnasium").startswith("0.29") else [name for name in TOPICS if name != "interface"]
+    command = [sys.executable, "-m", "tests.golden", *topics, "--quick", "--jobs", "1"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, encoding="utf-8", check=False)
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
 

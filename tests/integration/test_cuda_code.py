@@ -39,12 +39,18 @@ ARCHITECTURE = 90  # Compute capability: Hopper
 
 def compile_for_gpu(module, *, assemble: bool = False) -> None:
     """Compile into the cache of all kernels: the same source is not compiled twice on a machine. To PTX, where all
-    errors of a source show but those within inline assembly; assembling takes as long again, or longer."""
+    errors of a source show but those within inline assembly; assembling takes as long again, or longer.
+
+    The options of the module are restored, or later tests would compile it for the CPU once more."""
     start_warp()
-    if isinstance(module, wp.Module):  # without optimisation it takes far longer, and with all of it twice as long
+    options = dict(module.options) if isinstance(module, wp.Module) else {}
+    if options:  # without optimisation it takes far longer, and with all of it twice as long
         module.options["optimization_level"] = 2
         module.mark_modified()
     (binary,) = wp.compile_aot_module(module, arch=ARCHITECTURE, use_ptx=not assemble)
+    if options:
+        module.options.update(options)
+        module.mark_modified()
     assert Path(binary).is_file()
 
 

@@ -54,7 +54,8 @@ LAWS = {
 """Laws of the plant, and what the corrected robot file holds in their place."""
 
 
-@pytest.mark.parametrize("hidden", rare_values(LAWS, tuple(LAWS)[1:]))
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", LAWS)
 def test_the_law_that_the_flights_prefer_explains_them(hidden: str, tmp_path: Path) -> None:
     verdict, _ = run_case(tmp_path, {hidden: "moderate"}, 212, **BRIEF)
     assert [result["name"] for result in verdict["effects"]] == [hidden.partition("/")[0]]

@@ -146,6 +146,7 @@ def test_the_motor_lag_is_named_from_commands_alone(tmp_path: Path) -> None:
     assert after["y"]["rms"] < (1.0 - 0.8 * 0.67) * before["y"]["rms"]
 
 
+@pytest.mark.slow
 def test_lag_and_inertia_of_the_rotors_are_named_together_with_a_flight_that_yaws(tmp_path: Path) -> None:
     """Either alone makes another axis worse; no mass takes the place of both, and no air where no speed is logged. The
     half of the yaw flight that no fit has seen gets better about every axis: 17.5 to 7.3, 22.1 to 12.8, 10.2 to 8.1
