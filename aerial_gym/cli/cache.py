@@ -11,7 +11,7 @@ import tyro
 from aerial_gym.cli.process import bytecode_folder
 from aerial_gym.cli.terminal import print_table
 from aerial_gym.config.console import json_line
-from aerial_gym.errors import UnknownNameError, suggest_name
+from aerial_gym.errors import ConfigError, suggest_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +86,10 @@ class ClearCachesCmd:
     def run(self) -> int:
         """Clear the caches and print the size of each."""
         caches = find_caches()
-        if unknown := [f"{name!r}.{suggest_name(name, caches)}" for name in self.names if name not in caches]:
-            raise UnknownNameError(f"no cache {' '.join(unknown)} Known: {', '.join(caches)}")
+        unknown = [name for name in self.names if name not in caches]
+        if unknown:
+            known = f" Known: {', '.join(caches)}"
+            raise ConfigError(*(f"no cache {name!r}.{suggest_name(name, caches)}{known}" for name in unknown))
         for name in self.names or caches:
             before = caches[name].entry()
             caches[name].clear()
