@@ -27,13 +27,9 @@ from aerial_gym.errors import AerialGymError, ConfigError, suggest_name
 T = TypeVar("T")
 
 LONGEST_SHOWN = 200  # Characters of a value in a message
-PLAIN_NAMES = {
-    float: "a number",
-    int: "a whole number",
-    str: "a text",
-    bool: "true or false",
-    Path: "a path",
-}  # In messages
+PLAIN_NAMES = {float: "a number", int: "a whole number", str: "a text", bool: "true or false", Path: "a path"}
+"""Types in messages."""
+
 CONFIG_DIR = Path(__file__).parent  # Folder of the configurations that come with the package
 
 
