@@ -42,12 +42,16 @@ def find_caches() -> dict[str, Cache]:
         wp.clear_lto_cache()
 
     kernels = Path(str(wp.config.kernel_cache_dir))
-    bytecode = bytecode_folder()
+    from aerial_gym.firmware.betaflight.build import cache_folder
+
+    def remove(folder: Path) -> Callable[[], None]:
+        return lambda: shutil.rmtree(folder, ignore_errors=True)
+
+    bytecode, firmware = bytecode_folder(), cache_folder()
     return {
         "kernels": Cache(content="kernels that Warp compiled", folder=kernels, clear=clear_kernels),
-        "bytecode": Cache(
-            content="Python bytecode", folder=bytecode, clear=lambda: shutil.rmtree(bytecode, ignore_errors=True)
-        ),
+        "bytecode": Cache(content="Python bytecode", folder=bytecode, clear=remove(bytecode)),
+        "firmware": Cache(content="firmware built by sitl", folder=firmware, clear=remove(firmware)),
     }
 
 
@@ -81,7 +85,7 @@ class ClearCachesCmd:
 
     names: Annotated[
         tuple[str, ...], tyro.conf.Positional
-    ] = ()  # Caches to clear, kernels or bytecode; all if not given
+    ] = ()  # Caches to clear: kernels, bytecode or firmware; all if not given
 
     def run(self) -> int:
         """Clear the caches and print the size of each."""

@@ -58,7 +58,10 @@ def examine() -> dict[str, Any]:
         "devices": devices,
         "caches": caches,
         "extras": {name: _extra(name) for name in requirements() if name and extra_packages(name)},
-        "programs": {"C compiler": {"needed_for": "checks of exported C", **_program("gcc", "cc")}},
+        "programs": {
+            "C compiler": {"needed_for": "checks of exported C, sitl", **_program("gcc", "cc")},
+            "make": {"needed_for": "sitl", **_program("make")},
+        },
         "faults": faults,
     }
 

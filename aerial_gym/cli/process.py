@@ -50,5 +50,6 @@ def cache_bytecode() -> None:
 
 def bytecode_folder() -> Path:
     """Return the folder for compiled Python code, ``aerial_gym/bytecode`` in the user's cache folder."""
-    caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    return Path(caches) / "aerial_gym" / "bytecode"
+    from aerial_gym.config.storage import user_cache_folder
+
+    return user_cache_folder("bytecode")

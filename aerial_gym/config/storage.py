@@ -17,6 +17,12 @@ from aerial_gym.errors import AerialGymError, ConfigError, StorageError
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Codes of a disk, a quota or a limit that is reached
 
 
+def user_cache_folder(content: str) -> Path:
+    """Return the folder ``aerial_gym/CONTENT`` in the user's cache folder."""
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(caches) / "aerial_gym" / content
+
+
 def write_atomic(path: str | Path, content: bytes | str) -> None:
     """Write a file atomically: even after a crash or with a full disk it holds either the old or the new content.
 

@@ -251,15 +251,15 @@ class EnvManager:
         self.robot_manager.refresh(self.dt)
         self.imus.measure()
 
-    def fly(self) -> None:
-        """Advance the physics by an environment step, in one launch.
+    def fly(self, substeps: int | None = None) -> None:
+        """Advance the physics by an environment step, or by ``substeps``, in one launch.
 
         It tests for ground contact after every substep; obstacles with ``contact`` move and exert forces between the
         substeps. Others move in ``collide``.
         """
         if self._below is not None:
             self._below.measure_heights()
-        self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
+        self.robot_manager.advance(substeps or self.cfg.physics_steps_per_env_step)
         self._move_links()
         if self._links is not None and self._links.trajectory is not None:
             self._links.trajectory.refresh()

@@ -159,7 +159,7 @@ class BetaflightController(StatefulController):
         share = anti_windup_factor((wanted - eased) * wanted.new_tensor(relaxed), used, own.iterm_windup / 100.0)
         integral = integral + share * gains.integral * error * span
         integral = integral.clamp(-gains.integral_limit, gains.integral_limit)
-        throttle = self._signal(self.allocation.speed(setpoint[:, :1] * gains.weight * self.allocation.inverse[..., 2]))
+        throttle = self.throttle(setpoint[:, :1])
         weaker = throttle_attenuation(throttle, own.tpa_rate / 100.0, own.tpa_breakpoint / 1000.0 - 1.0)
         of_error = weaker if own.tpa_mode == "PD" else 1.0
         correction = (
@@ -171,7 +171,16 @@ class BetaflightController(StatefulController):
         if not own.airmode:  # the firmware resets the integrals after each run at zero throttle
             integral = torch.where(throttle.mean(-1, keepdim=True) < THROTTLE_STEP, 0.0, integral)
         after = torch.cat((integral, *filtered, rate, eased, wanted, used), dim=-1)
-        return self._low + self._span * signal, after
+        return self.speed_of_signal(signal), after
 
-    def _signal(self, speed: Tensor) -> Tensor:
+    def throttle(self, thrust: Tensor) -> Tensor:
+        """Return motor signals without corrections, 0 to 1, (E, R), for thrust per weight, (E, 1)."""
+        return self.signal_of_speed(self.allocation.speed(thrust * self.gains.weight * self.allocation.inverse[..., 2]))
+
+    def signal_of_speed(self, speed: Tensor) -> Tensor:
+        """Return motor signals, 0 to 1, (E, R), for rotor speeds [rad/s]."""
         return (speed - self._low) / self._span
+
+    def speed_of_signal(self, signal: Tensor) -> Tensor:
+        """Return rotor speeds [rad/s], (E, R), for motor signals, 0 to 1."""
+        return self._low + self._span * signal

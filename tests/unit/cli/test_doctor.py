@@ -19,7 +19,7 @@ def test_a_working_installation_has_no_faults(capsys: pytest.CaptureFixture[str]
     # pip leaves out the local part of PyTorch's CUDA build, such as +cu130
     assert report["versions"]["torch"].partition("+")[0] == torch.__version__.partition("+")[0]
     assert report["devices"][0]["device"] == "cpu"
-    assert set(report["caches"]) == {"kernels", "bytecode"}
+    assert set(report["caches"]) == {"kernels", "bytecode", "firmware"}
     assert report["extras"]["urdf"] == {"missing": [], "repair": None}
     assert "all" not in report["extras"]
     status, out, _ = run(capsys, "doctor")

@@ -1,0 +1,1 @@
+"""Firmware of real autopilots, which flies the simulated vehicles in lockstep."""
