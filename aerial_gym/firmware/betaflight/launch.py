@@ -10,6 +10,7 @@ from aerial_gym.firmware.betaflight.instances import KEEP, STEP, InstanceGroup
 from aerial_gym.firmware.betaflight.vehicle import ARM, BELOW_ALL, LOW, THROTTLE, BetaflightVehicle, write_state
 
 CALIBRATION_STEPS = 4500  # The gyro's calibration takes 4000 samples: 0.5 s at 8 kHz (`gyro_calib_duration`)
+START_S = 4.0  # Until receiver and sensors are ready [s]
 ARMING_S, HOVER_S = 0.3, 0.2  # Times at rest before a flight [s]
 
 
@@ -32,7 +33,7 @@ def arm_instances(group: InstanceGroup, vehicle: BetaflightVehicle, envs: Sequen
     safe[:, THROTTLE] = BELOW_ALL
     disarmed = safe.copy()
     disarmed[:, ARM] = int(LOW)
-    steps = (CALIBRATION_STEPS, round(ARMING_S / period), round(HOVER_S / period))
+    steps = (max(CALIBRATION_STEPS, round(START_S / period)), round(ARMING_S / period), round(HOVER_S / period))
     for channels, count in zip((disarmed, safe, hover), steps, strict=True):
         rows["channels"] = channels
         group.requests[envs] = rows
