@@ -1,6 +1,6 @@
 """``aerial-gym sitl``: firmware of real autopilots in the loop, many instances in lockstep."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from aerial_gym.cli.terminal import print_table, progress_bar
@@ -51,7 +51,7 @@ class SitlBetaflightCmd:
             finally:
                 env.close()
         if self.json:
-            print(json_line(flight.as_mapping()))
+            print(json_line(asdict(flight)))
         else:
             print_table(_flight_rows(flight))
         return int(bool(flight.ended))
@@ -62,7 +62,7 @@ class SitlBetaflightCmd:
         with progress_bar() as progress:
             rows = compare_settings(self.robot, duration=self.duration_s, seed=self.seed, progress=progress)
         if self.json:
-            print(json_line({"differences": [row.as_mapping() for row in rows]}))
+            print(json_line({"differences": [asdict(row) for row in rows]}))
         else:
             print_table(_difference_rows(rows), ("setting", "rms difference", "largest difference", "runs of the loop"))
         return 0

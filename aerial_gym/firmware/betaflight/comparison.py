@@ -63,10 +63,6 @@ class Difference:
     largest: float
     runs: int  # Compared runs of the loop, of all environments
 
-    def as_mapping(self) -> dict[str, object]:
-        """Return the figures for JSON."""
-        return vars(self).copy()
-
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:

@@ -106,7 +106,11 @@ class FirmwareEnv(EnvManager):
             self.group = InstanceGroup.of_build(build, eeprom, self.num_envs)
         else:
             self.group = make_group(b"", self.num_envs)
-        arm_instances(self.group, self.vehicle, range(self.num_envs), period=self.sim_cfg.dt)
+        try:
+            arm_instances(self.group, self.vehicle, range(self.num_envs), period=self.sim_cfg.dt)
+        except CapabilityError:
+            self.group.close()
+            raise
 
     def step(self, actions: Tensor | ArrayLike, env_actions: Tensor | ArrayLike | None = None) -> None:
         """Apply thrust (0 is hover) and body rates [rad/s] or sticks, (E, 4), for one environment step."""

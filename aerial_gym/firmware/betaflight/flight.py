@@ -7,7 +7,7 @@ Letters: E environments.
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -42,10 +42,6 @@ class HoverFlight:
     hover_error_max_m: float | None
     trajectory_sha256: str  # Of positions, attitudes and motor pulses of all steps: equal for equal flights
     ended: dict[int, str]  # Instances that ended early, by environment, with the reason
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return the figures for JSON."""
-        return asdict(self)
 
 
 class PositionPilot:

@@ -25,7 +25,7 @@
 #include <ucontext.h>
 #include <unistd.h>
 
-enum { MOTOR_PORT = 9001, STATE_PORT = 9003, STICK_PORT = 9004 }; /* Source: platform/SIMULATOR/sitl.c */
+enum { MOTOR_PORT = 9001, STATE_PORT = 9003 }; /* Source: platform/SIMULATOR/sitl.c */
 enum { CLOCK_READ_NS = 100, SERIAL_PERIOD_NS = 1000000, SERIAL_CHUNK = 32 };
 enum { STEP = 0, KEEP = 1, RESTORE = 2 }; /* Kinds of request */
 enum { SERIAL, STATES, STICKS, THREADS }; /* Threads in the order in which the firmware starts them */
@@ -45,7 +45,7 @@ struct sticks { double time; uint16_t channels[16]; }; /* rc_packet */
 struct motors { uint16_t count; float pulses[16]; };   /* servo_packet_raw */
 
 static uint64_t now_ns = 1000000000, serial_due_ns;
-static int link_fd = -1, ports[1024], listener = -1, console = -1, chunk_read;
+static int link_fd = -1, state_fd = -1, listener = -1, console = -1, chunk_read;
 static ucontext_t scheduler, threads[THREADS];
 static int num_threads, current = -1, has_packet[THREADS], is_refused;
 static void *(*routines[THREADS])(void *);
@@ -81,7 +81,6 @@ static void pause_thread(void)
 
 int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*routine)(void *), void *argument)
 {
-    (void)attributes, (void)argument;
     if (num_threads == THREADS)
         return EAGAIN;
     ucontext_t *context = &threads[num_threads];
@@ -95,17 +94,12 @@ int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*
     return 0;
 }
 
-int pthread_join(pthread_t thread, void **result)
-{
-    (void)thread, (void)result;
-    return 0;
-}
+int pthread_join(pthread_t thread, void **result) { return 0; }
 
 /* Clock */
 
 int clock_gettime(clockid_t clock, struct timespec *time)
 {
-    (void)clock;
     now_ns += CLOCK_READ_NS; /* a loop that waits for a time reaches it */
     time->tv_sec = (time_t)(now_ns / 1000000000);
     time->tv_nsec = (long)(now_ns % 1000000000);
@@ -114,7 +108,6 @@ int clock_gettime(clockid_t clock, struct timespec *time)
 
 int nanosleep(const struct timespec *wanted, struct timespec *left)
 {
-    (void)left;
     now_ns += (uint64_t)wanted->tv_sec * 1000000000 + (uint64_t)wanted->tv_nsec;
     if (commands && current < 0 && now_ns >= serial_due_ns) {
         serial_due_ns = now_ns + SERIAL_PERIOD_NS;
@@ -186,31 +179,19 @@ static void end_step(const struct motors *motors)
 
 /* Sockets: UDP ports carry the exchange; TCP ports listen to nobody, or read the file of command lines. */
 
-static int port_of(int fd) { return fd >= 0 && fd < 1024 ? ports[fd] : 0; }
+int socket(int domain, int type, int protocol) { return open("/dev/null", O_RDWR | O_CLOEXEC); }
 
-int socket(int domain, int type, int protocol)
-{
-    (void)domain, (void)type, (void)protocol;
-    return open("/dev/null", O_RDWR | O_CLOEXEC);
-}
-
-int setsockopt(int fd, int level, int name, const void *value, socklen_t length)
-{
-    (void)fd, (void)level, (void)name, (void)value, (void)length;
-    return 0;
-}
+int setsockopt(int fd, int level, int name, const void *value, socklen_t length) { return 0; }
 
 int bind(int fd, const struct sockaddr *address, socklen_t length)
 {
-    (void)length;
-    if (fd >= 0 && fd < 1024)
-        ports[fd] = ntohs(((const struct sockaddr_in *)address)->sin_port);
+    if (ntohs(((const struct sockaddr_in *)address)->sin_port) == STATE_PORT)
+        state_fd = fd;
     return 0;
 }
 
 int listen(int fd, int backlog)
 {
-    (void)backlog;
     if (listener < 0)
         listener = fd;
     return 0;
@@ -218,7 +199,6 @@ int listen(int fd, int backlog)
 
 int accept(int fd, struct sockaddr *address, socklen_t *length)
 {
-    (void)address, (void)length;
     if (fd == listener && console < 0)
         return console = open(commands, O_RDONLY | O_CLOEXEC);
     errno = EWOULDBLOCK;
@@ -227,7 +207,6 @@ int accept(int fd, struct sockaddr *address, socklen_t *length)
 
 int select(int count, fd_set *readable, fd_set *writable, fd_set *failed, struct timeval *timeout)
 {
-    (void)writable, (void)failed, (void)timeout;
     if (current != SERIAL) {
         while (!has_packet[current])
             pause_thread();
@@ -243,7 +222,6 @@ int select(int count, fd_set *readable, fd_set *writable, fd_set *failed, struct
 
 ssize_t recv(int fd, void *data, size_t size, int flags)
 {
-    (void)flags;
     ssize_t count = chunk_read ? 0 : read(fd, data, size < SERIAL_CHUNK ? size : SERIAL_CHUNK);
     chunk_read = 1;
     if (count > 0)
@@ -252,22 +230,11 @@ ssize_t recv(int fd, void *data, size_t size, int flags)
     return -1;
 }
 
-ssize_t __recv_chk(int fd, void *data, size_t size, size_t space, int flags)
-{
-    (void)space;
-    return recv(fd, data, size, flags);
-}
-
-ssize_t send(int fd, const void *data, size_t size, int flags)
-{
-    (void)fd, (void)flags;
-    return (ssize_t)fwrite(data, 1, size, stdout);
-}
+ssize_t send(int fd, const void *data, size_t size, int flags) { return (ssize_t)fwrite(data, 1, size, stdout); }
 
 ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *address, socklen_t *length)
 {
-    (void)flags, (void)address, (void)length;
-    int which = port_of(fd) == STATE_PORT ? STATES : STICKS;
+    int which = fd == state_fd ? STATES : STICKS;
     struct sticks sticks = {0};
     memcpy(sticks.channels, request.channels, sizeof sticks.channels);
     const void *packet = which == STATES ? (const void *)request.state : (const void *)&sticks;
@@ -277,16 +244,8 @@ ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *ad
     return (ssize_t)known;
 }
 
-ssize_t __recvfrom_chk(
-    int fd, void *data, size_t size, size_t space, int flags, struct sockaddr *address, socklen_t *length)
-{
-    (void)space;
-    return recvfrom(fd, data, size, flags, address, length);
-}
-
 ssize_t sendto(int fd, const void *data, size_t size, int flags, const struct sockaddr *address, socklen_t length)
 {
-    (void)fd, (void)flags, (void)length;
     is_refused = current == STATES;
     if (link_fd >= 0 && ntohs(((const struct sockaddr_in *)address)->sin_port) == MOTOR_PORT)
         end_step(data);
