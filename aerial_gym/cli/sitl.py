@@ -8,7 +8,7 @@ from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
     from aerial_gym.firmware.betaflight.comparison import Difference
-    from aerial_gym.firmware.betaflight.flight import HoverFlight
+    from aerial_gym.firmware.betaflight.flight import FirmwareFlight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class SitlBetaflightCmd:
         return 0
 
 
-def _flight_rows(flight: "HoverFlight") -> list[tuple[str, str]]:
+def _flight_rows(flight: "FirmwareFlight") -> list[tuple[str, str]]:
     rows = [
         ("instances", f"{flight.instances}"),
         ("flight", f"{flight.duration_s:g} s at {flight.exchange_hz:g} exchanges per second"),

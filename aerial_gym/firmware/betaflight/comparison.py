@@ -22,35 +22,32 @@ from aerial_gym.firmware.betaflight import vehicle as units
 from aerial_gym.firmware.betaflight.build import Progress, build_firmware
 from aerial_gym.firmware.betaflight.instances import InstanceGroup
 from aerial_gym.firmware.betaflight.launch import arm_instances
-from aerial_gym.firmware.betaflight.settings import STICK_RATE, settings_of, store_settings
+from aerial_gym.firmware.betaflight.settings import STICK_RATE, firmware_settings, store_settings
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.state import BodyState
 from aerial_gym.robots.catalog import robot_by_name
 
 PERIOD_S, STICK_PERIOD = 0.001, 20  # Time between runs [s]; runs between two frames of the sticks: 50 Hz
 SPAN, HALF_SPAN = units.HIGH - units.LOW, units.HIGH - units.MIDDLE  # Of the pulses of throttle and sticks [us]
-BASE: dict[str, object] = {
-    "p_roll": 45.0, "p_pitch": 47.0, "p_yaw": 45.0, "i_roll": 80.0, "i_pitch": 84.0, "i_yaw": 80.0, "tpa_rate": 0.0,
-    "iterm_windup": 100.0, "pidsum_limit_yaw": 500.0,
-}  # fmt: skip
-SETTINGS: Mapping[str, Mapping[str, object]] = {
-    "P and I": {},
-    "P alone": {"i_roll": 0.0, "i_pitch": 0.0, "i_yaw": 0.0},
-    "D with two PT1 filters": {"d_roll": 30.0, "d_pitch": 34.0},
-    "D with two BIQUAD filters": {
-        "d_roll": 30.0, "d_pitch": 34.0, "dterm_lpf1_type": "BIQUAD", "dterm_lpf2_type": "BIQUAD",
-    },
-    "gyro filter PT1, 100 Hz": {"gyro_lpf1_static_hz": 100.0},
-    "gyro filter BIQUAD, 100 Hz": {"gyro_lpf1_static_hz": 100.0, "gyro_lpf1_type": "BIQUAD"},
-    "I of yaw 250": {"i_yaw": 250.0},
-    "I of yaw 250, windup and limits as in 4.5": {
-        "i_yaw": 250.0, "iterm_windup": 85.0, "pidsum_limit_yaw": 400.0,
-    },
-    "no I-term relax": {"iterm_relax": "OFF"},
-    "no airmode": {"airmode": False},
-    "TPA of P and D, 65 % from 1350": {"tpa_mode": "PD", "tpa_rate": 65.0, "d_roll": 30.0, "d_pitch": 34.0},
-}  # fmt: skip
-"""Settings by name, each in addition to ``BASE``. There windup and the limit of yaw are such that 4.5 and 4.6 do the same: 4.6
+BASE = BetaflightCfg(
+    p_roll=45.0, p_pitch=47.0, p_yaw=45.0, i_roll=80.0, i_pitch=84.0, i_yaw=80.0, tpa_rate=0.0, iterm_windup=100.0,
+    pidsum_limit_yaw=500.0,
+)  # fmt: skip
+WITH_D = replace(BASE, d_roll=30.0, d_pitch=34.0)
+SETTINGS: Mapping[str, BetaflightCfg] = {
+    "P and I": BASE,
+    "P alone": replace(BASE, i_roll=0.0, i_pitch=0.0, i_yaw=0.0),
+    "D with two PT1 filters": WITH_D,
+    "D with two BIQUAD filters": replace(WITH_D, dterm_lpf1_type="BIQUAD", dterm_lpf2_type="BIQUAD"),
+    "gyro filter PT1, 100 Hz": replace(BASE, gyro_lpf1_static_hz=100.0),
+    "gyro filter BIQUAD, 100 Hz": replace(BASE, gyro_lpf1_static_hz=100.0, gyro_lpf1_type="BIQUAD"),
+    "I of yaw 250": replace(BASE, i_yaw=250.0),
+    "I of yaw 250, windup and limit as in 4.5": replace(BASE, i_yaw=250.0, iterm_windup=85.0, pidsum_limit_yaw=400.0),
+    "no I-term relax": replace(BASE, iterm_relax="OFF"),
+    "no airmode": replace(BASE, airmode=False),
+    "TPA of P and D, 65 % from 1350": replace(WITH_D, tpa_mode="PD", tpa_rate=65.0),
+}
+"""Settings by name. In ``BASE`` windup and the limit of yaw are such that 4.5 and 4.6 do the same: 4.6
 limits the integral of yaw to a share of ``pidsum_limit_yaw``, and does not slow it down."""
 
 
@@ -92,7 +89,7 @@ def make_inputs(num_envs: int, steps: int, *, seed: int = 0) -> Inputs:
 
 
 def compare_settings(
-    robot: str = "racing_quadrotor", *, settings: Mapping[str, Mapping[str, object]] = SETTINGS, duration: float = 4.0,
+    robot: str = "racing_quadrotor", *, settings: Mapping[str, BetaflightCfg] = SETTINGS, duration: float = 4.0,
     num_envs: int = 4, seed: int = 0, progress: Progress | None = None,
 ) -> list[Difference]:  # fmt: skip
     """Return the difference of motor signals for each setting, over ``num_envs`` random inputs of ``duration`` [s]."""
@@ -100,13 +97,12 @@ def compare_settings(
     vehicle_cfg = robot_by_name(robot)
     declared = vehicle_from_config(vehicle_cfg, num_envs=num_envs, device=torch.device("cpu"))
     inputs, rows = make_inputs(num_envs, round(duration / PERIOD_S), seed=seed), []
-    for number, (name, changes) in enumerate(settings.items()):
-        cfg = BetaflightCfg(**{**BASE, **changes})
+    for number, (name, cfg) in enumerate(settings.items()):
         controller = replace(CONTROLLERS.get("betaflight_rate_control"), betaflight=cfg)
         twin = make_controller(controller, declared, STANDARD_GRAVITY, dt=PERIOD_S, control=vehicle_cfg.control)
         assert isinstance(twin, BetaflightController)
         vehicle = units.BetaflightVehicle(twin, declared)
-        lines = settings_of(cfg, twin.gains, period=PERIOD_S, yaw_reversed=vehicle.yaw_reversed)
+        lines = firmware_settings(cfg, twin.gains, period=PERIOD_S, yaw_reversed=vehicle.yaw_reversed)
         group = InstanceGroup.of_build(build, store_settings(build, lines), num_envs)
         try:
             arm_instances(group, vehicle, range(num_envs), period=PERIOD_S)

@@ -23,7 +23,7 @@ from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.firmware.betaflight.build import Progress, build_firmware
 from aerial_gym.firmware.betaflight.instances import RESTORE, InstanceGroup
 from aerial_gym.firmware.betaflight.launch import arm_instances
-from aerial_gym.firmware.betaflight.settings import settings_of, store_settings
+from aerial_gym.firmware.betaflight.settings import firmware_settings, store_settings
 from aerial_gym.firmware.betaflight.vehicle import BetaflightVehicle, write_state
 from aerial_gym.interop import action_tensor
 from aerial_gym.sensors import mounted_sensors
@@ -31,10 +31,11 @@ from aerial_gym.sensors.imu import Imu
 from aerial_gym.sensors.mounts import Carrier
 
 PERIOD_S = 0.001  # Time between two exchanges [s], if not given
+NONE = (0.0, 0.0, 0.0)
 EXACT = ImuCfg(
-    summary="IMU without errors", accel_noise_density=(0.0,) * 3, gyro_noise_density=(0.0,) * 3,
-    accel_bias_walk=(0.0,) * 3, gyro_bias_walk=(0.0,) * 3, accel_initial_bias=(0.0,) * 3,
-    gyro_initial_bias=(0.0,) * 3, accel_range=156.9, gyro_range=34.9, source="Ranges of 16 g and 2000 deg/s",
+    summary="IMU without errors", accel_noise_density=NONE, gyro_noise_density=NONE, accel_bias_walk=NONE,
+    gyro_bias_walk=NONE, accel_initial_bias=NONE, gyro_initial_bias=NONE, accel_range=156.9, gyro_range=34.9,
+    source="Ranges of 16 g and 2000 deg/s",
 )  # fmt: skip
 """The IMU of robots that have none."""
 
@@ -81,7 +82,7 @@ class FirmwareEnv(EnvManager):
         self.vehicle = BetaflightVehicle(twin, manager.declared)
         manager.controller.action_names = twin.action_names  # tasks name and store the firmware's actions
         own = select_autopilot(named, options["robot"].control)
-        self.settings = settings_of(own, twin.gains, period=period, yaw_reversed=self.vehicle.yaw_reversed)
+        self.settings = firmware_settings(own, twin.gains, period=period, yaw_reversed=self.vehicle.yaw_reversed)
         self._imu, self._measured = self._make_imu(period, sim.gravity)
         self._begin(make_group, progress)
 
@@ -94,7 +95,7 @@ class FirmwareEnv(EnvManager):
         cfg = next((sensor.cfg for sensor in mounted.values()), EXACT)
         measured = torch.zeros(self.num_envs, 6)
         imu = Imu(
-            replace(cfg, position=(0.0,) * 3, euler=(0.0,) * 3), body, pose=None, measurement_out=measured, dt=period,
+            replace(cfg, position=NONE, euler=NONE), body, pose=None, measurement_out=measured, dt=period,
             gravity=gravity, random=self.random, number=len(mounted), errors=self.robot_manager.imu_errors,
         )  # fmt: skip
         return imu, measured

@@ -29,7 +29,7 @@ SETTLED_SHARE = 0.5  # Share of a flight after which it counts as hover
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoverFlight:
+class FirmwareFlight:
     """Figures of a flight. Errors are of the second half, and of instances that flew to the end."""
 
     instances: int
@@ -82,7 +82,7 @@ def make_hover_env(
 
 @usual_settings
 @torch.no_grad()
-def fly_hover(env: FirmwareEnv, *, duration: float, on_step: Callable[[float], None] | None = None) -> HoverFlight:
+def fly_hover(env: FirmwareEnv, *, duration: float, on_step: Callable[[float], None] | None = None) -> FirmwareFlight:
     """Fly all vehicles from random starts to the middle, and hold them there.
 
     Args:
@@ -106,7 +106,7 @@ def fly_hover(env: FirmwareEnv, *, duration: float, on_step: Callable[[float], N
             on_step((step + 1) / steps)
     wall = time.perf_counter() - begin
     flown = [each for each in range(env.num_envs) if each not in env.group.ended]
-    return HoverFlight(
+    return FirmwareFlight(
         instances=env.num_envs, duration_s=duration, exchange_hz=round(1.0 / env.sim_cfg.dt, 6), wall_s=wall,
         real_time_factor=duration / wall, aggregate_real_time_factor=len(flown) * duration / wall,
         hover_error_mean_m=float(total[flown].mean()) / count if flown and count else None,

@@ -127,7 +127,7 @@ static void send_reply(const struct motors *motors)
 }
 
 /* Go on as a copy of this process, and start another copy whenever one ends with RESTORED. */
-static void keep_this_moment(void)
+static void fork_copies(void)
 {
     int status = RESTORED << 8;
     while (WIFEXITED(status) && WEXITSTATUS(status) == RESTORED) {
@@ -163,7 +163,7 @@ static void end_step(const struct motors *motors)
                 break;
             if (request.kind == RESTORE)
                 _exit(RESTORED);
-            keep_this_moment();
+            fork_copies();
             send_reply(motors);
         }
         repeats = request.repeats - 1;

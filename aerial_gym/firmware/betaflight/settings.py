@@ -37,7 +37,7 @@ rates_type=ACTUAL
 """Arming by the first auxiliary channel, and everything off that the controller here does not model."""
 
 
-def settings_of(
+def firmware_settings(
     cfg: BetaflightCfg, gains: BetaflightGains, *, period: float, yaw_reversed: bool = False
 ) -> tuple[str, ...]:
     """Return lines of the command line for a configuration and its gains, derived ones included.

@@ -15,7 +15,7 @@ STEP, KEEP, RESTORE = 0, 1, 2
 RESTORED = 42
 
 
-def keep_this_moment() -> None:
+def fork_copies() -> None:
     while True:
         copy = os.fork()
         if copy == 0:
@@ -48,7 +48,7 @@ def main() -> None:
         if kind == RESTORE:
             os._exit(RESTORED)
         if kind == KEEP:
-            keep_this_moment()
+            fork_copies()
         else:
             time += repeats
             motors = pulses(tuple(state[1:4]), tuple(channels))

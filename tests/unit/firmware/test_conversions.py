@@ -11,7 +11,7 @@ from aerial_gym.config.autopilots import BetaflightCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.errors import ConfigError
-from aerial_gym.firmware.betaflight.settings import settings_of
+from aerial_gym.firmware.betaflight.settings import firmware_settings
 from aerial_gym.firmware.betaflight.vehicle import (
     ARM,
     PITCH,
@@ -40,7 +40,7 @@ def make(cfg: BetaflightCfg | None = None, *, reverse: bool = False) -> tuple[Be
 def test_settings_have_the_names_and_units_of_the_command_line() -> None:
     cfg = BetaflightCfg(p_roll=45.0, i_yaw=80.0, d_pitch=34.0, airmode=False, gyro_lpf1_static_hz=250.0, tpa_mode="PD")
     twin, _ = make(cfg)
-    lines = settings_of(cfg, twin.gains, period=0.0005, yaw_reversed=True)
+    lines = firmware_settings(cfg, twin.gains, period=0.0005, yaw_reversed=True)
     expected = {
         "set p_roll=45", "set i_yaw=80", "set d_pitch=34", "feature -AIRMODE", "set gyro_lpf1_static_hz=250",
         "set tpa_mode=PD", "set pid_process_denom=4", "set yaw_motors_reversed=ON", "set iterm_windup=80",
@@ -54,9 +54,9 @@ def test_settings_beyond_the_firmware_are_refused_together() -> None:
     cfg = BetaflightCfg(p_roll=300.0, i_pitch=400.0)
     gains = make(cfg)[0].gains
     with pytest.raises(ConfigError, match=r"(?s)2 faults.*p_roll = 300.*at most 250.*i_pitch = 400"):
-        settings_of(cfg, gains, period=0.001)
+        firmware_settings(cfg, gains, period=0.001)
     with pytest.raises(ConfigError, match="time step of 0.0003 s"):
-        settings_of(cfg, gains, period=0.0003)
+        firmware_settings(cfg, gains, period=0.0003)
 
 
 def test_sticks_have_the_signs_of_betaflight() -> None:
