@@ -29,7 +29,7 @@ enum { MOTOR_PORT = 9001, STATE_PORT = 9003 }; /* Source: platform/SIMULATOR/sit
 enum { CLOCK_READ_NS = 100, SERIAL_PERIOD_NS = 1000000, SERIAL_CHUNK = 32 };
 enum { STEP = 0, KEEP = 1, RESTORE = 2 }; /* Kinds of request */
 enum { SERIAL, STATES, STICKS, THREADS }; /* Threads in the order in which the firmware starts them */
-enum { STACK = 1 << 17, RESTORED = 42 };
+enum { STACK = 1 << 17, RESTORED = 42, STEP_LIMIT_S = 30 };
 
 struct request {
     uint32_t kind;
@@ -58,6 +58,7 @@ __attribute__((constructor)) static void start(void)
     const char *number = getenv("LOCKSTEP_SOCKET");
     link_fd = number ? atoi(number) : -1;
     commands = getenv("LOCKSTEP_COMMANDS");
+    alarm(STEP_LIMIT_S);
 }
 
 /* Threads */
@@ -130,6 +131,7 @@ static void send_reply(const struct motors *motors)
 static void fork_copies(void)
 {
     int status = RESTORED << 8;
+    alarm(0);
     while (WIFEXITED(status) && WEXITSTATUS(status) == RESTORED) {
         pid_t parent = getpid(), copy = fork();
         if (copy == 0) {
@@ -157,8 +159,10 @@ static void end_step(const struct motors *motors)
             send_reply(motors);
         begun = 1;
         for (;;) {
+            alarm(0);
             if (read(link_fd, &request, sizeof request) != sizeof request)
                 _exit(0); /* the simulation has ended */
+            alarm(STEP_LIMIT_S); /* ends a firmware that hangs, even without a simulation */
             if (request.kind == STEP)
                 break;
             if (request.kind == RESTORE)
