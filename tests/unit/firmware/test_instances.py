@@ -84,7 +84,7 @@ def test_the_end_of_one_instance_is_a_crash_of_its_environment_alone(env: Firmwa
     assert (env.group.replies["pulses"][:, :4] > 1000.0).all()
 
 
-def test_firmware_settings_a_reset_reach_one_instance_only(env: FirmwareEnv) -> None:
+def test_a_reset_restores_the_instances_of_its_mask_only(env: FirmwareEnv) -> None:
     env.reset()
     for _ in range(3):
         env.step(torch.zeros(3, 4))
