@@ -31,7 +31,7 @@ from aerial_gym.physics.vehicle import Vehicle
 
 RELAXED_FROM = radians(40.0)  # High-passed setpoint that stops the integral [rad/s]. Source: Betaflight 4.5, `pid.c`
 RATE_LIMIT = radians(1998.0)  # Largest rate setpoint of the sticks [rad/s]. Source: Betaflight 4.5, `rc.c`, 1998 deg/s
-THROTTLE_STEP = 0.001  # Least throttle, its resolution [-]. Source: Betaflight 4.5, `rc.c`, 1000 to 2000 us
+THROTTLE_STEP = 0.001  # Resolution of the throttle [-]: below half of it is none. Source: Betaflight 4.5, `rc.c`
 
 
 def rate_setpoint_of_stick(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:
@@ -169,7 +169,7 @@ class BetaflightController(StatefulController):
         mix = (self.allocation.inverse[..., 3:] * correction.unsqueeze(1)).sum(-1)
         signal, used = mix_signals(throttle, mix, airmode=own.airmode)
         if not own.airmode:  # the firmware resets the integrals after each run at zero throttle
-            integral = torch.where(throttle.mean(-1, keepdim=True) < THROTTLE_STEP, 0.0, integral)
+            integral = torch.where(throttle.mean(-1, keepdim=True) < 0.5 * THROTTLE_STEP, 0.0, integral)
         after = torch.cat((integral, *filtered, rate, eased, wanted, used), dim=-1)
         return self.speed_of_signal(signal), after
 
