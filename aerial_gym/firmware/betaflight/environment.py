@@ -149,8 +149,8 @@ class FirmwareEnv(EnvManager):
         mask = self.random.mask
         self._imu.reset(mask)
         envs = mask.nonzero()[:, 0].tolist()
+        self.group.repeat(RESTORE, envs)
         restarted = [env for env in envs if env in self.group.ended]
-        self.group.repeat(RESTORE, [env for env in envs if env not in restarted])
         if restarted:
             self.group.start(restarted)
             arm_instances(self.group, self.vehicle, restarted, period=self.sim_cfg.dt)

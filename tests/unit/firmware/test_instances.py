@@ -109,7 +109,8 @@ def test_what_does_not_fit_is_refused_with_a_remedy() -> None:
 
 def test_no_process_remains_after_the_program_is_killed(tmp_path: Path) -> None:
     script = (
-        "import sys, time; from tests.unit.firmware.test_instances import build; env = build(2); env.reset();"
+        "import signal, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "from tests.unit.firmware.test_instances import build; env = build(2); env.reset();"
         "print(*(each.process.pid for each in env.group.instances.values()), flush=True); time.sleep(60)"
     )
     for end in (signal.SIGKILL, signal.SIGINT):
@@ -120,7 +121,7 @@ def test_no_process_remains_after_the_program_is_killed(tmp_path: Path) -> None:
         groups = [int(pid) for pid in program.stdout.readline().split()]
         assert len(groups) == 2
         program.send_signal(end)
-        program.wait()
+        program.wait(60.0)
         limit = time.monotonic() + 10.0
         while time.monotonic() < limit and any(exists(group) for group in groups):
             time.sleep(0.05)
