@@ -15,7 +15,7 @@ endif
 # Compiled once: without this, where bytecode is not to be written, each process compiles PyTorch anew, which takes 7 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo docs test test-slow browser view-test view-pictures package golden golden-update kill-test fuzz undeclared lint format clean
+.PHONY: setup demo docs test test-slow browser view-test view-pictures firmware-tools package golden golden-update kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml $(CONSTRAINTS)
@@ -49,6 +49,11 @@ view-test: setup
 # Pictures of the viewer in docs/images, by the same browser.
 view-pictures: setup
 	$(BIN)/python -m tests.browser.pictures
+
+# Engines that fly exported policies, for tests/slow: a compiler and an emulator of the Crazyflie's processor.
+firmware-tools: setup
+	command -v arm-none-eabi-gcc > /dev/null && command -v qemu-system-arm > /dev/null || { $(SUDO) apt-get update && \
+		$(SUDO) apt-get install -y --no-install-recommends gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm; }
 
 # Wheel and source archive in dist/, tried in new environments of each Python that is here: minutes each, and PyTorch's
 # gigabytes where its CPU build is not at hand. PYTHONS selects some, such as python3.12.

@@ -73,8 +73,8 @@ def step_declaration(layout: Layout) -> str:
     return f"{head}{c99_images.image_parameters(layout)}float command[{given}])"
 
 
-def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
-    """Return the source."""
+def policy_source(policy: DeployablePolicy, layout: Layout, *, storage: str = "") -> str:
+    """Return the source; ``storage`` (``"static "``) takes the layers off the stack, for one caller at a time."""
     n, body = layout.name, policy.policy.body
     transform, params = action_transform(layout)
     if transform not in _TRANSFORMS:
@@ -102,13 +102,13 @@ def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
         layers, before = [looks.code, c99_images.join_code(policy, looks.widths)], "joined"
     for i, (wide_in, wide_out) in enumerate(pairwise(widths)):
         layers += [
-            f"    float layer_{i}[{wide_out}];",
+            f"    {storage}float layer_{i}[{wide_out}];",
             f"    dense(weight_{i}, bias_{i}, {wide_in}, {wide_out}, {before}, layer_{i});",
             f"    for (int i = 0; i < {wide_out}; ++i) layer_{i}[i] = activated(layer_{i}[i]);",
         ]
         before = f"layer_{i}"
     if cell is not None:
-        layers.append(_MEMORY.format(features=before, wide=widths[-1], m=layout.memory))
+        layers.append(_MEMORY.format(storage=storage, features=before, wide=widths[-1], m=layout.memory))
         before = "state->memory"
     lines = "\n".join(layers)
     checked = {"observation": layout.num_observations, **({"state->memory": layout.memory} if layout.memory else {})}
@@ -134,7 +134,7 @@ void {n}_reset({n}_state *state) {{
 
 {step_declaration(layout)} {{
     int finite = {_finite_condition(checked)};
-    float seen[{layout.num_observations}];
+    {storage}float seen[{layout.num_observations}];
     for (int i = 0; i < {layout.num_observations}; ++i) {{
         seen[i] = (observation[i] - shift[i]) * factor[i];{clamped}
     }}
@@ -243,7 +243,7 @@ _ACTIVATIONS = {
     "tanh": "static float activated(float x) { return tanhf(x); }\n",
 }
 
-_MEMORY = """    float from_seen[3 * {m}], from_memory[3 * {m}]; /* reset, update, new */
+_MEMORY = """    {storage}float from_seen[3 * {m}], from_memory[3 * {m}]; /* reset, update, new */
     dense(entering, entering_bias, {wide}, 3 * {m}, {features}, from_seen);
     dense(held, held_bias, {m}, 3 * {m}, state->memory, from_memory);
     for (int i = 0; i < {m}; ++i) {{

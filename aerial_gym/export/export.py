@@ -1,4 +1,4 @@
-"""Writing a policy as ONNX, TorchScript or C99, and comparing the written files with it.
+"""Writing a policy as ONNX, TorchScript, C99 or for an engine on board, and comparing the written files with it.
 
 Letters: O entries of an observation, M numbers of memory.
 """
@@ -6,6 +6,7 @@ Letters: O entries of an observation, M numbers of memory.
 from collections.abc import Callable, Iterable
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -20,6 +21,7 @@ from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
 from aerial_gym.export.module import DeployablePolicy, onnx_bytes, torchscript_bytes
 from aerial_gym.export.pilot import load_exported
+from aerial_gym.export.targets import crazyflie
 from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
@@ -92,12 +94,14 @@ def export_policy(
 
 def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *, check: bool = True) -> list[Exported]:
     """Write a policy with its layout; see ``export_policy``."""
-    flown = DeployablePolicy(policy, layout).eval()
+    flown, wanted = DeployablePolicy(policy, layout).eval(), list(to)
+    if faults := [fault for each in wanted if each in FAULTS for fault in FAULTS[each](flown, layout)]:
+        raise ConfigError(*faults)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     layout.write(out)
     files = []
-    for each in (wanted := list(to)):
+    for each in wanted:
         file = FORMATS[each](flown, layout, out)
         files.append(_compare_file(each, file, lambda file: compare_policy(flown, layout, file), check))
     observes_latents = any(seen.term == LATENTS for seen in layout.observation)
@@ -184,7 +188,32 @@ def _write_c99(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     return file
 
 
+def _write_files(
+    name: str, files: Callable[[DeployablePolicy, Layout], dict[str, str | bytes]], flown: DeployablePolicy, layout: Layout,
+    out: Path,
+) -> Path:  # fmt: skip
+    """Write the files of an engine into a folder of its own, with ``policy.json``; return the last one, which is checked."""
+    folder = out / name
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    layout.write(folder)
+    contents = files(flown, layout)
+    for place, content in contents.items():
+        write_atomic(folder / place, content)
+    return folder / [*contents][-1]
+
+
 Writer = Callable[[DeployablePolicy, Layout, Path], Path]
 
-FORMATS: dict[str, Writer] = {"onnx": _write_onnx, "torchscript": _write_torchscript, "c99": _write_c99}
+TARGETS = (crazyflie,)  # Engines on vehicles
+
+FORMATS: dict[str, Writer] = {
+    "onnx": _write_onnx, "torchscript": _write_torchscript, "c99": _write_c99,
+    **{target.NAME: partial(_write_files, target.NAME, target.files) for target in TARGETS},
+}  # fmt: skip
 """Writer of each format."""
+
+FAULTS: dict[str, Callable[[DeployablePolicy, Layout], Iterable[str]]] = {
+    target.NAME: target.faults for target in TARGETS
+}
+"""Reasons why an engine cannot fly a policy, each with the alternative."""

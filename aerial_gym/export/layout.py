@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.config.task_terms import fewest_and_most_steps
 from aerial_gym.errors import ConfigError
@@ -54,6 +55,18 @@ class ObservationImage:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LayoutRotor:
+    """One rotor of the vehicle."""
+
+    position: tuple[float, float, float]  # Hub from the body origin [m], body axes
+    spin: int  # 1: counterclockwise from above; -1: clockwise
+    mode: str  # State: `speed` [rad/s] or `force` [N]
+    rotor_map: str  # Name of the thrust curve
+    thrust_map: tuple[float, float, float]  # Its coefficients: thrust [N] of the state
+    thrust_range: tuple[float, float]  # Lowest and highest thrust [N]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Layout:
     """Inputs and outputs of a policy."""
 
@@ -74,6 +87,7 @@ class Layout:
     source: str  # Checkpoint
     encoder: str | None = None  # Encoder of `image_latents` in the observation, if any; not exported
     settings: tuple[str, ...] = ()  # Changed settings of task, robot, env and sim in training
+    rotors: tuple[LayoutRotor, ...] = ()  # Rotors of the vehicle, in the order of its commands
     version: str  # Of this package
 
     @property
@@ -100,6 +114,10 @@ class Layout:
             )
             images = [ObservationImage(**each | {"shape": tuple(each["shape"])}) for each in spec.get("images", ())]
             more = {"images": tuple(images), "command": tuple(spec["command"])}
+            rotors: list[dict[str, Any]] = spec.get("rotors", [])
+            for each in rotors:
+                each.update({key: tuple(each[key]) for key in ("position", "thrust_map", "thrust_range")})
+            more["rotors"] = tuple(LayoutRotor(**each) for each in rotors)
             more |= {
                 "settings": tuple(spec.get("settings", ())),
                 "action_delay_steps": tuple(spec["action_delay_steps"]),
@@ -147,7 +165,19 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
         num_actions=policy.num_actions, transform=action.transform, params=dict(action.params),
         action_delay_steps=fewest_and_most_steps(action.delay_steps), filter_time_s=action.filter_time_s,
         memory=policy.body.memory_size, source=source, encoder=cfg.encoder or task.cfg.encoder,
-        settings=cfg.settings, version=__version__,
+        settings=cfg.settings, rotors=layout_rotors(manager.cfg), version=__version__,
+    )  # fmt: skip
+
+
+def layout_rotors(robot: RobotCfg) -> tuple[LayoutRotor, ...]:
+    """Return the rotors of a robot."""
+    pairs = zip(robot.mounts.layout, robot.rotor_types, strict=True)
+    return tuple(
+        LayoutRotor(
+            position=mount.position, spin=mount.spin, mode=rotor.mode, rotor_map=rotor.rotor_map,
+            thrust_map=rotor.thrust_coefficients, thrust_range=rotor.thrust_range,
+        )
+        for mount, rotor in pairs
     )  # fmt: skip
 
 

@@ -43,10 +43,11 @@ def training() -> TrainingCfg:
 
 
 def random_policy(
-    num_observations: int = 13, *, activation: str = "elu", memory: int = 0, normalize: bool = True
-) -> Policy:
+    num_observations: int = 13, *, activation: str = "elu", memory: int = 0, normalize: bool = True,
+    hidden_layers: tuple[int, ...] = (24, 17),
+) -> Policy:  # fmt: skip
     generator = torch.Generator().manual_seed(3)
-    kind = {"activation": activation, "memory": memory, "normalize": normalize, "hidden_layers": (24, 17)}
+    kind = {"activation": activation, "memory": memory, "normalize": normalize, "hidden_layers": hidden_layers}
     policy = Policy(NetworkBodyCfg(shapes={"observations": (num_observations,)}, **kind), 4)
     for parameter in policy.parameters():
         parameter.data = 0.4 * torch.randn(parameter.shape, generator=generator)
