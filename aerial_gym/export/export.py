@@ -21,7 +21,7 @@ from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
 from aerial_gym.export.module import DeployablePolicy, onnx_bytes, torchscript_bytes
 from aerial_gym.export.pilot import load_exported
-from aerial_gym.export.targets import crazyflie
+from aerial_gym.export.targets import crazyflie, tflm
 from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
@@ -205,7 +205,7 @@ def _write_files(
 
 Writer = Callable[[DeployablePolicy, Layout, Path], Path]
 
-TARGETS = (crazyflie,)  # Engines on vehicles
+TARGETS = (crazyflie, tflm)  # Engines on vehicles
 
 FORMATS: dict[str, Writer] = {
     "onnx": _write_onnx, "torchscript": _write_torchscript, "c99": _write_c99,

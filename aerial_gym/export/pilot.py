@@ -21,6 +21,7 @@ from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export.c99_images import PIXELS
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import onnx_session
+from aerial_gym.export.targets.tflm_engine import tflite_step
 from aerial_gym.interop import usual_settings
 
 if TYPE_CHECKING:
@@ -72,16 +73,18 @@ class ExportedPilot:
 
 @usual_settings
 def load_exported(file: str | Path) -> ExportedPilot:
-    """Return the pilot of an exported file: ``.onnx``, ``.pt`` or ``.c``; ``policy.json`` stands beside it.
+    """Return the pilot of an exported file: ``.onnx``, ``.pt``, ``.c`` or ``.tflite``, beside ``policy.json``.
 
     Raises:
         ConfigError: If the format is unknown, or ``policy.json`` is missing.
-        CapabilityError: If its runtime is missing: the package onnxruntime, or gcc.
+        CapabilityError: If its runtime is missing: onnxruntime, gcc, or TensorFlow Lite Micro.
     """
     file = Path(file)
     layout = Layout.read(file.parent)
     if file.suffix not in STEPS or not file.is_file():
-        raise ConfigError(f"{file}: is no exported policy. Give the .onnx, .pt or .c file that aerial-gym export wrote")
+        raise ConfigError(
+            f"{file}: is no exported policy. Give the {', '.join(STEPS)} file that aerial-gym export wrote"
+        )
     return ExportedPilot(layout, STEPS[file.suffix](file, layout))
 
 
@@ -169,5 +172,7 @@ void {n}_rows(int rows, const float *observation, float *command, float *action,
     return step
 
 
-STEPS: dict[str, Callable[[Path, Layout], Step]] = {".onnx": onnx_step, ".pt": torchscript_step, ".c": c99_step}
+STEPS: dict[str, Callable[[Path, Layout], Step]] = {
+    ".onnx": onnx_step, ".pt": torchscript_step, ".c": c99_step, ".tflite": tflite_step,
+}  # fmt: skip
 """Runners of exported files by their ending."""
