@@ -51,13 +51,14 @@ view-pictures: setup
 	$(BIN)/python -m tests.browser.pictures
 
 # Engines that fly exported policies, for tests/slow and export --to tflm: a compiler and an emulator of the Crazyflie's
-# processor; TensorFlow Lite Micro, in an environment of their own.
+# processor; TensorFlow Lite Micro and RLtools, in an environment of their own.
 ENGINES := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/aerial_gym/engines
 firmware-tools: setup
 	command -v arm-none-eabi-gcc > /dev/null && command -v qemu-system-arm > /dev/null || { $(SUDO) apt-get update && \
 		$(SUDO) apt-get install -y --no-install-recommends gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm; }
 	test -x $(ENGINES)/bin/python || $(PYTHON) -m venv $(ENGINES)
 	$(ENGINES)/bin/python -m pip install -q --no-compile tflite-micro==0.dev20261023182759
+	$(ENGINES)/bin/python -m pip install -q --no-compile --no-deps rltools==2.2.1
 
 # Wheel and source archive in dist/, tried in new environments of each Python that is here: minutes each, and PyTorch's
 # gigabytes where its CPU build is not at hand. PYTHONS selects some, such as python3.12.

@@ -19,7 +19,7 @@ class ExportCmd:
     """Write a trained policy as ONNX, TorchScript, C99 or for an engine on board, with normaliser, limits and layout."""
 
     policy: Path  # Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, or pretrained/NAME
-    to: tuple[str, ...] = ("onnx",)  # One or more of onnx, torchscript, c99, crazyflie, tflm
+    to: tuple[str, ...] = ("onnx",)  # One or more of onnx, torchscript, c99, crazyflie, tflm, raptor
     out: Path | None = None  # Folder; export/ in the run folder, or here of pretrained/NAME, if not given
 
     robot: str | None = None

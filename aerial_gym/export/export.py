@@ -21,7 +21,7 @@ from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
 from aerial_gym.export.module import DeployablePolicy, onnx_bytes, torchscript_bytes
 from aerial_gym.export.pilot import load_exported
-from aerial_gym.export.targets import crazyflie, tflm
+from aerial_gym.export.targets import crazyflie, raptor, tflm
 from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
@@ -120,8 +120,9 @@ def _write_encoders(encoder: str | None, layout: Layout, out: Path, to: list[str
 
 def _compare_file(to: str, file: Path, comparison: Callable[[Path], Comparison], check: bool) -> Exported:
     """Return a written file, compared with torch if asked for and possible."""
-    if not check:
-        return Exported(to=to, file=file, largest_difference=None, not_checked="not asked for")
+    reason = "not asked for" if not check else UNCHECKED.get(to)
+    if reason is not None:
+        return Exported(to=to, file=file, largest_difference=None, not_checked=reason)
     try:
         result = comparison(file)
     except CapabilityError as error:
@@ -205,7 +206,8 @@ def _write_files(
 
 Writer = Callable[[DeployablePolicy, Layout, Path], Path]
 
-TARGETS = (crazyflie, tflm)  # Engines on vehicles
+UNCHECKED = {raptor.NAME: "the module checks it at its start"}  # Reasons why a format is not run here
+TARGETS = (crazyflie, tflm, raptor)  # Engines on vehicles
 
 FORMATS: dict[str, Writer] = {
     "onnx": _write_onnx, "torchscript": _write_torchscript, "c99": _write_c99,

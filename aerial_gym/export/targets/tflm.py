@@ -41,7 +41,7 @@ def faults(policy: DeployablePolicy, layout: Layout) -> Iterator[str]:
     rotors = [*requirements.rotor_faults(layout, ("thrust",), NAME), *requirements.affine_faults(layout, NAME)]
     yield from rotors
     if body.memory_size:
-        yield f"{NAME}: the policy has a memory, and the module keeps none. Train with memory: 0, or {INSTEAD}"
+        yield f"{NAME}: the policy has a memory, and the module keeps none. Train with memory: 0, or export raptor"
     if body.cfg.activation != "relu":
         yield (
             f"{NAME}: the activation is {body.cfg.activation}, and the module registers FullyConnected, Relu and Add. Train "

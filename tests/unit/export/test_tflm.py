@@ -164,7 +164,7 @@ def test_faults_of_a_policy_are_listed_at_once(tmp_path: Path) -> None:
         "controller no_control",
         "backwards",
         "one for all",
-        "memory: 0",
+        "export raptor",
         "activation: relu",
     )
     assert len(error.value.args) == len(words)
