@@ -33,6 +33,7 @@ ROOMS = (
     ("wording",),
     ("report",),
     ("flight_replay", "teststand"),
+    ("preflight",),
     ("loop",),
 )
 """The only statement of the import order within ``sim2real``. Each folder may import the folders above it."""

@@ -24,7 +24,9 @@ _BY_SEVERITY = {
         # meaning of the verdict
         "trust_corrected trust_declared correction_helps "
         # identification and learned residual
-        "remains_near_floor gusts_reach_floor learned_added learned_share"
+        "remains_near_floor gusts_reach_floor learned_added learned_share "
+        # preflight
+        "constant_measured gyro_sign_measured rotor_layout_measured"
     ),
     Severity.WARNING: (
         # the answer
@@ -41,7 +43,9 @@ _BY_SEVERITY = {
         # test stand
         "test_left_out axes_open few_steps rows_far_apart mass_exact scatter_unknown no_unseen_log flights_differ "
         "curvature_kept "
-        "weigh_vehicle measure_thrust turn_with_gyro swap_propeller"
+        "weigh_vehicle measure_thrust turn_with_gyro swap_propeller "
+        # preflight
+        "constant_contradicted gyro_sign_contradicted rotor_order_contradicted spins_contradicted outside_training"
     ),
     Severity.OPEN: (
         # the answer
@@ -63,7 +67,9 @@ _BY_SEVERITY = {
         # rollouts
         "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short errors_at_floor errors_above_floor "
         # round trip
-        "controller_stands_in setpoints_missing"
+        "controller_stands_in setpoints_missing "
+        # preflight
+        "constant_assumed gyro_sign_assumed rotor_layout_assumed"
     ),
     Severity.INFO: (
         # verdict

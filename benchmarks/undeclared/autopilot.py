@@ -63,12 +63,19 @@ class Autopilot:
 
     def command(self, sample: Sample, ref: Reference, index: int) -> Array:
         """Return the rotor speeds to hold until the next call [rad/s], (F, 4)."""
+        return self.rotor_speeds(sample, *self.setpoints(sample, ref, index))
+
+    def setpoints(self, sample: Sample, ref: Reference, index: int) -> tuple[Array, Array]:
+        """Return the wanted angular velocity [rad/s], body, (F, 3), and thrust per mass [m/s²], (F,)."""
         lift = self._lift_command(sample, ref, index)
-        rate = self._rate_command(sample, ref, index, lift)
-        angular = self._angular_acceleration(sample, rate + ref.excite[index, :, :3])
+        rate = self._rate_command(sample, ref, index, lift) + ref.excite[index, :, :3]
+        return rate, (lift * sample.rotation[:, :, 2]).sum(axis=1) + ref.excite[index, :, 3]
+
+    def rotor_speeds(self, sample: Sample, rate: Array, along: Array) -> Array:
+        """Return the rotor speeds [rad/s], (F, 4), of a wanted angular velocity (F, 3) and thrust per mass (F,)."""
+        angular = self._angular_acceleration(sample, rate)
         momentum = sample.rate @ self._vehicle.inertia
         torque = angular @ self._vehicle.inertia + row_cross_product(sample.rate, momentum)
-        along = (lift * sample.rotation[:, :, 2]).sum(axis=1) + ref.excite[index, :, 3]
         return self._mix_rotor_speeds(self._vehicle.mass * along, torque)
 
     def _lift_command(self, sample: Sample, ref: Reference, index: int) -> Array:

@@ -49,15 +49,16 @@ def fly_references(
     surroundings: PlantSurroundings | None = None,
     battery: Battery | None = None,
     pilot: PlantPilot | None = None,
+    substeps: int = SUBSTEPS,
 ) -> PlantRecord:
     """Return the record of all flights of ``reference``; the autopilot, if no pilot is given, is built from ``declared`` alone.
 
-    A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
+    ``substeps``: Runge-Kutta steps per autopilot tick. A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
     """
     num_samples, num_flights = reference.yaw.shape
     surroundings = surroundings or PlantSurroundings()
     plant, dt = make_plant(true, surroundings), 1.0 / CONTROL_RATE
-    late = round(true.extra.delay * CONTROL_RATE * SUBSTEPS)
+    late = round(true.extra.delay * CONTROL_RATE * substeps)
     autopilot = pilot or Autopilot(declared, num_flights, dt)
     state = plant.states_at_rest(rest_state(declared, reference.position[0], reference.yaw[0]))
     samples: list[Sample] = []
@@ -72,8 +73,8 @@ def fly_references(
         samples.append(sample)
         states[index] = state
         command[index] = autopilot.command(sample, reference, index)
-        for step in range(index * SUBSTEPS, (index + 1) * SUBSTEPS):
-            state = plant.step(state, command[max(0, step - late) // SUBSTEPS], dt / SUBSTEPS)
+        for step in range(index * substeps, (index + 1) * substeps):
+            state = plant.step(state, command[max(0, step - late) // substeps], dt / substeps)
         orthonormalise(state)
     measured = {f.name: np.stack([getattr(s, f.name) for s in samples]) for f in fields(Sample)}
     rows = states[:, :, :STATE_SIZE].reshape(-1, STATE_SIZE)

@@ -5,7 +5,7 @@ top speed, differentiates it and lifts it off the ground. Every path starts at r
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -125,6 +125,26 @@ def hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     return TrajectoryShape(path=np.stack(path, axis=1), yaw=np.zeros(len(t)))
 
 
+def yaw_turn(t: Array, rng: np.random.Generator) -> TrajectoryShape:
+    """Hover with a turn of the heading one way, and in the second half back."""
+    shape, half = hover(t, rng), t[-1] / 2.0
+    turn = np.where(t < half, _phase_ramp(t, 1.2), 0.0)
+    back = _phase_ramp(np.maximum(t - half, 0.0), 1.2)
+    turned = turn[t < half][-1]
+    return replace(shape, yaw=rng.choice((-1.0, 1.0)) * np.where(t < half, turn, turned - back))
+
+
+def rate_steps(t: Array, rng: np.random.Generator) -> TrajectoryShape:
+    """Hover with random steps of the commanded body rates and of the vertical acceleration, of 0.2 to 0.6 s each."""
+    sizes = (1.2, 1.2, 0.6, 1.5)  # [rad/s] (3), [m/s²]
+    steps = np.zeros((len(t), 4))
+    for column, size in enumerate(sizes):
+        ends = np.cumsum(rng.uniform(0.2, 0.6, len(t)))
+        levels = size * rng.choice((-1.0, 0.0, 1.0), len(ends))
+        steps[:, column] = levels[np.searchsorted(ends, t)]
+    return replace(hover(t, rng), excite=steps * smooth_step(t / 1.0)[:, None])
+
+
 def low_hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Rests at several heights, half of them the lowest, with small moves and a little excitation."""
     low, high = np.array([-0.5, -0.5, 0.0, -0.8]), np.array([0.5, 0.5, 0.5, 0.8])
@@ -182,6 +202,8 @@ FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
     "figure_eight": (figure_eight, (3.5, 5.0)),
     "square": (square, (3.5, 4.5)),
     "lissajous": (lissajous, (3.0, 4.5)),
+    "yaw_turn": (yaw_turn, (0.05, 0.1)),
+    "rate_steps": (rate_steps, (0.05, 0.1)),
     "low_hover": (low_hover, (0.8, 1.2)),
     "low_passes": (low_passes, (2.0, 3.0)),
 }

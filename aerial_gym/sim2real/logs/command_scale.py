@@ -40,9 +40,9 @@ def _line_at_voltage(log: FlightLog, robot: RobotCfg, nominal: float) -> tuple[f
     assert log.command_curve is not None
     if log.rotor_speed is None or log.battery is None:
         return log.command_curve[:2]
-    return fit_line_behind_lag(
-        _shares(log), log.rotor_speed, robot, sample_rate(log), above=log.battery / nominal - 1.0
-    )
+    above = log.battery / nominal - 1.0
+    line = fit_line_behind_lag(_shares(log), log.rotor_speed, robot, sample_rate(log), above=above)
+    return line.idle, line.slope
 
 
 def _shares(log: FlightLog) -> Array:

@@ -251,7 +251,8 @@ def scale_relative_commands(log: FlightLog, robot: RobotCfg) -> FlightLog:
                 f"{log.path}: has {log.rotor_speed.shape[1]} rotor speeds and {share.shape[1]} commands; both need "
                 "one for each rotor"
             )
-        idle, slope = fit_line_behind_lag(share, log.rotor_speed, robot, sample_rate(log))
+        line = fit_line_behind_lag(share, log.rotor_speed, robot, sample_rate(log))
+        idle, slope = line.idle, line.slope
         command, full = idle + slope * share, idle + slope
     elif log.specific_force is None and log.lin_vel is None:
         raise DataError(

@@ -3,6 +3,8 @@
 Letters: T rows of a log, R rotors.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 
@@ -66,10 +68,20 @@ def simulate_lag(robot: RobotCfg, command: Array, rate: float) -> Array:
     return apply_lag(command, kept, command[0])
 
 
+@dataclass(frozen=True, kw_only=True)
+class LineBehindLag:
+    """Steady speed ``idle + slope u`` [rad/s] of a command u, and the lag and dead time of the speed behind it."""
+
+    idle: float  # [rad/s]
+    slope: float
+    time_constant: float  # [s]
+    delay: float  # Dead time beside the lag [s]
+
+
 def fit_line_behind_lag(
     share: Array, speed: Array, robot: RobotCfg, rate: float, *, above: Array | None = None
-) -> tuple[float, float]:
-    """Return a [rad/s] and b of steady speeds ``a + b u``, for speeds that follow shares u, (T, R) each, late and with a lag.
+) -> LineBehindLag:
+    """Return the line, the lag and the dead time of speeds that follow commands u, (T, R) each.
 
     A delay that is left out weakens the slope, slower falls than rises lift the mean. Gauss-Newton steps begin at the declared
     lag H(s): the derivative by the time constant is ``-H (1 - H) u / tau``, its parts above and below the speed are those of
@@ -91,4 +103,4 @@ def fit_line_behind_lag(
         idle, slope, up, down, more = (float(x) for x in values[:5])
         tau *= float(np.clip(1.0 - 0.5 * (up + down) / slope, 0.5, 2.0)) if slope > 0.0 else 1.0
         delay += float(np.clip(more / slope, -tau, tau)) if slope > 0.0 else 0.0
-    return idle, slope
+    return LineBehindLag(idle=idle, slope=slope, time_constant=tau, delay=delay)

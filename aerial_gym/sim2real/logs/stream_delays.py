@@ -75,7 +75,7 @@ def correct_row_delays(log: FlightLog) -> FlightLog:
         if far and name == "attitude":
             continue
         notes.append(Finding("stream_too_late" if far else "stream_moved", "", values))
-        changes[name] = None if far else _stream_later(log, name, one.delay)
+        changes[name] = None if far else stream_later(log, name, one.delay)
         if not far:
             first, last = max(first, log.time[0] - one.delay), min(last, log.time[-1] - one.delay)
             known = timings.get(name, StreamTiming(source=name, rate=sample_rate(log)))
@@ -106,7 +106,7 @@ def with_motion_between_samples(log: FlightLog) -> FlightLog:
     return log
 
 
-def _stream_later(log: FlightLog, name: str, seconds: float) -> Array:
+def stream_later(log: FlightLog, name: str, seconds: float) -> Array:
     """Return the values of a stream that the log shows ``seconds`` later, (T, any)."""
     if name == "attitude":
         return _attitude_later(log, seconds)

@@ -144,7 +144,7 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
 
     ``logged``: weights of the rotors that the log states, (3, R). For four rotors the flights may contradict them.
     """
-    kept = _rows_without_each_part([int(flight.flies.sum()) for flight in flights])
+    kept = rows_without_each_part([int(flight.flies.sum()) for flight in flights])
 
     def columns(window: float) -> list[Array]:
         names = ("inputs", "swings", "products", "motion")
@@ -158,7 +158,7 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
         table = np.concatenate((inputs[rows] @ modes.T, swings[rows] @ modes.T, products[rows]), axis=1)
         return (modes.T @ _least_squares(table, motion[rows, :3])[: len(modes)]).T
 
-    whole, half = _fit_with_jackknife_interval(single_rotors, kept)
+    whole, half = fit_with_jackknife_interval(single_rotors, kept)
     weights, clear, even = _weights_of_flight(whole, half)
     measured = clear
     if logged is not None:
@@ -172,7 +172,7 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
         table = np.concatenate((sums, (swings @ weights[2])[:, None], products), axis=1)
         return np.diag(_least_squares(table, motion)[:4])
 
-    value, half = _fit_with_jackknife_interval(lambda rows: sizes(parts, rows), kept)
+    value, half = fit_with_jackknife_interval(lambda rows: sizes(parts, rows), kept)
     variants = [sizes(columns(factor * MEAN_S)) for factor in (0.5, 2.0)]
     turned = np.append(np.sign(value[:3]), 1.0)  # the log states the opposite sign
     ends = turned * np.stack((value - half, value + half, *variants))
@@ -221,7 +221,7 @@ def mean_force_per_input(flights: Sequence[FlightRows]) -> ForcePerInput:
     def ratio(chosen: Flags | Indices) -> Array:
         return _ratio_of_means(table[chosen])
 
-    value, half = _fit_with_jackknife_interval(ratio, _rows_without_each_part([len(pair) for pair in pairs]))
+    value, half = fit_with_jackknife_interval(ratio, rows_without_each_part([len(pair) for pair in pairs]))
     ends = np.concatenate((value - half, value + half, _ratio_of_means(np.concatenate(whole))))
     ratios = [float(ratio(np.asarray(chunk))[0]) for chunk in np.array_split(np.arange(len(table)), PARTS)]
     mean = Estimate(value=float(value[0]), low=float(ends.min()), high=float(ends.max()))
@@ -238,7 +238,7 @@ def _ratio_of_means(table: Array) -> Array:
     return np.atleast_1d(force / max(total, 1e-300))
 
 
-def _rows_without_each_part(sizes: Sequence[int]) -> list[Flags]:
+def rows_without_each_part(sizes: Sequence[int]) -> list[Flags]:
     """Return the rows that remain without each flight, or without each of ``PARTS`` parts of few flights."""
     part = np.repeat(np.arange(len(sizes)), sizes)
     part = part if len(sizes) >= FEWEST_FLIGHTS else np.arange(part.size) * PARTS // part.size
@@ -250,7 +250,7 @@ def _least_squares(columns: Array, targets: Array) -> Array:
     return np.linalg.lstsq(columns / scale, targets, rcond=None)[0] / scale[:, None]
 
 
-def _fit_with_jackknife_interval(fit: Callable[[Flags], Array], kept: Sequence[Flags]) -> tuple[Array, Array]:
+def fit_with_jackknife_interval(fit: Callable[[Flags], Array], kept: Sequence[Flags]) -> tuple[Array, Array]:
     """Return the fit to all rows, and the half width of its 95 % interval from fits that leave out one part each."""
     whole = fit(np.ones(kept[0].size, dtype=bool))
     return whole, _jackknife_half_width([fit(rows) for rows in kept])
@@ -278,7 +278,7 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
             flights.append((rate, command, gaussian_filter1d(log.specific_force[:, 2], rate * BAND_STD_S), rows))
     if not flights:
         return None
-    kept = _rows_without_each_part([int(rows.sum()) for *_, rows in flights])
+    kept = rows_without_each_part([int(rows.sum()) for *_, rows in flights])
 
     def residual(params: Array, chosen: Flags) -> Array:
         errors = []
@@ -292,7 +292,7 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
     def fit(chosen: Flags) -> Array:
         return np.asarray(least_squares(residual, (1.5, 1.5), bounds=((0.2, 0.05), (4.0, 15.0)), args=(chosen,)).x)
 
-    value, half = _fit_with_jackknife_interval(fit, kept)
+    value, half = fit_with_jackknife_interval(fit, kept)
     power, lag = map(Estimate.from_half_width, value * (1.0, 0.02), half * (1.0, 0.02))
     return power, lag
 

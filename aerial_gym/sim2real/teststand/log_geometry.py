@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.robots.drafts.frames import FRAMES, frame_rotors
@@ -127,10 +128,7 @@ def layout_in_log(path: str, count: int, frame: str | None = None) -> RotorLayou
 def frame_layout(name: str, count: int) -> RotorLayout:
     """Return the rotors of a frame by its name or of a robot file; raise ``ConfigError`` for another number of rotors."""
     if name.endswith((".yaml", ".yml")):
-        mounts = robot_by_name(name).mounts.layout
-        places, spins = np.array([mount.position for mount in mounts]), tuple(mount.spin for mount in mounts)
-        axes = np.array([mount.axis for mount in mounts])
-        layout = RotorLayout(count=len(mounts), places=places, axes=axes, spins=spins, has_lengths=True)
+        layout = layout_of_robot(robot_by_name(name))
     else:
         places, spins = frame_rotors(name, more="; or give a robot file that ends in .yaml")
         layout = RotorLayout(count=len(places), places=places, spins=spins)
@@ -139,6 +137,14 @@ def frame_layout(name: str, count: int) -> RotorLayout:
             f"--frame {name}: has {layout.count} rotors, and the log has {count}; give the frame of this vehicle"
         )
     return replace(layout, source=name)
+
+
+def layout_of_robot(robot: RobotCfg) -> RotorLayout:
+    """Return the rotors of a robot."""
+    mounts = robot.mounts.layout
+    places, spins = np.array([mount.position for mount in mounts]), tuple(mount.spin for mount in mounts)
+    axes = np.array([mount.axis for mount in mounts])
+    return RotorLayout(count=len(mounts), places=places, axes=axes, spins=spins, has_lengths=True)
 
 
 def _layout_of_parameters(raw: RawLog, count: int) -> RotorLayout:

@@ -9,10 +9,19 @@ from aerial_gym.sim2real.json_values import map_leaves
 from aerial_gym.sim2real.wording.answer import ANSWER, TRUST
 from aerial_gym.sim2real.wording.logs import LOGS
 from aerial_gym.sim2real.wording.notes import NOTES, REASONS
+from aerial_gym.sim2real.wording.preflight import PREFLIGHT
 from aerial_gym.sim2real.wording.teststand import TESTSTAND
 from aerial_gym.sim2real.wording.words import Template, template_sentence
 
-TEMPLATES: dict[str, Template] = {**ANSWER, **TRUST, **NOTES, **REASONS, **LOGS, **TESTSTAND}  # Template of each code
+TEMPLATES: dict[str, Template] = {
+    **ANSWER,
+    **TRUST,
+    **NOTES,
+    **REASONS,
+    **LOGS,
+    **TESTSTAND,
+    **PREFLIGHT,
+}  # Template of each code
 
 _WITH_SUBJECT = {*LOGS, "rows_without_speed", "thrust_from_gravity", "curvature_kept"}
 """Codes whose sentence starts with the subject and a colon."""
