@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
@@ -18,9 +19,9 @@ from aerial_gym.sim2real.statistics import Estimate
 from aerial_gym.sim2real.teststand.effectiveness import fit_with_jackknife_interval, rows_without_each_part
 from aerial_gym.sim2real.teststand.log_geometry import layout_of_robot
 
-BAND_HZ = (0.5, 15.0)  # Frequencies of the comparison of commands with the rate loop; slower are those of integrators
+BAND_HZ = (0.5, 12.0)  # Frequencies of the comparison of commands with the rate loop; slower are those of integrators
 LARGEST_S, TRIAL_S = 0.2, 0.005  # Largest latency of the search, and distance of its trials [s]
-BIN_S, TAPS = 0.025, 40  # Step and number of the impulse response from commanded to flown rate: one second
+GAINS, TRIALS = (0.4, 2.5), 75  # Range of flown per commanded body rates that is searched, and number of trials
 AXES = 3
 LAGS = range(4, 21)  # Numbers of commands whose time is compared: more than a queue delays
 FEWEST_SPANS = 4  # Least number of spans without lost rows
@@ -41,7 +42,7 @@ class TrainingLink:
 def check_link(logs: Sequence[FlightLog], robot: RobotCfg, training: TrainingLink) -> list[Constant]:
     """Return the constants of the link by logs at equal steps, with correct sensors and rotors."""
     rate, jitter, loss = arrival_statistics(logs)
-    latency, gains = _command_latency(logs, robot), _rate_gains(logs)
+    latency, gains = rate_loop_constants(logs, robot)
     shown = "no_rate_setpoint" if not any("rate_setpoint" in log.setpoints for log in logs) else "few_commands"
     constants = [
         Constant(name="link_rate", kind="link_rate", declared=training.rate or 0.0, unit="Hz", reason=shown,
@@ -100,37 +101,73 @@ def _spans_of_arrivals(log: FlightLog) -> list[Array]:
     return np.split(time, np.flatnonzero(np.diff(count)) + 1)
 
 
-def _command_latency(logs: Sequence[FlightLog], robot: RobotCfg) -> Estimate | None:
-    """Return the time between a commanded body rate and the reaction of the rotor commands [s].
+def rate_loop_constants(logs: Sequence[FlightLog], robot: RobotCfg) -> tuple[Estimate | None, list[Estimate | None]]:
+    """Return the latency of commanded body rates [s], and the flown per commanded body rate about each axis.
 
-    A rate loop makes a torque ``P (r(t - L) - w) + I integral(r(t - L) - w) - D w'``, less gyroscopic torques, of the command r
-    and the rate w. The least residual of this regression shows L. No number of vehicle or firmware enters.
+    A rate loop makes a torque ``P e + I integral(e) - D w'``, less gyroscopic torques, of the error ``e = g r(t - L) - w`` of a
+    command r and the rate w. The least residual of this regression shows L and g. No number of vehicle or firmware enters.
     """
     parts = [_FilteredRateLoop.of(log, robot) for log in logs if _shows_rate_loop(log)]
     if not parts:
-        return None
-    rate = min(part.rate for part in parts)
+        return None, [None] * AXES
     trials = np.arange(-1, round(LARGEST_S / TRIAL_S) + 1) * TRIAL_S
-    sizes = [len(part.rows) for part in parts]
-    tables = np.concatenate([np.stack([part.table(late) for late in trials]) for part in parts], axis=1)
-    columns = tables.shape[-1]
+    kept = rows_without_each_part([len(part.rows) for part in parts])
+
+    def products(late: float, rows: Flags) -> Array:
+        table = np.concatenate([part.table(late) for part in parts])[rows].swapaxes(0, 1)
+        return np.swapaxes(table, 1, 2) @ table  # of all columns, (3, 7, 7)
+
+    whole = np.ones(kept[0].size, dtype=bool)
+    sums = {rows.tobytes(): np.stack([products(late, rows) for late in trials]) for rows in (whole, *kept)}
 
     def latency(rows: Flags) -> Array:
-        left = np.zeros(trials.size)
-        for axis in range(AXES):
-            one = tables[:, rows, axis]
-            products = np.swapaxes(one, 1, 2) @ one  # regressors and torque, (trials, columns, columns)
-            inner, outer = products[:, : columns - 1, : columns - 1], products[:, : columns - 1, -1:]
-            explained = (np.linalg.pinv(inner, hermitian=True) @ outer)[..., 0]
-            left += 1.0 - (explained * outer[..., 0]).sum(axis=1) / products[:, -1, -1]
+        left = np.array([sum(map(_residual_share, each)) for each in sums[rows.tobytes()]])
         best = int(np.argmin(left))
         if best in (0, trials.size - 1):
             return trials[best : best + 1]
         before, here, after = left[best - 1 : best + 2]
         return np.array([trials[best] + 0.5 * TRIAL_S * (before - after) / (before - 2.0 * here + after)])
 
-    value, half = fit_with_jackknife_interval(latency, rows_without_each_part(sizes))
-    return Estimate.from_half_width(float(value[0]), max(float(half[0]), 0.5 / rate))
+    value, half = fit_with_jackknife_interval(latency, kept)
+    nearest = int(np.argmin(np.abs(trials - value[0])))
+
+    def gains(rows: Flags) -> Array:
+        return np.array([_gain_of_command(one) for one in sums[rows.tobytes()][nearest]])
+
+    gain, wide = fit_with_jackknife_interval(gains, kept)
+    moved = np.sqrt(np.mean(np.concatenate([part.asked[..., 0] for part in parts]) ** 2, axis=0))
+    estimates = [
+        Estimate.from_half_width(g, w) if m > LEAST_RATE else None for g, w, m in zip(gain, wide, moved, strict=True)
+    ]
+    resolution = 0.5 / min(part.rate for part in parts)
+    return Estimate.from_half_width(float(value[0]), max(float(half[0]), resolution)), estimates
+
+
+def _residual_share(products: Array) -> float:
+    """Return the share of the last column that the others do not explain, by the products of all columns."""
+    outer = products[:-1, -1]
+    return 1.0 - float(outer @ np.linalg.pinv(products[:-1, :-1], hermitian=True) @ outer) / float(products[-1, -1])
+
+
+def _gain_of_command(products: Array) -> float:
+    """Return the gain of the command and its integral with the least residual, by the products of all columns (7, 7).
+
+    Neither the proportional nor the integral gain of a rate loop is negative, which excludes a second minimum.
+    """
+
+    def residual(gain: float) -> float:
+        errors = np.zeros((5, 7))  # of rate and of its integral; the other columns stay
+        errors[0, [0, 2]] = errors[1, [1, 3]] = gain, -1.0
+        errors[[2, 3, 4], [4, 5, 6]] = 1.0
+        reduced = errors @ products @ errors.T
+        gains = np.linalg.pinv(reduced[:-1, :-1], hermitian=True) @ reduced[:-1, -1]
+        kept = [k for k in range(5) if k > 1 or gains[k] >= 0.0]
+        return _residual_share(reduced[np.ix_(kept, kept)])
+
+    trials = np.geomspace(*GAINS, TRIALS)
+    best = int(np.argmin([residual(gain) for gain in trials]))
+    near = (trials[max(best - 1, 0)], trials[min(best + 1, TRIALS - 1)])
+    return float(minimize_scalar(residual, bounds=near, method="bounded", options={"xatol": 1e-4}).x)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,37 +214,6 @@ def held_rate_setpoint(log: FlightLog) -> Array:
     time, values = log.setpoints["rate_setpoint"]
     place = np.searchsorted(time, log.time + 0.5 / sample_rate(log), side="right") - 1
     return values[np.clip(place, 0, None)]
-
-
-def _rate_gains(logs: Sequence[FlightLog]) -> list[Estimate | None]:
-    """Return the flown per commanded body rate in the steady state of each axis: the sum of a finite impulse response."""
-    logs = [log for log in logs if "rate_setpoint" in log.setpoints and log.ang_vel is not None]
-    if not logs:
-        return [None] * AXES
-    pairs = [(_means(held_rate_setpoint(log), log), _means(log.ang_vel, log)) for log in logs]  # type: ignore[arg-type]
-    kept = rows_without_each_part([len(asked) - TAPS + 1 for asked, _ in pairs])
-    return [_impulse_gain([(a[:, k], w[:, k]) for a, w in pairs], kept) for k in range(AXES)]
-
-
-def _impulse_gain(pairs: Sequence[tuple[Array, Array]], kept: Sequence[Flags]) -> Estimate | None:
-    tables = [np.lib.stride_tricks.sliding_window_view(asked, TAPS) for asked, _ in pairs]
-    table, target = np.concatenate(tables), np.concatenate([turning[TAPS - 1 :] for _, turning in pairs])
-    table = np.column_stack((table, np.ones(len(table))))
-    if np.std(table[:, 0]) < LEAST_RATE:
-        return None
-
-    def gain(rows: Flags) -> Array:
-        return np.linalg.lstsq(table[rows], target[rows], rcond=None)[0][None, :TAPS].sum(axis=1)
-
-    value, half = fit_with_jackknife_interval(gain, kept)
-    return Estimate.from_half_width(float(value[0]), float(half[0]))
-
-
-def _means(values: Array, log: FlightLog) -> Array:
-    """Return means over ``BIN_S``, (bins, 3)."""
-    rows = max(1, round(BIN_S * sample_rate(log)))
-    count = len(values) // rows
-    return values[: count * rows].reshape(count, rows, -1).mean(axis=1)
 
 
 def _shows_rate_loop(log: FlightLog) -> bool:
