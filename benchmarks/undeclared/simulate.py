@@ -53,7 +53,8 @@ def fly_references(
 ) -> PlantRecord:
     """Return the record of all flights of ``reference``; the autopilot, if no pilot is given, is built from ``declared`` alone.
 
-    ``substeps``: Runge-Kutta steps per autopilot tick. A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
+    ``substeps``: Runge-Kutta steps per autopilot tick. A delay of the true vehicle is rounded to whole steps of the plant;
+    before the first command arrives it holds.
     """
     num_samples, num_flights = reference.yaw.shape
     surroundings = surroundings or PlantSurroundings()

@@ -196,7 +196,8 @@ def _lag_and_gain(logs: Sequence[FlightLog], robot: RobotCfg) -> list[Constant]:
     lines = [_line_of_commands(log, robot) for log in known]
     means = [[float(values.mean()) for values in (_speed(log), _reached_command(log, robot))] for log in known]
     gain = _mean([speed / command for speed, command in means])
-    lag, dead = (_mean([getattr(one, name) for one in lines]) for name in ("time_constant", "delay"))
+    moved = [float(log.rotor_command.var()) for log in known if log.rotor_command is not None]
+    lag, dead = (_mean([getattr(one, name) for one in lines], moved) for name in ("time_constant", "delay"))
     delay = declared_effect(robot, "actuation_delay", "delay", 0.0)
     return [
         Constant(
@@ -216,12 +217,14 @@ def _line_of_commands(log: FlightLog, robot: RobotCfg) -> LineBehindLag:
     return fit_line_behind_lag(_reached_command(log, robot), _speed(log), robot, sample_rate(log))
 
 
-def _mean(values: Sequence[float]) -> Estimate | None:
+def _mean(values: Sequence[float], weights: Sequence[float] | None = None) -> Estimate | None:
     """Return the mean of values of single flights, with the interval of their scatter; None for less than two."""
     if len(values) < 2:
         return None
-    half = float(student_quantile(0.975, len(values) - 1)) * float(np.std(values, ddof=1)) / len(values) ** 0.5
-    return Estimate.from_half_width(float(np.mean(values)), half)
+    value, weight = np.array(values), np.ones(len(values)) if weights is None else np.array(weights)
+    mean, count = float(weight @ value / weight.sum()), len(values)
+    std = float(np.sqrt((weight * (value - mean)) @ (weight * (value - mean)) * count / (count - 1)) / weight.sum())
+    return Estimate.from_half_width(mean, float(student_quantile(0.975, count - 1)) * std)
 
 
 def _voltage_constant(logs: Sequence[FlightLog], robot: RobotCfg, gain: Estimate | None) -> Constant:
