@@ -36,6 +36,7 @@ COMMANDS: dict[str, ImportPath] = {
     "play": ImportPath("aerial_gym.cli.play:PlayCmd"),
     "evaluate": ImportPath("aerial_gym.cli.evaluate:EvaluateCmd"),
     "export": ImportPath("aerial_gym.cli.export:ExportCmd"),
+    "preflight": ImportPath("aerial_gym.cli.preflight:PreflightCmd"),
     "replay": ImportPath("aerial_gym.cli.replay:ReplayCmd"),
     "watch": ImportPath("aerial_gym.cli.watch:WatchCmd"),
     "close-loop": ImportPath("aerial_gym.cli.close_loop:CloseLoopCmd"),

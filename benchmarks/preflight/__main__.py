@@ -23,10 +23,13 @@ from aerial_gym.errors import AerialGymError
 from aerial_gym.interop import one_thread
 from aerial_gym.sim2real.preflight.check import preflight
 from aerial_gym.sim2real.preflight.link import TrainingLink
+from aerial_gym.sim2real.preflight.ranges import TrainingConditions
 from benchmarks.markdown import table
 from benchmarks.preflight.faults import DRAWS, POLICY_HZ
 from benchmarks.preflight.flights import fly_vehicle
 from benchmarks.preflight.score import judge
+
+TRAINING = TrainingConditions(link=TrainingLink(rate=POLICY_HZ))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,7 @@ def score_vehicle(vehicle: PreflightVehicle, out: Path | None) -> dict:
         truth = json.loads(files.truth.read_text())
         try:
             with one_thread():
-                result = preflight(files.robot, files.log, training=TrainingLink(rate=POLICY_HZ))
+                result = preflight(files.robot, files.log, training=TRAINING)
             row |= judge(result, truth)
         except AerialGymError as error:
             row |= {"right": False, "named": [], "error": str(error)}

@@ -17,7 +17,8 @@ from aerial_gym.sim2real.logs.flights import resample_log
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.preflight.constants import Constant
-from aerial_gym.sim2real.preflight.link import TrainingLink, check_link
+from aerial_gym.sim2real.preflight.link import check_link
+from aerial_gym.sim2real.preflight.ranges import TrainingConditions, findings_outside_training
 from aerial_gym.sim2real.preflight.rotors import check_rotors
 from aerial_gym.sim2real.preflight.sensors import check_sensors
 from aerial_gym.sim2real.progress import Progress, silent
@@ -32,7 +33,10 @@ class Preflight:
 
     robot: str
     log: str
-    findings: tuple[Finding, ...]  # One for each constant, sign and order, the contradictions first
+    policy: str = ""  # Whose training the log is compared with
+    findings: tuple[
+        Finding, ...
+    ]  # One for each constant, sign and order, the contradictions first; then what is outside
     constants: tuple[Constant, ...] = field(default=(), repr=False)
 
     @property
@@ -47,7 +51,8 @@ class Preflight:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the result for JSON."""
-        return {"verdict": self.verdict, "robot": self.robot, "log": self.log, "findings": finding_rows(self.findings)}
+        names = {"verdict": self.verdict, "robot": self.robot, "log": self.log, "policy": self.policy}
+        return names | {"findings": finding_rows(self.findings)}
 
     def write(self, path: Path) -> None:
         """Write the result as JSON, with its hash."""
@@ -76,7 +81,7 @@ def preflight(
     robot: str | Path | RobotCfg,
     log: str | Path,
     *,
-    training: TrainingLink | None = None,
+    training: TrainingConditions | None = None,
     mapping: LogMapping | None = None,
     progress: Progress = silent,
 ) -> Preflight:
@@ -85,7 +90,7 @@ def preflight(
     Args:
         robot: Robot of the policy's training.
         log: Flight or flights of the real vehicle: hover, climbs, a yaw turn, steps of the body rates.
-        training: Link of the training; its rate is not judged without one.
+        training: Link and motion of the training; the rate of commands is not judged without.
         mapping: Layout of a CSV file.
 
     Raises:
@@ -105,11 +110,19 @@ def preflight(
     progress("rotors", 0.6)
     rotors = check_rotors(sensors.logs, cfg)
     progress("link", 0.9)
-    link = check_link(sensors.logs, rotors.robot, training or TrainingLink())
+    conditions = training or TrainingConditions()
+    link = check_link(sensors.logs, rotors.robot, conditions.link)
     constants = (*sensors.constants, *rotors.constants, *link)
     findings = [*sensors.findings, *rotors.findings, *(one.finding() for one in constants)]
     name = "" if isinstance(robot, RobotCfg) else str(robot)
-    return Preflight(robot=name, log=str(log), findings=_in_order(findings), constants=constants)
+    outside = findings_outside_training(sensors.logs, conditions)
+    return Preflight(
+        robot=name,
+        log=str(log),
+        policy=conditions.source,
+        findings=(*_in_order(findings), *outside),
+        constants=constants,
+    )
 
 
 def _in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:
