@@ -27,6 +27,8 @@ class ExportCmd:
 
     name: str | None = None  # Of files and C functions; that of the task if not given
     check: bool = True  # Run each file on 100,000 observations and compare it with torch
+    preflight: Path | None = None  # Result of aerial-gym preflight --out; its hash goes into policy.json
+    allow_contradicted: bool = False  # Export although that result contradicts the robot file
     json: bool = False  # Print one JSON object per format
 
     def run(self) -> int:
@@ -42,7 +44,10 @@ class ExportCmd:
         with progress_bar() as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the exporters, about names of axes
             progress("writing", 0.0)
-            exports = export_policy(self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check)
+            exports = export_policy(
+                self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check, preflight=self.preflight,
+                allow_contradicted=self.allow_contradicted,
+            )  # fmt: skip
             progress("writing", 1.0)
         for each in exports:
             if each.agrees is False:

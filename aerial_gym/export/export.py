@@ -26,6 +26,7 @@ from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.sensors.encoder.file import load_encoder
+from aerial_gym.sim2real.preflight.result_file import read_result
 from aerial_gym.task import task_registry
 from aerial_gym.task.images import TYPES
 from aerial_gym.task.terms.observations import LATENTS
@@ -55,7 +56,7 @@ class Exported:
 @usual_settings
 def export_policy(
     source: str | Path, out: str | Path, to: Iterable[str], *, robot: str | None = None, name: str | None = None,
-    check: bool = True,
+    check: bool = True, preflight: Path | None = None, allow_contradicted: bool = False,
 ) -> list[Exported]:  # fmt: skip
     """Write the policy of a run folder or checkpoint in some formats, with ``policy.json`` beside it.
 
@@ -67,15 +68,18 @@ def export_policy(
             range and places of its rotors are written.
         name: Of files and C functions; that of the task if not given.
         check: Run the files on ``CHECKED`` random observations and compare them with torch.
+        preflight: Result of ``aerial-gym preflight``, whose hash goes into ``policy.json``.
+        allow_contradicted: Write the policy although the preflight log contradicts its robot file.
 
     Raises:
-        ConfigError: If there is no such policy or format, or the policy cannot be written so.
+        ConfigError: If there is no such policy or format, the policy cannot be written so, or the log contradicts its robot.
         CapabilityError: If a package is missing.
         StorageError: If the folder cannot be written.
     """
     for each in (wanted := list(to)):
         if each not in FORMATS:
             raise ConfigError(f"format {each!r}: must be {', '.join(FORMATS)}")
+    checked = None if preflight is None else _result_of_preflight(preflight, allow_contradicted)
     policy, cfg = load_policy(source)
     cfg = replace(cfg, robot=robot or cfg.robot, settings=settings_of_run(cfg.settings, robot=robot, task=None))
     with task_registry.make_task(
@@ -89,7 +93,19 @@ def export_policy(
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem
         layout = policy_layout(policy, cfg, task, name=named, source=str(source))
-    return write_policy(policy, layout, Path(out), wanted, check=check)
+    return write_policy(policy, replace(layout, preflight=checked), Path(out), wanted, check=check)
+
+
+def _result_of_preflight(path: Path, allow_contradicted: bool) -> dict[str, str]:
+    """Return verdict, robot, log and hash of a preflight result; refuse a contradicted one unless it is allowed."""
+    result = read_result(path)
+    wrong = [one["text"] for one in result["findings"] if one["code"].endswith("_contradicted")]
+    if wrong and not allow_contradicted:
+        raise ConfigError(
+            f"{path}: the log contradicts {result['robot']}. {' '.join(wrong)} Correct the robot file and train again, or "
+            "give --allow-contradicted"
+        )
+    return {name: result[name] for name in ("verdict", "robot", "log", "sha256")}
 
 
 def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *, check: bool = True) -> list[Exported]:

@@ -88,6 +88,7 @@ class Layout:
     encoder: str | None = None  # Encoder of `image_latents` in the observation, if any; not exported
     settings: tuple[str, ...] = ()  # Changed settings of task, robot, env and sim in training
     rotors: tuple[LayoutRotor, ...] = ()  # Rotors of the vehicle, in the order of its commands
+    preflight: Mapping[str, str] | None = None  # Verdict, robot, log and SHA-256 of an `aerial-gym preflight`
     version: str  # Of this package
 
     @property

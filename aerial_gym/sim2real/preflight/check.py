@@ -1,11 +1,9 @@
 """The preflight check: sensors, rotors and link of a log against a robot file and the training of a policy."""
 
-import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.storage import write_atomic
@@ -19,6 +17,7 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.preflight.constants import Constant
 from aerial_gym.sim2real.preflight.link import check_link
 from aerial_gym.sim2real.preflight.ranges import TrainingConditions, findings_outside_training
+from aerial_gym.sim2real.preflight.result_file import digest
 from aerial_gym.sim2real.preflight.rotors import check_rotors
 from aerial_gym.sim2real.preflight.sensors import check_sensors
 from aerial_gym.sim2real.progress import Progress, silent
@@ -58,23 +57,6 @@ class Preflight:
         """Write the result as JSON, with its hash."""
         content = self.as_mapping()
         write_atomic(path, json.dumps(content | {"sha256": digest(content)}, indent=1, ensure_ascii=False) + "\n")
-
-
-def digest(content: Mapping[str, object]) -> str:
-    """Return the SHA-256 of a result without its own hash."""
-    plain = {key: value for key, value in content.items() if key != "sha256"}
-    return hashlib.sha256(json.dumps(plain, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
-
-
-def read_result(path: Path) -> dict[str, Any]:
-    """Return a written result; raise ``ConfigError`` for a file that is none or was changed."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["sha256"] == digest(content) and content["verdict"] in ("ready", "contradicted"):
-            return content
-    except (KeyError, TypeError, ValueError):
-        pass
-    raise ConfigError(f"{path}: is no unchanged result of aerial-gym preflight; write it again with --out")
 
 
 def preflight(
