@@ -10,6 +10,8 @@ from aerial_gym.sim2real.statistics import Estimate
 
 MEASURED, ASSUMED, CONTRADICTED = "measured", "assumed", "contradicted"
 
+CODES = {MEASURED: "constant_measured", ASSUMED: "constant_assumed", CONTRADICTED: "constant_contradicted"}
+
 TOLERANCES = {
     "gyro_scale": 0.015,  # Half the limit of a common gyro, as in ``predict.tolerances``
     "accelerometer_scale": 0.015,  # Three standard deviations after a calibration on six sides
@@ -75,7 +77,7 @@ class Constant:
             values["reason"] = self.reason if self.estimate is None else "interval"
         if self.state == CONTRADICTED:
             values |= {"setting": self.setting, "new": self.new, "tied": list(self.tied), "remedy": self.remedy}
-        return Finding(f"constant_{self.state}", self.name, values)
+        return Finding(CODES[self.state], self.name, values)
 
 
 def pool(parts: Sequence[Estimate]) -> Estimate | None:

@@ -46,18 +46,18 @@ def check_link(logs: Sequence[FlightLog], robot: RobotCfg, training: TrainingLin
     shown = "no_rate_setpoint" if not any("rate_setpoint" in log.setpoints for log in logs) else "few_commands"
     constants = [
         Constant(name="link_rate", kind="link_rate", declared=training.rate or 0.0, unit="Hz", reason=shown,
-                 estimate=rate, setting="rate of the policy in training", new=rate and rate.value),
+                 estimate=rate, setting="the rate of the policy in training", new=rate and rate.value),
         Constant(name="link_jitter", kind="link_jitter", declared=training.jitter, unit="s", reason=shown,
-                 estimate=jitter, setting="jitter of commands in training", new=jitter and jitter.value),
+                 estimate=jitter, setting="the jitter of commands in training", new=jitter and jitter.value),
         Constant(name="packet_loss", kind="packet_loss", declared=training.loss, reason=shown, estimate=loss,
-                 setting="dropout of commands in training", new=loss and loss.value),
+                 setting="the dropout of commands in training", new=loss and loss.value),
         Constant(name="command_latency", kind="command_latency", declared=training.latency, unit="s", reason=shown,
-                 estimate=latency, setting="action delay_steps of the task", new=latency and latency.value),
+                 estimate=latency, setting="the action delay_steps of the task", new=latency and latency.value),
     ]  # fmt: skip
     if training.rate is None:
         constants = constants[1:]
     gained = [Constant(name=f"rate_gain_{axis}", kind="rate_gain", declared=1.0, reason=shown, estimate=gain,
-                       setting=f"factor of the commanded rate about {axis}", new=None if gain is None else 1.0 / gain.value)
+                       setting=f"the factor of the commanded rate about {axis}", new=None if gain is None else 1.0 / gain.value)
               for axis, gain in zip("xyz", gains, strict=True)]  # fmt: skip
     return [*constants, *gained]
 

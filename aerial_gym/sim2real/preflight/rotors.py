@@ -234,7 +234,7 @@ def _voltage_constant(logs: Sequence[FlightLog], robot: RobotCfg, gain: Estimate
     """
     constant = Constant(
         name="speed_per_command", kind="speed_per_command", declared=1.0, estimate=gain, reason="no_rotor_speeds",
-        setting="factor of the commands", new=None if gain is None else gain.value,
+        setting="the factor of the commands", new=None if gain is None else gain.value,
     )  # fmt: skip
     factors = [one for log in logs if (one := _speed_factor(log, robot)) is not None]
     if gain is None or robot.battery is None or not factors or constant.state != CONTRADICTED:
@@ -246,6 +246,6 @@ def _voltage_constant(logs: Sequence[FlightLog], robot: RobotCfg, gain: Estimate
     if abs(voltage - share * nominal) > LARGEST_READING_ERROR * voltage:
         setting, new, place = "battery.nominal_voltage [V]", voltage / share, 0
     else:
-        setting, new, place = "voltage added to the logged one [V]", share * nominal - voltage, 1
+        setting, new, place = "the voltage added to the logged one [V]", share * nominal - voltage, 1
     tied = tuple(name for name in names if name != names[place])
     return replace(constant, name=names[place], setting=setting, new=new, tied=tied, remedy="measure_voltage")

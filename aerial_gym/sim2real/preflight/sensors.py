@@ -71,7 +71,7 @@ def _without_delays(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[Co
         moves[name] = 0.0 if delay is None else delay.value
         constants.append(Constant(
             name=f"{name}_latency", kind="state_latency", declared=0.0, unit="s", estimate=delay, reason="delay_not_shown",
-            setting="observation delay_steps of the task", new=moves[name],
+            setting="the observation delay_steps of the task", new=moves[name],
         ))  # fmt: skip
     moved = [replace(log, **{n: stream_later(log, n, s) for n, s in moves.items() if s}) for log in logs]
     return moved, constants
@@ -81,7 +81,7 @@ def _gyro_scale(axis: str, gains: Sequence[SensorGain]) -> Constant:
     gain = _pooled_gain(gains, "gyro", axis)
     return Constant(
         name=f"gyro_scale_{axis}", kind="gyro_scale", declared=1.0, estimate=gain, reason="little_turning",
-        setting=f"factor of the gyro about {axis}", new=None if gain is None else 1.0 / gain.value,
+        setting=f"the factor of the gyro about {axis}", new=None if gain is None else 1.0 / gain.value,
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def _accelerometer_scale(logs: Sequence[FlightLog], gains: Sequence[SensorGain])
         gain, tied = _pooled_gain(still, "accelerometer", "z"), ("accelerometer_bias",)
     return Constant(
         name="accelerometer_scale", kind="accelerometer_scale", declared=1.0, estimate=gain, reason="no_velocity",
-        setting="factor of the accelerometer", new=None if gain is None else 1.0 / gain.value, tied=tied,
+        setting="the factor of the accelerometer", new=None if gain is None else 1.0 / gain.value, tied=tied,
         remedy="turn_accelerometer",
     )  # fmt: skip
 

@@ -77,7 +77,7 @@ def _assumed_sentence(finding: Finding) -> str:
 
 def _contradicted_sentence(finding: Finding) -> str:
     values = finding.values
-    sentence = f"{_measured_sentence(finding)} Change the {values['setting']} to {number_text(values['new'], 4)}."
+    sentence = f"{_measured_sentence(finding)} Change {values['setting']} to {number_text(values['new'], 4)}."
     if not values["tied"]:
         return sentence
     others = join_words(map(constant_label, values["tied"]), "or")
@@ -119,8 +119,8 @@ PREFLIGHT: dict[str, Template] = {
     "rotor_order_contradicted": _order_sentence,
     "spins_contradicted": _spins_sentence,
     "outside_training": (
-        "{subject} leaves the range of the training: {low:number} to {high:number} in the log, {trained_low:number} to "
-        "{trained_high:number} in training ({share:percent} of the time outside)."
+        "The {subject} leaves the range of the training for {share:percent} of the time. It is {low:number} to {high:number} in "
+        "the log, and {trained_low:number} to {trained_high:number} in training."
     ),
 }
 """Templates of findings of the preflight check, by code."""

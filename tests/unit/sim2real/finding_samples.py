@@ -100,6 +100,7 @@ OBJECTION = [{"code": "may_be_noise", "subject": "gusts", "values": {"p_value": 
 LOST = [{"code": "share_small", "subject": "", "values": {"share": 0.04}}]
 SPANS = {"time_s": 5.0, "time_low_s": 4.99, "time_high_s": 5.01}
 SIZE = {"size_m": [1.0, 0.0, 0.0], "half_width_m": [0.01] * 3}
+LAG = {"declared": 0.038, "unit": "s", "tolerance": 0.0095}
 BROWN_OUT = {**SPANS, "failure": "brown_out", "share": 0.8, "share_low": 0.79, "share_high": 0.81, "duration_s": 0.5}
 
 SAMPLES = [
@@ -281,6 +282,25 @@ SAMPLES = [
     Finding("intervals_of_flights"), Finding("joint_driven", "arm0"), Finding("joint_creeps", "arm0"),
     Finding("published_law", "", {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}), Finding("one_record"),
     Finding("axes_open", "", {"first": 2, "second": 3}),
+    # preflight
+    Finding("constant_measured", "rotor_lag", {**LAG, "value": 0.0362, "low": 0.0351, "high": 0.0374}),
+    Finding("constant_assumed", "rotor_lag", {**LAG, "reason": "no_rotor_speeds"}),
+    Finding("constant_contradicted", "gyro_scale_z", {
+        "declared": 1.0, "unit": "", "tolerance": 0.015, "value": 1.03, "low": 1.029, "high": 1.031,
+        "setting": "the factor of the gyro about z", "new": 0.971, "tied": [], "remedy": "",
+    }),
+    Finding("constant_contradicted", "thrust_per_weight", {
+        "declared": 1.0, "unit": "", "tolerance": 0.04, "value": 0.9, "low": 0.897, "high": 0.903,
+        "setting": "effects.thrust_coefficient.scale", "new": 0.9, "tied": ["mass"], "remedy": "weigh",
+    }),
+    Finding("gyro_sign_measured", "x", {"gain_ratio": 0.998}), Finding("gyro_sign_assumed", "z"),
+    Finding("gyro_sign_contradicted", "y", {"gain_ratio": -1.003}), Finding("rotor_layout_measured"),
+    Finding("rotor_layout_assumed"), Finding("rotor_order_contradicted", "", {"rotors": [2, 3], "order": [1, 3, 2, 4]}),
+    Finding("spins_contradicted", "", {"rotors": [3], "all": False}),
+    Finding("spins_contradicted", "", {"rotors": [1, 2, 3, 4], "all": True}),
+    Finding("outside_training", "roll rate [rad/s]", {
+        "low": -3.87, "high": 3.74, "trained_low": -0.815, "trained_high": 0.772, "share": 0.1,
+    }),
 ]  # fmt: skip
 """Of every code, and of every template of an effect."""
 
