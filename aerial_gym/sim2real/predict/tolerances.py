@@ -21,7 +21,7 @@ from aerial_gym.physics.effects.vehicle_errors import add_products
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.recording import LATE_S
+from aerial_gym.sim2real.logs.recording import LATE_S, Recording
 
 LAYOUT: dict[str, str | tuple[str, ...]] = {
     "mass": ("",),
@@ -122,7 +122,7 @@ def tolerances_after_scaling(tolerances: Tolerances, flights: Sequence[Flight]) 
     return replace(tolerances, command_gain=max(tolerances.command_gain, gain))
 
 
-def are_scaled_by_thrust(flights: Sequence[Flight]) -> bool:
+def are_scaled_by_thrust(flights: Sequence[Recording]) -> bool:
     """Return whether the commands of all flights, without rotor speeds, are scaled by their mean measured thrust."""
 
     def is_scaled(note: Finding) -> bool:

@@ -5,6 +5,7 @@ Letters: T rows, R rotors.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from aerial_gym.sim2real.logs.rotor_model import (
     simulate_lag,
 )
 from aerial_gym.sim2real.logs.signals import IN_BAND, lowpass
+from aerial_gym.sim2real.predict.tolerances import are_scaled_by_thrust
 from aerial_gym.sim2real.preflight.constants import CONTRADICTED, Constant, scaled
 from aerial_gym.sim2real.statistics import Estimate, student_quantile
 from aerial_gym.sim2real.teststand.effectiveness import (
+    FEWEST_FLIGHTS,
     Effectiveness,
     FlightRows,
     fit_effectiveness,
@@ -51,16 +54,23 @@ class RotorStage:
 
 def check_rotors(logs: Sequence[FlightLog], robot: RobotCfg) -> RotorStage:
     """Return the constants of the rotors by logs with correct sensors."""
-    lag_and_gain = _lag_and_gain(logs, robot)
+    lag_and_gain, scaled_commands = _lag_and_gain(logs, robot), are_scaled_by_thrust(logs)
+    fast = all(log.torques for log in logs)
     logs = [_with_fewer_rows(replace(log, rotor_speed=_rotor_speeds(log, robot))) for log in logs]
     flights = [rows_of_flight(log, lambda log: rotor_thrusts(robot, _speed(log))) for log in logs]
     flights = [rows for rows in flights if rows.seconds > 0.0]
-    robot, findings = _with_layout_of_log(flights, robot)
+    robot, findings = _with_layout_of_log(flights, robot) if fast else (robot, [Finding("rotor_layout_assumed")])
     hover = np.concatenate([_speed(log) for log in logs]).mean(axis=0)
     thrust = _thrust_per_weight(flights, robot)
-    effect = fit_effectiveness(flights, layout_of_robot(robot).weights)
-    constants = [thrust, _thrust_exponent(logs, robot, hover), *_inertia_and_torque(effect, robot, thrust, hover)]
-    return RotorStage(robot=robot, constants=(*constants, *lag_and_gain), findings=tuple(findings))
+    effect = fit_effectiveness(flights, layout_of_robot(robot).weights) if fast else None
+    turning = _inertia_and_torque(effect, robot, thrust, hover)
+    forces = [thrust, _thrust_exponent(logs, robot, hover)]
+    if scaled_commands:
+        forces, turning = (
+            [replace(one, estimate=None, reason="commands_scaled") for one in part] for part in (forces, turning)
+        )
+    constants = (*forces, *turning, *lag_and_gain)
+    return RotorStage(robot=robot, constants=constants, findings=tuple(findings))
 
 
 def _speed(log: FlightLog) -> Array:
@@ -155,7 +165,9 @@ def _thrust_exponent(logs: Sequence[FlightLog], robot: RobotCfg, hover: Array) -
     )  # fmt: skip
 
 
-def _inertia_and_torque(effect: Effectiveness, robot: RobotCfg, thrust: Constant, hover: Array) -> list[Constant]:
+def _inertia_and_torque(
+    effect: Effectiveness | None, robot: RobotCfg, thrust: Constant, hover: Array
+) -> list[Constant]:
     """Return moments of inertia about roll and pitch, and the torque ratio, for declared arms.
 
     A wrong thrust scales all three, a wrong mass none. A value that one of both explains is no contradiction.
@@ -166,12 +178,12 @@ def _inertia_and_torque(effect: Effectiveness, robot: RobotCfg, thrust: Constant
     levers = (float(reach[0]), float(reach[1]), drag / lift)
     causes = [1.0, thrust.estimate.value] if thrust.estimate and thrust.state == CONTRADICTED else [1.0]
     constants = []
-    for axis, (size, lever, moment) in enumerate(zip(effect.sizes[:3], levers, moments, strict=True)):
+    for axis, (lever, moment) in enumerate(zip(levers, moments, strict=True)):
         turn = axis == 2
         kind, declared = ("torque_ratio", lever) if turn else ("inertia", float(moment))
         estimate = None
-        if effect.known[axis] and size.low > 0.0:
-            ratio = scaled(size, moment / lever)  # of the file's angular acceleration
+        if effect is not None and effect.known[axis] and effect.sizes[axis].low > 0.0:
+            ratio = scaled(effect.sizes[axis], moment / lever)  # of the file's angular acceleration
             cause = min(causes, key=lambda one, ratio=ratio: abs(np.log(ratio.value / one)))
             low, value, high = ratio.low / cause, ratio.value / cause, ratio.high / cause
             estimate = (
@@ -182,7 +194,8 @@ def _inertia_and_torque(effect: Effectiveness, robot: RobotCfg, thrust: Constant
             estimate = scaled(estimate, declared)
         constants.append(Constant(
             name="torque_ratio" if turn else f"inertia_{AXES[axis]}", kind=kind, declared=declared,
-            unit="m" if turn else "kg m²", estimate=estimate, reason="little_turning",
+            unit="m" if turn else "kg m²", estimate=estimate,
+            reason="slow_commands" if effect is None else "little_turning",
             setting="rotor.torque_ratio" if turn else f"body.inertia[{axis}][{axis}]",
             new=None if estimate is None else estimate.value, tied=("inertia_yaw",) if turn else ("arms",),
             remedy="swing_test",
@@ -193,8 +206,11 @@ def _inertia_and_torque(effect: Effectiveness, robot: RobotCfg, thrust: Constant
 def _lag_and_gain(logs: Sequence[FlightLog], robot: RobotCfg) -> list[Constant]:
     """Return lag and dead time of the speed behind the command, and the reached per commanded speed."""
     known = [log for log in logs if log.rotor_command is not None and log.rotor_speed is not None]
+    if len(known) < FEWEST_FLIGHTS:
+        known = [part for log in known for part in _parts(log)]
     lines = [_line_of_commands(log, robot) for log in known]
-    means = [[float(values.mean()) for values in (_speed(log), _reached_command(log, robot))] for log in known]
+    own = [log for log in known if all(note.code != "relative_commands_scaled" for note in log.notes)]
+    means = [[float(values.mean()) for values in (_speed(log), _reached_command(log, robot))] for log in own]
     gain = _mean([speed / command for speed, command in means])
     moved = [float(log.rotor_command.var()) for log in known if log.rotor_command is not None]
     lag, dead = (_mean([getattr(one, name) for one in lines], moved) for name in ("time_constant", "delay"))
@@ -211,6 +227,12 @@ def _lag_and_gain(logs: Sequence[FlightLog], robot: RobotCfg) -> list[Constant]:
         ),
         _voltage_constant(known, robot, gain),
     ]  # fmt: skip
+
+
+def _parts(log: FlightLog) -> list[FlightLog]:
+    """Return ``FEWEST_FLIGHTS`` equal parts of a flight."""
+    ends = np.linspace(0, log.time.size, FEWEST_FLIGHTS + 1).astype(int)
+    return [take_rows(log, slice(first, last)) for first, last in pairwise(ends)]
 
 
 def _line_of_commands(log: FlightLog, robot: RobotCfg) -> LineBehindLag:

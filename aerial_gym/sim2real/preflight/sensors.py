@@ -15,6 +15,7 @@ from aerial_gym.sim2real.logs.stream_delays import stream_delays, stream_later
 from aerial_gym.sim2real.preflight.constants import CONTRADICTED, TOLERANCES, Constant, pool
 from aerial_gym.sim2real.statistics import Estimate
 
+SLOWEST_ATTITUDE_HZ = 50.0  # Straight lines between slower samples lose 2 % of a turning at 4 Hz
 STATE = ("attitude", "lin_vel", "position")  # Streams that a policy takes as its state
 
 
@@ -32,7 +33,8 @@ def check_sensors(logs: Sequence[FlightLog]) -> SensorStage:
     even, findings = _with_gyro_signs(logs)
     even, delays = _without_delays(even)
     gains = [gain for log in even for gain in gains_of_moving_sensors(log, by_axis=True)]
-    scales = [_gyro_scale(axis, gains) for axis in "xyz"]
+    slow = any("attitude" in log.streams and log.streams["attitude"].rate < SLOWEST_ATTITUDE_HZ for log in even)
+    scales = [_gyro_scale(axis, [] if slow else gains, slow) for axis in "xyz"]
     scales.append(_accelerometer_scale(even, gains))
     corrected = [_with_gravity(_without_scales(log, scales)) for log in even]
     return SensorStage(logs=tuple(corrected), constants=(*scales, *delays), findings=tuple(findings))
@@ -77,10 +79,11 @@ def _without_delays(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[Co
     return moved, constants
 
 
-def _gyro_scale(axis: str, gains: Sequence[SensorGain]) -> Constant:
+def _gyro_scale(axis: str, gains: Sequence[SensorGain], slow: bool) -> Constant:
     gain = _pooled_gain(gains, "gyro", axis)
     return Constant(
-        name=f"gyro_scale_{axis}", kind="gyro_scale", declared=1.0, estimate=gain, reason="little_turning",
+        name=f"gyro_scale_{axis}", kind="gyro_scale", declared=1.0, estimate=gain,
+        reason="slow_attitude" if slow else "little_turning",
         setting=f"the factor of the gyro about {axis}", new=None if gain is None else 1.0 / gain.value,
     )  # fmt: skip
 

@@ -35,9 +35,12 @@ REASONS = {
     "interval": "its interval in this log is wider than its tolerance",
     "delay_not_shown": "the log moves too little, or has no sensor to compare it with",
     "little_turning": "the log turns too little about this axis",
+    "slow_attitude": "the attitude is logged at less than 50 Hz",
     "no_velocity": "the log has no velocity",
     "little_thrust": "the log changes the thrust too little",
-    "no_rotor_speeds": "the log has no rotor speeds beside the commands, or only one flight",
+    "no_rotor_speeds": "the log has no rotor speeds beside the commands",
+    "commands_scaled": "the log has commands as shares without rotor speeds, and their scale follows from the thrust",
+    "slow_commands": "the rotor data of the log are too slow for torques",
     "no_rate_setpoint": "the log has no commanded body rates (sp_omega_x, sp_omega_y, sp_omega_z)",
     "few_commands": "the log has too few commanded body rates, or rotor commands slower than 150 Hz",
 }
@@ -119,8 +122,8 @@ PREFLIGHT: dict[str, Template] = {
     "rotor_order_contradicted": _order_sentence,
     "spins_contradicted": _spins_sentence,
     "outside_training": (
-        "The {subject} leaves the range of the training for {share:percent} of the time. It is {low:number} to {high:number} in "
-        "the log, and {trained_low:number} to {trained_high:number} in training."
+        "The {subject} leaves the range of the training for {share:percent} of the time. It is {low:number} to {high:number} "
+        "in the log, and {trained_low:number} to {trained_high:number} in training."
     ),
 }
 """Templates of findings of the preflight check, by code."""

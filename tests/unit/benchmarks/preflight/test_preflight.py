@@ -22,18 +22,20 @@ def test_every_kind_of_fault_has_expected_names() -> None:
 
 def test_a_fault_changes_one_place() -> None:
     """Vehicle, link, robot file or log: exactly one of them differs for each kind."""
+
+    def document() -> dict:
+        return {"battery": {"nominal_voltage": 16.0}, "mounts": {"layout": [{"spin": 1, "rotor": k} for k in range(4)]}}
+
+    names = ("omega_x", "omega_y", "omega_z", "acc_x", "acc_y", "acc_z", "vbat")
     for kind in DRAWS:
-        fault = draw_fault(kind, 3)
-        layout = [{"spin": 1, "rotor": k} for k in range(4)]
-        document = fault.robot({"battery": {"nominal_voltage": 16.0}, "mounts": {"layout": layout}})
-        columns = {name: np.ones(2) for name in ("omega_x", "omega_y", "omega_z", "acc_x", "acc_y", "acc_z", "vbat")}
+        fault, columns = draw_fault(kind, 3), {name: np.ones(2) for name in names}
         fault.log(columns)
         places = [
             fault.vehicle(DECLARED) is not DECLARED,
             fault.link() != Fault().link(),
-            document != {"battery": {"nominal_voltage": 16.0}, "mounts": {"layout": [{"spin": 1, "rotor": k} for k in range(4)]}},
+            fault.robot(document()) != document(),
             any((column != 1.0).any() for column in columns.values()),
-        ]  # fmt: skip
+        ]
         assert sum(places) == (0 if kind == "state_latency" else 1), kind  # which the sensors have
 
 
