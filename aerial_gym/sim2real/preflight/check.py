@@ -11,7 +11,12 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_columns
-from aerial_gym.sim2real.logs.flights import resample_log, scale_relative_commands
+from aerial_gym.sim2real.logs.flights import (
+    derive_velocity,
+    resample_log,
+    scale_commands_to_hover_thrust,
+    scale_relative_commands,
+)
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.preflight.constants import Constant
@@ -86,7 +91,8 @@ def preflight(
     for one in logs:
         if one.ang_vel is None or one.specific_force is None:
             raise DataError(f"{one.path}: preflight needs gyro and accelerometer; log them, or map their columns")
-    logs = [scale_relative_commands(resample_log(one), cfg) for one in logs]
+    logs = [scale_relative_commands(derive_velocity(resample_log(one)), cfg) for one in logs]
+    logs = [scale_commands_to_hover_thrust(one, cfg) for one in logs]
     for one in logs:
         check_rotor_columns(one, cfg)
     progress("sensors", 0.3)

@@ -7,6 +7,7 @@ import numpy as np
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.statistics import Estimate
+from aerial_gym.sim2real.teststand.vehicle_from_log import WIDEST
 
 MEASURED, ASSUMED, CONTRADICTED = "measured", "assumed", "contradicted"
 
@@ -59,13 +60,17 @@ class Constant:
         """One of measured, assumed and contradicted.
 
         A contradicted value lies outside the interval by more than the tolerance. An interval wider than that shows nothing.
+        A relative number is measured only to ``WIDEST``, as in ``robot from-log``.
         """
         if self.estimate is None:
+            return ASSUMED
+        half_width = 0.5 * (self.estimate.high - self.estimate.low)
+        if self.kind in RELATIVE and half_width > WIDEST * abs(self.estimate.value):
             return ASSUMED
         low, high = self.estimate.low - self.tolerance, self.estimate.high + self.tolerance
         if not low <= self.declared <= high:
             return CONTRADICTED
-        return MEASURED if self.estimate.high - self.estimate.low <= 2.0 * self.tolerance else ASSUMED
+        return MEASURED if half_width <= self.tolerance else ASSUMED
 
     def finding(self) -> Finding:
         """Return the constant as a finding."""

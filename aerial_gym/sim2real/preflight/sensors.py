@@ -85,6 +85,7 @@ def _gyro_scale(axis: str, gains: Sequence[SensorGain], slow: bool) -> Constant:
         name=f"gyro_scale_{axis}", kind="gyro_scale", declared=1.0, estimate=gain,
         reason="slow_attitude" if slow else "little_turning",
         setting=f"the factor of the gyro about {axis}", new=None if gain is None else 1.0 / gain.value,
+        tied=("attitude_scale",), remedy="turn_by_known_angle",
     )  # fmt: skip
 
 

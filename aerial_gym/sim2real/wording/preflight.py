@@ -27,6 +27,7 @@ LABELS = {
     "command_latency": "latency of commands",
     "rate_gain": "flown per commanded body rate",
     "mass": "mass",
+    "attitude_scale": "scale of the attitude",
     "arms": "arms of the rotors",
 }
 """Names of constants for people; those of an axis end in its letter."""
@@ -49,6 +50,7 @@ REASONS = {
 REMEDIES = {
     "weigh": "Weigh the vehicle with its battery; if its mass is right, the thrust is wrong",
     "turn_accelerometer": "Log the accelerometer at rest on both sides; a scale changes sign with gravity, a bias does not",
+    "turn_by_known_angle": "Turn the vehicle by a known angle, and integrate the gyro",
     "swing_test": "Measure the inertia by a swing test",
     "measure_voltage": "Measure the battery with a voltmeter while the log runs",
 }
@@ -85,7 +87,7 @@ def _contradicted_sentence(finding: Finding) -> str:
         return sentence
     others = join_words(map(constant_label, values["tied"]), "or")
     remedy = REMEDIES.get(values["remedy"], "")
-    return f"{sentence} In this log a wrong {others} looks the same. {remedy}{remedy and '.'}"
+    return f"{sentence} An error of the {others} looks the same in this log. {remedy}{remedy and '.'}"
 
 
 def _order_sentence(finding: Finding) -> str:
