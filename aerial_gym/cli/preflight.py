@@ -37,7 +37,7 @@ class PreflightCmd:
             print(json_line(result.as_mapping(), allow_nan=False))
         else:
             _print_result(result)
-        return int(bool(result.contradicted))
+        return int(bool(result.contradictions))
 
     def result(self) -> "Preflight":
         """Return the result of the comparison."""
@@ -73,7 +73,7 @@ def _print_result(result: "Preflight") -> None:
     counts = Counter(state for state in states if state in STATES)
     console.print(f"{result.verdict}: {', '.join(f'{counts[state]} {state}' for state in STATES)}")
     for state in STATES:
-        for finding in (one for one, its in zip(result.findings, states, strict=True) if its == state):
+        for finding in (one for one, known in zip(result.findings, states, strict=True) if known == state):
             console.print(f"{state}: {text(finding)}", soft_wrap=True)
     outside = [one for one in result.findings if one.code == "outside_training"]
     if result.policy:

@@ -121,10 +121,14 @@ def score_text(rows: list[dict], scores: dict[str, list[int]]) -> str:
     lines = []
     for kind in sorted({row["kind"] for row in rows}):
         own = [row for row in rows if row["kind"] == kind]
-        others = sorted({", ".join(row["named"]) or row.get("error", "nothing") for row in own if not row["right"]})
+        wrong_names = sorted(
+            {", ".join(row["named"]) or row.get("error", "nothing") for row in own if not row["right"]}
+        )
         errors = [abs(row["error_share"]) for row in own if row.get("error_share") is not None]
         worst = f"{max(errors):.2f}" if errors else "-"
-        lines.append((kind or "none", f"{sum(row['right'] for row in own)} of {len(own)}", worst, "; ".join(others)))
+        lines.append(
+            (kind or "none", f"{sum(row['right'] for row in own)} of {len(own)}", worst, "; ".join(wrong_names))
+        )
     times = [f"{name} {sum(row[f'{name}_s'] for row in rows) / len(rows):.1f} s" for name in ("fly", "judge")]
     heads = ("fault", "right", "largest error per limit", "named where wrong")
     share = [f"{name}: {hits} of {count}" for name, (hits, count) in scores.items()]

@@ -69,7 +69,7 @@ def name_of_finding(finding: Finding) -> str:
 
 def judge(result: Preflight, truth: Mapping) -> dict:
     """Return whether a result is right, the names of its contradictions, and the largest error over its limit."""
-    named = {name_of_finding(one): one.values for one in result.contradicted}
+    named = {name_of_finding(one): one.values for one in result.contradictions}
     expected = EXPECTED[truth["kind"]](truth["values"]) if truth["kind"] else ()
     errors = [
         (named[name]["value"] - value) / limit for name, (value, limit) in true_values(truth).items() if name in named

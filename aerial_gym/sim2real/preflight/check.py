@@ -44,14 +44,14 @@ class Preflight:
     constants: tuple[Constant, ...] = field(default=(), repr=False)
 
     @property
-    def contradicted(self) -> tuple[Finding, ...]:
+    def contradictions(self) -> tuple[Finding, ...]:
         """Contradictions of the file."""
         return tuple(one for one in self.findings if one.code in CONTRADICTIONS)
 
     @property
     def verdict(self) -> str:
         """``contradicted``, or ``ready``."""
-        return "contradicted" if self.contradicted else "ready"
+        return "contradicted" if self.contradictions else "ready"
 
     def as_mapping(self) -> dict[str, object]:
         """Return the result for JSON."""

@@ -98,9 +98,3 @@ def pool(parts: Sequence[Estimate]) -> Estimate | None:
     mean, freedom = float(weight @ value / weight.sum()), max(len(known) - 1, 1)
     birge = max(float(weight @ (value - mean) ** 2) / freedom, 1.0)
     return Estimate.from_half_width(mean, 1.96 * float(np.sqrt(birge / weight.sum())))
-
-
-def scaled(estimate: Estimate, factor: float) -> Estimate:
-    """Return an estimate times a factor."""
-    low, high = sorted((factor * estimate.low, factor * estimate.high))
-    return Estimate(value=factor * estimate.value, low=low, high=high)

@@ -107,7 +107,7 @@ def rate_loop_constants(logs: Sequence[FlightLog], robot: RobotCfg) -> tuple[Est
     A rate loop makes a torque ``P e + I integral(e) - D w'``, less gyroscopic torques, of the error ``e = g r(t - L) - w`` of a
     command r and the rate w. The least residual of this regression shows L and g. No number of vehicle or firmware enters.
     """
-    parts = [_FilteredRateLoop.of(log, robot) for log in logs if _shows_rate_loop(log)]
+    parts = [_RateLoopSignals.from_log(log, robot) for log in logs if _shows_rate_loop(log)]
     if not parts:
         return None, [None] * AXES
     trials = np.arange(-1, round(LARGEST_S / TRIAL_S) + 1) * TRIAL_S
@@ -144,7 +144,7 @@ def rate_loop_constants(logs: Sequence[FlightLog], robot: RobotCfg) -> tuple[Est
 
 
 def _residual_share(products: Array) -> float:
-    """Return the share of the last column that the others do not explain, by the products of all columns."""
+    """Return the share of the last column that the motion do not explain, by the products of all columns."""
     outer = products[:-1, -1]
     return 1.0 - float(outer @ np.linalg.pinv(products[:-1, :-1], hermitian=True) @ outer) / float(products[-1, -1])
 
@@ -171,16 +171,16 @@ def _gain_of_command(products: Array) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _FilteredRateLoop:
+class _RateLoopSignals:
     """Signals of a rate loop in the band of the comparison, (T, 3) each; ``asked`` has the command and its integral."""
 
     asked: Array  # (T, 3, 2)
-    others: Array  # Body rate, its integral and derivative, product of the other rates, and last the torque, (T, 3, 5)
+    motion: Array  # Body rate, its integral and derivative, product of the other rates, and last the torque, (T, 3, 5)
     rows: Indices  # Rows of the comparison
     rate: float
 
     @classmethod
-    def of(cls, log: FlightLog, robot: RobotCfg) -> "_FilteredRateLoop":
+    def from_log(cls, log: FlightLog, robot: RobotCfg) -> "_RateLoopSignals":
         """Return the signals of a log."""
         assert log.rotor_command is not None
         assert log.ang_vel is not None
@@ -193,23 +193,23 @@ class _FilteredRateLoop:
             values = np.stack(columns, axis=2)
             return lowpass(values, rate, high) - lowpass(values, rate, low)
 
-        asked = held_rate_setpoint(log)
+        asked = latest_rate_setpoint(log)
         sums = [np.cumsum(one - one.mean(axis=0), axis=0) / rate for one in (asked, turning)]
         products = np.stack([turning[:, j] * turning[:, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
         change = np.gradient(turning, axis=0) * rate
         edge = num_edge_rows(rate, low) + round((LARGEST_S + TRIAL_S) * rate)
         return cls(
-            asked=band(asked, sums[0]), others=band(turning, sums[1], change, products, torque), rate=rate,
+            asked=band(asked, sums[0]), motion=band(turning, sums[1], change, products, torque), rate=rate,
             rows=np.arange(edge, len(turning) - edge, max(1, int(rate / (4.0 * high)))),
         )  # fmt: skip
 
     def table(self, late: float) -> Array:
         """Return regressors with the command so late [s], and last the torque, (rows, 3, 7)."""
         moved = self.asked[self.rows - round(late * self.rate)]
-        return np.concatenate((moved, self.others[self.rows]), axis=2)
+        return np.concatenate((moved, self.motion[self.rows]), axis=2)
 
 
-def held_rate_setpoint(log: FlightLog) -> Array:
+def latest_rate_setpoint(log: FlightLog) -> Array:
     """Return the latest commanded body rate in each row, (T, 3)."""
     time, values = log.setpoints["rate_setpoint"]
     place = np.searchsorted(time, log.time + 0.5 / sample_rate(log), side="right") - 1

@@ -30,17 +30,21 @@ def motion_of_log(log: FlightLog) -> dict[str, Array]:
     del yaw
     motion = {"roll [rad]": roll, "pitch [rad]": pitch}
     if log.lin_vel is not None:
-        motion |= _named("velocity {} [m/s]", ("forward", "left", "up"), turn.apply(log.lin_vel, inverse=True))
+        motion |= _columns_by_name(
+            "velocity {} [m/s]", ("forward", "left", "up"), turn.apply(log.lin_vel, inverse=True)
+        )
     if log.ang_vel is not None:
-        motion |= _named("{} rate [rad/s]", ("roll", "pitch", "yaw"), log.ang_vel)
+        motion |= _columns_by_name("{} rate [rad/s]", ("roll", "pitch", "yaw"), log.ang_vel)
     if "rate_setpoint" in log.setpoints:
-        motion |= _named("commanded {} rate [rad/s]", ("roll", "pitch", "yaw"), log.setpoints["rate_setpoint"][1])
+        motion |= _columns_by_name(
+            "commanded {} rate [rad/s]", ("roll", "pitch", "yaw"), log.setpoints["rate_setpoint"][1]
+        )
     if log.rotor_speed is not None:
         motion["rotor speed [rad/s]"] = log.rotor_speed.ravel()
     return motion
 
 
-def _named(pattern: str, names: Sequence[str], values: Array) -> dict[str, Array]:
+def _columns_by_name(pattern: str, names: Sequence[str], values: Array) -> dict[str, Array]:
     return {pattern.format(name): column for name, column in zip(names, values.T, strict=True)}
 
 

@@ -23,7 +23,7 @@ from aerial_gym.sim2real.logs.rotor_model import (
 )
 from aerial_gym.sim2real.logs.signals import IN_BAND, lowpass
 from aerial_gym.sim2real.predict.tolerances import are_scaled_by_thrust
-from aerial_gym.sim2real.preflight.constants import CONTRADICTED, Constant, scaled
+from aerial_gym.sim2real.preflight.constants import CONTRADICTED, Constant
 from aerial_gym.sim2real.statistics import Estimate, student_quantile
 from aerial_gym.sim2real.teststand.effectiveness import (
     FEWEST_FLIGHTS,
@@ -35,6 +35,7 @@ from aerial_gym.sim2real.teststand.effectiveness import (
     rows_of_flight,
 )
 from aerial_gym.sim2real.teststand.log_geometry import layout_of_robot
+from aerial_gym.sim2real.teststand.vehicle_from_log import scale_estimate
 
 AXES = ("roll", "pitch", "yaw")
 ROWS_HZ = 125.0  # Rows of the regressions, whose band ends at 20 Hz
@@ -95,15 +96,15 @@ def _rotor_speeds(log: FlightLog, robot: RobotCfg) -> Array:
     if log.rotor_speed is not None:
         return log.rotor_speed
     assert log.rotor_command is not None
-    return simulate_lag(robot, _reached_command(log, robot), sample_rate(log))
+    return simulate_lag(robot, _command_at_voltage(log, robot), sample_rate(log))
 
 
-def declared_effect(robot: RobotCfg, effect: str, parameter: str, neutral: float) -> float:
+def effect_parameter(robot: RobotCfg, effect: str, parameter: str, neutral: float) -> float:
     """Return a parameter of an effect of the robot file; the neutral value without the effect."""
     return float(robot.effects.get(effect, {}).get(parameter, neutral))
 
 
-def _reached_command(log: FlightLog, robot: RobotCfg) -> Array:
+def _command_at_voltage(log: FlightLog, robot: RobotCfg) -> Array:
     """Return the speeds that the file expects of the commands at the logged voltage [rad/s], (T, R)."""
     assert log.rotor_command is not None
     factor = _speed_factor(log, robot)
@@ -112,7 +113,7 @@ def _reached_command(log: FlightLog, robot: RobotCfg) -> Array:
 
 def _speed_factor(log: FlightLog, robot: RobotCfg) -> Array | None:
     """Return the reached per commanded speed by the voltage, (T,); None if the file declares no sag."""
-    gain = declared_effect(robot, "battery_sag", "gain", 0.0)
+    gain = effect_parameter(robot, "battery_sag", "gain", 0.0)
     if gain == 0.0 or log.battery is None or robot.battery is None:
         return None
     return 1.0 - gain * (1.0 - log.battery / robot.battery.nominal_voltage)
@@ -144,8 +145,8 @@ def _with_layout_of_log(flights: Sequence[FlightRows], robot: RobotCfg) -> tuple
 
 def _thrust_per_weight(flights: Sequence[FlightRows], robot: RobotCfg) -> Constant:
     """Return the thrust of the log over that of the file, for the declared mass."""
-    ratio = scaled(mean_force_per_input(flights).mean, robot.body.mass)
-    scale = declared_effect(robot, "thrust_coefficient", "scale", 1.0)
+    ratio = scale_estimate(mean_force_per_input(flights).mean, robot.body.mass)
+    scale = effect_parameter(robot, "thrust_coefficient", "scale", 1.0)
     return Constant(
         name="thrust_per_weight", kind="thrust_per_weight", declared=scale, estimate=ratio,
         setting="effects.thrust_coefficient.scale", new=ratio.value, tied=("mass",), remedy="weigh",
@@ -156,7 +157,7 @@ def _thrust_exponent(logs: Sequence[FlightLog], robot: RobotCfg, hover: Array) -
     """Return the exponent of the rotor speed in the thrust at hover."""
     ends = [float(rotor_thrusts(robot, factor * hover[None]).sum()) for factor in (0.999, 1.001)]
     slope = float(np.log(ends[1] / ends[0]) / np.log(1.001 / 0.999))
-    declared = slope + declared_effect(robot, "thrust_curve", "k", 0.0)
+    declared = slope + effect_parameter(robot, "thrust_curve", "k", 0.0)
     fit = fit_thrust_power([replace(log, rotor_command=log.rotor_speed) for log in logs])
     power = None if fit is None else fit[0]
     return Constant(
@@ -183,7 +184,7 @@ def _inertia_and_torque(
         kind, declared = ("torque_ratio", lever) if turn else ("inertia", float(moment))
         estimate = None
         if effect is not None and effect.known[axis] and effect.sizes[axis].low > 0.0:
-            ratio = scaled(effect.sizes[axis], moment / lever)  # of the file's angular acceleration
+            ratio = scale_estimate(effect.sizes[axis], moment / lever)  # of the file's angular acceleration
             cause = min(causes, key=lambda one, ratio=ratio: abs(np.log(ratio.value / one)))
             low, value, high = ratio.low / cause, ratio.value / cause, ratio.high / cause
             estimate = (
@@ -191,7 +192,7 @@ def _inertia_and_torque(
                 if turn
                 else Estimate(value=1 / value, low=1 / high, high=1 / low)
             )
-            estimate = scaled(estimate, declared)
+            estimate = scale_estimate(estimate, declared)
         constants.append(Constant(
             name="torque_ratio" if turn else f"inertia_{AXES[axis]}", kind=kind, declared=declared,
             unit="m" if turn else "kg m²", estimate=estimate,
@@ -210,11 +211,11 @@ def _lag_and_gain(logs: Sequence[FlightLog], robot: RobotCfg) -> list[Constant]:
         known = [part for log in known for part in _parts(log)]
     lines = [_line_of_commands(log, robot) for log in known]
     own = [log for log in known if all(note.code != "relative_commands_scaled" for note in log.notes)]
-    means = [[float(values.mean()) for values in (_speed(log), _reached_command(log, robot))] for log in own]
+    means = [[float(values.mean()) for values in (_speed(log), _command_at_voltage(log, robot))] for log in own]
     gain = _mean([speed / command for speed, command in means])
     moved = [float(log.rotor_command.var()) for log in known if log.rotor_command is not None]
     lag, dead = (_mean([getattr(one, name) for one in lines], moved) for name in ("time_constant", "delay"))
-    delay = declared_effect(robot, "actuation_delay", "delay", 0.0)
+    delay = effect_parameter(robot, "actuation_delay", "delay", 0.0)
     return [
         Constant(
             name="rotor_lag", kind="rotor_lag", declared=mean_time_constant(robot), unit="s", estimate=lag,
@@ -236,7 +237,7 @@ def _parts(log: FlightLog) -> list[FlightLog]:
 
 
 def _line_of_commands(log: FlightLog, robot: RobotCfg) -> LineBehindLag:
-    return fit_line_behind_lag(_reached_command(log, robot), _speed(log), robot, sample_rate(log))
+    return fit_line_behind_lag(_command_at_voltage(log, robot), _speed(log), robot, sample_rate(log))
 
 
 def _mean(values: Sequence[float], weights: Sequence[float] | None = None) -> Estimate | None:
@@ -261,7 +262,7 @@ def _voltage_constant(logs: Sequence[FlightLog], robot: RobotCfg, gain: Estimate
     factors = [one for log in logs if (one := _speed_factor(log, robot)) is not None]
     if gain is None or robot.battery is None or not factors or constant.state != CONTRADICTED:
         return constant
-    sag, nominal = declared_effect(robot, "battery_sag", "gain", 0.0), robot.battery.nominal_voltage
+    sag, nominal = effect_parameter(robot, "battery_sag", "gain", 0.0), robot.battery.nominal_voltage
     share = 1.0 - (1.0 - gain.value * float(np.mean(np.concatenate(factors)))) / sag
     voltage = float(np.mean(np.concatenate([log.battery for log in logs if log.battery is not None])))
     names = ("nominal_voltage", "voltage_reading", "speed_per_command")

@@ -40,7 +40,7 @@ def check_sensors(logs: Sequence[FlightLog]) -> SensorStage:
     return SensorStage(logs=tuple(corrected), constants=(*scales, *delays), findings=tuple(findings))
 
 
-def _pooled_gain(gains: Sequence[SensorGain], sensor: str, axis: str) -> Estimate | None:
+def _gain_of_axis(gains: Sequence[SensorGain], sensor: str, axis: str) -> Estimate | None:
     own = [one for one in gains if (one.sensor, one.axis) == (sensor, axis)]
     return pool([Estimate.from_half_width(one.gain, one.half_width(0.975)) for one in own])
 
@@ -50,7 +50,7 @@ def _with_gyro_signs(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[F
     gains = [gain for log in logs for gain in gains_of_moving_sensors(log, by_axis=True)]
     signs, findings = np.ones(3), list[Finding]()
     for index, axis in enumerate("xyz"):
-        gain = _pooled_gain(gains, "gyro", axis)
+        gain = _gain_of_axis(gains, "gyro", axis)
         if gain is None:
             findings.append(Finding("gyro_sign_assumed", axis))
         elif gain.high < 0.0:
@@ -80,7 +80,7 @@ def _without_delays(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[Co
 
 
 def _gyro_scale(axis: str, gains: Sequence[SensorGain], slow: bool) -> Constant:
-    gain = _pooled_gain(gains, "gyro", axis)
+    gain = _gain_of_axis(gains, "gyro", axis)
     return Constant(
         name=f"gyro_scale_{axis}", kind="gyro_scale", declared=1.0, estimate=gain,
         reason="slow_attitude" if slow else "little_turning",
@@ -91,10 +91,10 @@ def _gyro_scale(axis: str, gains: Sequence[SensorGain], slow: bool) -> Constant:
 
 def _accelerometer_scale(logs: Sequence[FlightLog], gains: Sequence[SensorGain]) -> Constant:
     """Return the scale along z by climbs; without climbs by gravity, where a bias looks the same."""
-    gain, tied = _pooled_gain(gains, "accelerometer", "z"), tuple[str, ...]()
+    gain, tied = _gain_of_axis(gains, "accelerometer", "z"), tuple[str, ...]()
     if gain is None or gain.high - gain.low > 2.0 * TOLERANCES["accelerometer_scale"]:
         still = [one for log in logs for one in gains_on_gravity(log)]
-        gain, tied = _pooled_gain(still, "accelerometer", "z"), ("accelerometer_bias",)
+        gain, tied = _gain_of_axis(still, "accelerometer", "z"), ("accelerometer_bias",)
     return Constant(
         name="accelerometer_scale", kind="accelerometer_scale", declared=1.0, estimate=gain, reason="no_velocity",
         setting="the factor of the accelerometer", new=None if gain is None else 1.0 / gain.value, tied=tied,

@@ -168,7 +168,8 @@ def _value_of_estimate(estimate: Estimate, basis: str = "") -> ValueWithOrigin:
     return ValueWithOrigin(value=estimate.value, origin=f"{how} [{estimate.low:.3g}, {estimate.high:.3g}]{basis}")
 
 
-def _scale_estimate(estimate: Estimate, factor: float) -> Estimate:
+def scale_estimate(estimate: Estimate, factor: float) -> Estimate:
+    """Return an estimate times a factor > 0."""
     return Estimate(value=factor * estimate.value, low=factor * estimate.low, high=factor * estimate.high)
 
 
@@ -206,7 +207,7 @@ def _assemble_draft(
         notes.append(f"--arm-m {arm:g} is not used: the places of the rotors are known ({layout.source}).")
     law, mean = layout.law, 1.0 if has_speeds else mean_command(logs)
     unit = kilograms * (1.0 if has_speeds else float(law.share(np.array(mean))))
-    thrust = _value_of_estimate(_scale_estimate(lift.mean, unit), ": by the mass").weaken(values, "mass")
+    thrust = _value_of_estimate(scale_estimate(lift.mean, unit), ": by the mass").weaken(values, "mass")
     if lift.highest > VARIED * lift.lowest:
         a, b = unit * lift.lowest, unit * lift.highest
         thrust = replace(thrust, origin=f"assumed: it varies from {a:.3g} to {b:.3g} in the flights")

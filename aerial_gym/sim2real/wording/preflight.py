@@ -69,25 +69,25 @@ def _value_text(finding: Finding) -> str:
     return f"{value} [{low}, {high}]{values['unit'] and ' '}{values['unit']}"
 
 
-def _measured_sentence(finding: Finding) -> str:
+def _sentence_on_measurement(finding: Finding) -> str:
     name, declared = constant_label(finding.subject), number_text(finding.values["declared"], 4)
     return f"{name[0].upper()}{name[1:]}: {_value_text(finding)}. The file has {declared}."
 
 
-def _assumed_sentence(finding: Finding) -> str:
+def _sentence_on_assumption(finding: Finding) -> str:
     name, values = constant_label(finding.subject), finding.values
     declared = f"{number_text(values['declared'], 4)}{values['unit'] and ' '}{values['unit']}"
     return f"{name[0].upper()}{name[1:]}: {declared} as in the file is assumed, since {REASONS[values['reason']]}."
 
 
-def _contradicted_sentence(finding: Finding) -> str:
+def _sentence_on_contradiction(finding: Finding) -> str:
     values = finding.values
-    sentence = f"{_measured_sentence(finding)} Change {values['setting']} to {number_text(values['new'], 4)}."
+    sentence = f"{_sentence_on_measurement(finding)} Change {values['setting']} to {number_text(values['new'], 4)}."
     if not values["tied"]:
         return sentence
-    others = join_words(map(constant_label, values["tied"]), "or")
+    causes = join_words(map(constant_label, values["tied"]), "or")
     remedy = REMEDIES.get(values["remedy"], "")
-    return f"{sentence} An error of the {others} looks the same in this log. {remedy}{remedy and '.'}"
+    return f"{sentence} An error of the {causes} looks the same in this log. {remedy}{remedy and '.'}"
 
 
 def _order_sentence(finding: Finding) -> str:
@@ -109,9 +109,9 @@ def _spins_sentence(finding: Finding) -> str:
 
 
 PREFLIGHT: dict[str, Template] = {
-    "constant_measured": _measured_sentence,
-    "constant_assumed": _assumed_sentence,
-    "constant_contradicted": _contradicted_sentence,
+    "constant_measured": _sentence_on_measurement,
+    "constant_assumed": _sentence_on_assumption,
+    "constant_contradicted": _sentence_on_contradiction,
     "gyro_sign_measured": "The gyro about {subject} has the sign of the attitude.",
     "gyro_sign_assumed": "The sign of the gyro about {subject} is assumed: the log turns too little about this axis.",
     "gyro_sign_contradicted": (

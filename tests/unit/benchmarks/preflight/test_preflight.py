@@ -47,7 +47,7 @@ def test_link_keeps_order_and_loses_its_share() -> None:
     assert lossy.lost.mean() == pytest.approx(0.05, rel=0.1)
 
 
-def result_with(*findings: Finding) -> Preflight:
+def preflight_result(*findings: Finding) -> Preflight:
     return Preflight(robot="r.yaml", log="a.csv", findings=findings)
 
 
@@ -60,11 +60,11 @@ def test_judge_asks_for_the_name_the_number_and_nothing_else() -> None:
     def latency(value: float) -> Finding:
         return Finding("constant_contradicted", "command_latency", {"value": value})
 
-    assert judge(result_with(latency(0.024)), truth)["right"]
-    assert not judge(result_with(latency(0.026)), truth)["right"]
-    assert not judge(result_with(), truth)["right"]
-    assert not judge(result_with(latency(0.02), Finding("gyro_sign_contradicted", "x")), truth)["right"]
-    assert judge(result_with(), truth | {"kind": ""})["right"]
+    assert judge(preflight_result(latency(0.024)), truth)["right"]
+    assert not judge(preflight_result(latency(0.026)), truth)["right"]
+    assert not judge(preflight_result(), truth)["right"]
+    assert not judge(preflight_result(latency(0.02), Finding("gyro_sign_contradicted", "x")), truth)["right"]
+    assert judge(preflight_result(), truth | {"kind": ""})["right"]
 
 
 @pytest.mark.slow
