@@ -55,7 +55,12 @@ class Preflight:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the result for JSON."""
-        names = {"verdict": self.verdict, "robot": self.robot, "log": self.log, "policy": self.policy}
+        names: dict[str, object] = {
+            "verdict": self.verdict,
+            "robot": self.robot,
+            "log": self.log,
+            "policy": self.policy,
+        }
         return names | {"findings": finding_rows(self.findings)}
 
     def write(self, path: Path) -> None:

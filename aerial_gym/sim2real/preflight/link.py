@@ -167,7 +167,8 @@ def _gain_of_command(products: Array) -> float:
     trials = np.geomspace(*GAINS, TRIALS)
     best = int(np.argmin([residual(gain) for gain in trials]))
     near = (trials[max(best - 1, 0)], trials[min(best + 1, TRIALS - 1)])
-    return float(minimize_scalar(residual, bounds=near, method="bounded", options={"xatol": 1e-4}).x)
+    best_gain = minimize_scalar(residual, bounds=near, method="bounded", options={"xatol": 1e-4})
+    return float(best_gain["x"])  # type: ignore[index]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ from aerial_gym.sim2real.teststand.effectiveness import (
     rows_of_flight,
 )
 from aerial_gym.sim2real.teststand.log_geometry import layout_of_robot
-from aerial_gym.sim2real.teststand.vehicle_from_log import scale_estimate
+from aerial_gym.sim2real.teststand.vehicle_from_log import quotient_by_estimate, scale_estimate
 
 AXES = ("roll", "pitch", "yaw")
 ROWS_HZ = 125.0  # Rows of the regressions, whose band ends at 20 Hz
@@ -173,9 +173,9 @@ def _inertia_and_torque(
 
     A wrong thrust scales all three, a wrong mass none. A value that one of both explains is no contradiction.
     """
-    layout, moments = layout_of_robot(robot), np.diag(np.array(robot.body.inertia))
+    mounts, moments = robot.mounts.layout, np.diag(np.array(robot.body.inertia))
     drag, lift = (float(law(robot, hover[None]).mean()) for law in (rotor_drag_torques, rotor_thrusts))
-    reach = np.abs(np.cross(layout.places, layout.axes)).max(axis=0)
+    reach = np.abs(np.cross([one.position for one in mounts], [one.axis for one in mounts])).max(axis=0)
     levers = (float(reach[0]), float(reach[1]), drag / lift)
     causes = [1.0, thrust.estimate.value] if thrust.estimate and thrust.state == CONTRADICTED else [1.0]
     constants = []
@@ -184,15 +184,9 @@ def _inertia_and_torque(
         kind, declared = ("torque_ratio", lever) if turn else ("inertia", float(moment))
         estimate = None
         if effect is not None and effect.known[axis] and effect.sizes[axis].low > 0.0:
-            ratio = scale_estimate(effect.sizes[axis], moment / lever)  # of the file's angular acceleration
-            cause = min(causes, key=lambda one, ratio=ratio: abs(np.log(ratio.value / one)))
-            low, value, high = ratio.low / cause, ratio.value / cause, ratio.high / cause
-            estimate = (
-                Estimate(value=value, low=low, high=high)
-                if turn
-                else Estimate(value=1 / value, low=1 / high, high=1 / low)
-            )
-            estimate = scale_estimate(estimate, declared)
+            size = effect.sizes[axis]  # angular acceleration per thrust of the file
+            cause = min(causes, key=lambda one, ratio=size.value * moment / lever: abs(np.log(ratio / one)))
+            estimate = scale_estimate(size, moment / cause) if turn else quotient_by_estimate(size, lever * cause)
         constants.append(Constant(
             name="torque_ratio" if turn else f"inertia_{AXES[axis]}", kind=kind, declared=declared,
             unit="m" if turn else "kg m²", estimate=estimate,

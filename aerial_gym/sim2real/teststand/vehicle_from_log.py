@@ -173,7 +173,7 @@ def scale_estimate(estimate: Estimate, factor: float) -> Estimate:
     return Estimate(value=factor * estimate.value, low=factor * estimate.low, high=factor * estimate.high)
 
 
-def _quotient_by_estimate(estimate: Estimate, numerator: float) -> Estimate:
+def quotient_by_estimate(estimate: Estimate, numerator: float) -> Estimate:
     """Return a numerator over an estimate, whose interval may reach 0."""
     low, high = (numerator / max(end, 1e-300) for end in (estimate.high, estimate.low))
     return Estimate(
@@ -223,7 +223,7 @@ def _assemble_draft(
     arms = np.abs(np.cross(places, axes)).max(axis=0)
     for axis, (name, reach) in enumerate(zip(("inertia_x", "inertia_y"), arms[:2], strict=True)):
         if effect is not None and effect.known[axis]:
-            moment = _quotient_by_estimate(effect.sizes[axis], float(reach) * thrust.value)
+            moment = quotient_by_estimate(effect.sizes[axis], float(reach) * thrust.value)
             value = _value_of_estimate(moment, ": by arm, mass and effectiveness")
             value = value.weaken(values, "mass", "arm", "thrust", "hover_thrust")
             if not layout.has_lengths and not value.is_assumed:
@@ -271,7 +271,7 @@ def _torque_ratio_and_yaw_inertia(
     size = effect.sizes[2]
     if layout.torque_ratio is not None:
         inertia = _value_of_estimate(
-            _quotient_by_estimate(size, layout.torque_ratio * thrust), ": by the logged torque ratio"
+            quotient_by_estimate(size, layout.torque_ratio * thrust), ": by the logged torque ratio"
         )
         if abs(x - y) < inertia.value < x + y:
             return logged, inertia.weaken(values, "mass")
