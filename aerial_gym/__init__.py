@@ -10,7 +10,7 @@ from aerial_gym.lazy import ImportPath, call_after_import, exports
 
 if TYPE_CHECKING:
     from aerial_gym.assets import ENVIRONMENTS
-    from aerial_gym.cli.functions import check, close_loop, evaluate, play, train
+    from aerial_gym.cli.functions import check, close_loop, evaluate, play, robustness, train
     from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS, EnvManager, SimBuilder
@@ -39,6 +39,7 @@ __all__ = [
     "close_loop",
     "evaluate",
     "play",
+    "robustness",
     "task_registry",
     "train",
 ]

@@ -11,6 +11,7 @@ from aerial_gym.cli.close_loop import CloseLoopCmd
 from aerial_gym.cli.evaluate import EvaluateCmd
 from aerial_gym.cli.play import PlayCmd
 from aerial_gym.cli.robot import CheckRobotCmd
+from aerial_gym.cli.robustness import RobustnessCmd
 from aerial_gym.cli.train import TrainCmd
 from aerial_gym.config.loader import build
 from aerial_gym.errors import ConfigError
@@ -52,5 +53,6 @@ def command_function(command: Callable[Options, ResultCommand[Result]], name: st
 train = command_function(TrainCmd, "train")  # Train a policy
 evaluate = command_function(EvaluateCmd, "evaluate")  # Return the figures of a policy
 play = command_function(PlayCmd, "play")  # Return flights of a policy
+robustness = command_function(RobustnessCmd, "robustness")  # Return the success of a policy in named conditions
 close_loop = command_function(CloseLoopCmd, "close_loop")  # Return the verdict on a declared robot
 check = command_function(CheckRobotCmd, "check")  # Return the report of each robot

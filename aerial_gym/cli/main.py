@@ -35,6 +35,7 @@ COMMANDS: dict[str, ImportPath] = {
     "train-encoder": ImportPath("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
     "play": ImportPath("aerial_gym.cli.play:PlayCmd"),
     "evaluate": ImportPath("aerial_gym.cli.evaluate:EvaluateCmd"),
+    "robustness": ImportPath("aerial_gym.cli.robustness:RobustnessCmd"),
     "export": ImportPath("aerial_gym.cli.export:ExportCmd"),
     "preflight": ImportPath("aerial_gym.cli.preflight:PreflightCmd"),
     "replay": ImportPath("aerial_gym.cli.replay:ReplayCmd"),

@@ -42,6 +42,7 @@ class Purpose(IntEnum):
     FAULT_STEPS = 22  # Start and duration of sensor faults; index: fault
     FAULT = 23  # Occurrence of faults in an episode, and size of jumps; index: fault
     ACTION_NOISE = 24  # Noise of commands; indices: step, entry
+    PACKETS = 25  # Loss of observation packets; index: step
 
 
 def _next_state(state: Word) -> Word:

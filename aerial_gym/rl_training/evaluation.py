@@ -55,17 +55,34 @@ class Evaluation:
         return "; ".join(parts)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Flights:
+    """The first episode of every environment of a task, row by row."""
+
+    succeeded: Tensor  # Whether it succeeded, bool (E,)
+    crashed: Tensor  # bool (E,)
+    final_error: Tensor  # Mean distance over the last second [m], infinite without a target, (E,)
+    last_outside: Tensor  # Last step outside the success radius, int, (E,)
+    ended_at: Tensor  # Step of its end, (E,)
+    total: Tensor  # Sum of rewards, (E,)
+    gates_passed: Tensor | None  # Number of gates passed, (E,); None without gates
+    tallies: Tensor  # Sums of the episode for ``Task.means_of_tallies``, (E, N)
+    success_radius: float  # [m]
+
+
 @torch.no_grad()
 @usual_settings
-def evaluate(
-    policy: Pilot, task: Task, *, success_radius: float | None = None, on_step: Callable[[int, int], None] | None = None
-) -> Evaluation:
-    """Return the figures of one episode in every environment of ``task``, which is reset first.
+def fly_episodes(
+    policy: Pilot, task: Task, *, success_radius: float | None = None,
+    on_start: Callable[[Task], None] | None = None, on_step: Callable[[int, int], None] | None = None,
+) -> Flights:  # fmt: skip
+    """Fly one episode in every environment of ``task``, which is reset first.
 
     Args:
         policy: Its memory is cleared at the start and at the end of each episode.
         task: Where to fly; its seed decides the starts.
         success_radius: Distance that counts as there [m]; the task's own, or ``SUCCESS_RADIUS_M``, if not given.
+        on_start: Called after the reset, before the first step.
         on_step: Called with the number of the step and of all steps.
 
     Raises:
@@ -79,6 +96,8 @@ def evaluate(
     ends_count = success_radius is None and task.cfg.defines_success
     radius = success_radius or task.cfg.success_radius or SUCCESS_RADIUS_M
     observation, _ = task.reset()
+    if on_start is not None:
+        on_start(task)
     policy.reset()
     flying = torch.ones(task.num_envs, dtype=torch.bool, device=task.device)
     crashed = torch.zeros_like(flying)
@@ -111,24 +130,36 @@ def evaluate(
             error_sum += distance
         if on_step is not None:
             on_step(step, steps)
-    if not ends_count:
-        succeeded = ~crashed & (error_sum / final_steps < radius)
-    error, settling = (
-        (error_sum / final_steps)[~crashed & error_sum.isfinite()],
-        (outside_until * dt)[~crashed & (outside_until < steps)],
-    )
-    means = task.means_of_tallies(tallies)
+    error = error_sum / final_steps
+    return Flights(
+        succeeded=succeeded if ends_count else ~crashed & (error < radius), crashed=crashed, final_error=error,
+        last_outside=outside_until, ended_at=ended_at, total=total, gates_passed=None if no_gates else passed,
+        tallies=tallies, success_radius=radius,
+    )  # fmt: skip
+
+
+@torch.no_grad()
+def evaluate(
+    policy: Pilot, task: Task, *, success_radius: float | None = None, on_step: Callable[[int, int], None] | None = None
+) -> Evaluation:
+    """Return the figures of one episode in every environment of ``task``; arguments and errors as of ``fly_episodes``."""
+    flown = fly_episodes(policy, task, success_radius=success_radius, on_step=on_step)
+    count, steps, dt = task.num_envs, task.cfg.episode_len_steps, task.env.dt
+    error = flown.final_error[~flown.crashed & flown.final_error.isfinite()]
+    settling = (flown.last_outside * dt)[~flown.crashed & (flown.last_outside < steps)]
+    means = task.means_of_tallies(flown.tallies)
     return Evaluation(
-        num_starts=task.num_envs, episode_s=steps * dt, success_rate=float(succeeded.sum()) / task.num_envs,
-        crash_rate=float(crashed.sum()) / task.num_envs,
-        timeout_rate=float((~succeeded & ~crashed).sum()) / task.num_envs, final_error_mean_m=_mean_or_none(error),
+        num_starts=count, episode_s=steps * dt, success_rate=float(flown.succeeded.sum()) / count,
+        crash_rate=float(flown.crashed.sum()) / count,
+        timeout_rate=float((~flown.succeeded & ~flown.crashed).sum()) / count, final_error_mean_m=_mean_or_none(error),
         final_error_p95_m=_percentile95_or_none(error),
         final_error_max_m=float(error.max()) if error.numel() else None,
-        settled_rate=settling.numel() / task.num_envs, settling_time_mean_s=_mean_or_none(settling),
+        settled_rate=settling.numel() / count, settling_time_mean_s=_mean_or_none(settling),
         settling_time_p95_s=_percentile95_or_none(settling),
-        success_time_mean_s=_mean_or_none((ended_at * dt)[succeeded]),
-        gates_passed_mean=None if no_gates else float(passed.mean()), return_mean=float(total.mean()),
-        success_radius_m=radius, reward_terms=_part(means, "reward/"), ended_by=_part(means, "ended/"),
+        success_time_mean_s=_mean_or_none((flown.ended_at * dt)[flown.succeeded]),
+        gates_passed_mean=None if flown.gates_passed is None else float(flown.gates_passed.mean()),
+        return_mean=float(flown.total.mean()), success_radius_m=flown.success_radius,
+        reward_terms=_part(means, "reward/"), ended_by=_part(means, "ended/"),
     )  # fmt: skip
 
 

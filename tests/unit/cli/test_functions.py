@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 
 import aerial_gym
-from aerial_gym import check, close_loop, evaluate, play, train
+from aerial_gym import check, close_loop, evaluate, play, robustness, train
 from aerial_gym.cli.main import COMMANDS, main
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from tests.refusals import assert_refused
 
-FUNCTIONS = {"train": train, "evaluate": evaluate, "play": play, "close-loop": close_loop, "robot check": check}
+FUNCTIONS = {
+    "train": train,
+    "evaluate": evaluate,
+    "play": play,
+    "close-loop": close_loop,
+    "robot check": check,
+    "robustness": robustness,
+}
 HOVER = "pretrained/position_setpoint_task"
 
 
