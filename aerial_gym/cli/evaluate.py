@@ -78,7 +78,11 @@ class EvaluateCmd(PolicyOptions):
         from aerial_gym.rl_training.policies.load import check_fits
 
         policy, trained_on, flown = self.load()
-        with replace(flown, firmware=self.firmware).make(self.num_envs) as task, progress_bar() as progress, one_thread():
+        with (
+            replace(flown, firmware=self.firmware).make(self.num_envs) as task,
+            progress_bar() as progress,
+            one_thread(),
+        ):
             check_fits(policy, task, trained_on)
             if self.watch is not None:
                 task.watch()

@@ -33,7 +33,7 @@ class PolicyTask:
         """Return the configurations of task, robot, environment and sim; raise ``ConfigError`` for wrong settings."""
         changes = Changes(self.settings)
         given = {"robot": self.robot, "controller": self.controller}
-        cfg, robot, env, sim = task_registry.configurations(self.name, changes, **given)
+        cfg, robot, env, sim, _ = task_registry.configurations(self.name, changes, **given)
         changes.finish()
         return cfg, robot, env, sim if self.backend is None else replace(sim, backend=self.backend)
 

@@ -9,12 +9,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NoReturn
 
-import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg
-from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.control.gains import select_autopilot
@@ -25,19 +23,10 @@ from aerial_gym.firmware.betaflight.instances import RESTORE, InstanceGroup
 from aerial_gym.firmware.betaflight.launch import arm_instances
 from aerial_gym.firmware.betaflight.settings import firmware_settings, store_settings
 from aerial_gym.firmware.betaflight.vehicle import BetaflightVehicle, write_state
+from aerial_gym.firmware.imu import make_flight_imu
 from aerial_gym.interop import action_tensor
-from aerial_gym.sensors import mounted_sensors
-from aerial_gym.sensors.imu import Imu
-from aerial_gym.sensors.mounts import Carrier
 
 PERIOD_S = 0.001  # Time between two exchanges [s], if not given
-NONE = (0.0, 0.0, 0.0)
-EXACT = ImuCfg(
-    summary="IMU without errors", accel_noise_density=NONE, gyro_noise_density=NONE, accel_bias_walk=NONE,
-    gyro_bias_walk=NONE, accel_initial_bias=NONE, gyro_initial_bias=NONE, accel_range=156.9, gyro_range=34.9,
-    source="Ranges of 16 g and 2000 deg/s",
-)  # fmt: skip
-"""The IMU of robots that have none."""
 
 
 class FirmwareEnv(EnvManager):
@@ -83,22 +72,8 @@ class FirmwareEnv(EnvManager):
         manager.controller.action_names = twin.action_names  # tasks name and store the firmware's actions
         own = select_autopilot(named, options["robot"].control)
         self.settings = firmware_settings(own, twin.gains, period=period, yaw_reversed=self.vehicle.yaw_reversed)
-        self._imu, self._measured = self._make_imu(period, sim.gravity)
+        self._imu, self._measured = make_flight_imu(self, dt=period)
         self._begin(make_group, progress)
-
-    def _make_imu(self, period: float, gravity: float) -> tuple[Imu, Tensor]:
-        """Return an IMU like the robot's first one, which measures in every physics step, and its measurement, (E, 6)."""
-        keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
-        position, attitude, lin_vel, ang_vel = (self.gtd[key] for key in keys)
-        body = Carrier(position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel)
-        mounted = mounted_sensors(self.robot_manager.cfg.sensor_mounts)[1]
-        cfg = next((sensor.cfg for sensor in mounted.values()), EXACT)
-        measured = torch.zeros(self.num_envs, 6)
-        imu = Imu(
-            replace(cfg, position=NONE, euler=NONE), body, pose=None, measurement_out=measured, dt=period,
-            gravity=gravity, random=self.random, number=len(mounted), errors=self.robot_manager.imu_errors,
-        )  # fmt: skip
-        return imu, measured
 
     def _begin(self, make_group: Callable[[bytes, int], InstanceGroup] | None, progress: Progress | None) -> None:
         if make_group is None:
