@@ -97,7 +97,7 @@ class CandidateView:
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)
             rule = self.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets)
-            if not fitted.is_supported and fitted.most > rule.least:
+            if fitted.effects and not fitted.is_supported and fitted.most > rule.least:
                 fitted = self.fitter.refit_without_weakest(fitted, rule)
 
     def add_relinearised_fit(self, fitted: EffectSetFit, fitter: Fitter) -> None:
@@ -105,7 +105,8 @@ class CandidateView:
         self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
         if not fitted.is_supported:
             fitter.clear_caches()  # a set without support is never the best, and its fitter takes memory
-            if fitted.most > self.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least:
+            least = self.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least
+            if fitted.effects and fitted.most > least:  # a fit may fail without effects, too
                 self.add_fit(self.fitter.refit_without_weakest(fitted))
 
     def free_memory(self) -> None:

@@ -207,6 +207,15 @@ def test_a_smaller_set_that_lacks_support_is_left_for_its_part_about_itself() ->
     assert view.best_fit.effects == ()
 
 
+def test_a_fit_without_effects_that_fails_is_left_as_it_is() -> None:
+    """It has no part; it was divided into parts as any set without support."""
+    best, failed = make_fit("com_offset"), replace(make_fit(), log_posterior=-np.inf, most=np.inf)
+    view = make_view({(0,): 0.0}, best)
+    view.add_relinearised_fit(failed, FitStub())
+    assert not failed.is_supported
+    assert view.best_fit is best
+
+
 def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
     both = make_fit("rotor_drag", "motor_tilt", odds={"motor_tilt": -1.0})
     drag = make_fit("rotor_drag", log=-3.0)
