@@ -109,10 +109,7 @@ class SetSearch:
         self.allow_effects(name for name in self.allowed if name not in reasons)
 
     def find_best_set(self, last: CandidateView | None = None) -> CandidateView:
-        """Return the last view after searches and new channel weights in turn; rivals are fitted once weights settle.
-
-        The search begins at the declared model, or at the set of a ``last`` view without the effects refused since.
-        """
+        """Return the view after searches and new channel weights in turn, from the declared model or the ``last`` view."""
         likely = (self.fit_probable_sets, self.fit_smaller_sets)
         if last is None:
             self.view = self.view_of_declared_model()
@@ -273,8 +270,7 @@ class SetSearch:
         """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
         A delay of 6 ms is fitted only in part about a model without one. If deviations do not settle, the most probable turn
-        about the set itself is kept. The iteration ends if the log posterior stays below ``least`` even with the last gain
-        once more, as gains become smaller.
+        is kept. It ends if the log posterior stays below ``least`` even with the last gain once more, as gains become smaller.
         """
         first, last, kept = about, np.inf, (fitted, about)
         for _ in range(MOST_TURNS):
@@ -328,10 +324,9 @@ class SetSearch:
             view.add_fit(fitted)
 
     def refit_moved_sets(self, view: CandidateView) -> None:
-        """Refit, about itself, each set with one effect less whose deviations differ from those of the present set.
+        """Refit, about itself, each set with one effect less whose deviations differ, and its parts if it lacks support.
 
-        A tolerance in place of the effect has other derivatives at its own deviation: with those at the present one the set
-        seems less probable than it is. So does a set without an effect that then lacks support.
+        A tolerance in place of the effect has other derivatives there: with those of the present set it seems less probable.
         """
         for fitted in view.smaller_sets_elsewhere(SAME_DEVIATION):
             about = view.fitter

@@ -57,7 +57,8 @@ class RandomWind:
     untestable: Finding | None = None  # Reason why the flights cannot show gusts; None if they can
     vertical: tuple[float, ...] = ()  # Relative std and correlation time of the vertical axis; empty if it has no own
 
-    gain: float = 0.0  # Log likelihood that a vertical axis of its own gains, less the cost of its two parameters
+    gain: float = 0.0
+    """Log likelihood that a vertical axis of its own gains, less the cost of its two parameters."""
 
     @property
     def is_accepted(self) -> bool:
@@ -130,9 +131,14 @@ def noise_floors_with_wind(floors: Sequence[Array | None], wind: Array) -> list[
 
 
 def find_random_wind(
-    predictor: Predictor, params: ModelParams, criteria: Criteria, *, floor: Array | None, tolerated: Array,
+    predictor: Predictor,
+    params: ModelParams,
+    criteria: Criteria,
+    *,
+    floor: Array | None,
+    tolerated: Array,
     remaining: Flags,
-) -> RandomWind:  # fmt: skip
+) -> RandomWind:
     """Return the gusts fitted to the remaining residual, with the reasons why they are refused or not testable.
 
     Args:

@@ -1,8 +1,8 @@
 """An Ornstein-Uhlenbeck process with white noise, fitted to series of wind, and tests against other processes.
 
-The fit has maximum likelihood. Its covariance is that of the low-passed process plus low-passed white noise along each axis,
-about an unknown mean of each flight and axis. All axes share one process, or the vertical axis has its own intensity and
-correlation time, as wind near the ground; it has where that is significantly more probable.
+The fit has maximum likelihood. Its covariance is that of the low-passed process plus white noise along each axis, about an
+unknown mean of each flight and axis. All axes share one process, or the vertical axis has its own intensity and correlation
+time, as wind near the ground; it has where that is significantly more probable.
 Letters: F flights, T rows, S series (one axis of one flight), P features.
 """
 
@@ -63,25 +63,13 @@ def covariance_of_filtered_process(corr_time: float, bandwidth: float, lags: Arr
     return covariance
 
 
-def correlation_of_filtered_noise(bandwidth: float, lags: Array) -> Array:
-    """Return the correlation of low-passed white noise at some lags [s]: ``int H² cos(2 pi f t) df`` over that at 0.
-
-    At rows ``1 / bandwidth`` apart it is -0.07, which noise of more power than the wind shows in some hundred rows.
-    """
-    frequency = (np.arange(LINES) + 0.5) * (2.0 * bandwidth / LINES)
-    power, near = lowpass_gain(frequency, bandwidth) ** 2, lags * bandwidth <= 10.0
-    correlation = np.zeros(lags.size)
-    correlation[near] = np.cos(2.0 * np.pi * np.outer(lags[near], frequency)) @ (power / power.sum())
-    return correlation
-
-
 @dataclass(frozen=True, kw_only=True)
 class ProcessFit:
     """A fitted process with noise."""
 
     std: float
     corr_time: float
-    noise: Array  # Noise of each axis in the band [m/s], (3,)
+    noise: Array  # White noise of each axis [m/s], (3,)
     likelihood: float  # Restricted log likelihood, with the means of the series integrated out
     vertical: tuple[float, ...] = ()  # Relative std and correlation time of the vertical axis; empty if it has no own
 
@@ -128,7 +116,8 @@ def axis_covariances(
     if vertical:
         size, time = vertical
         results[2] = (size * std) ** 2 * covariance_of_filtered_process(time * corr_time, series.bandwidth, lags)
-    return results + noise[:, None] ** 2 * correlation_of_filtered_noise(series.bandwidth, lags)
+    results[:, 0] += noise**2
+    return results
 
 
 def whiten_rows(covariance: Array, values: Array) -> tuple[Array, Array]:

@@ -18,7 +18,6 @@ from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     WindSeries,
     axis_covariances,
-    correlation_of_filtered_noise,
     covariance_of_filtered_process,
     fit_process,
     log_likelihoods,
@@ -29,7 +28,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     whiten_rows,
 )
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain
+from aerial_gym.sim2real.logs.signals import lowpass_gain
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import RATE, hover
@@ -72,16 +71,6 @@ def test_the_covariance_is_that_of_the_spectrum_below_the_band(corr_time: float)
     lags = np.array([0.0, 0.1, 0.5])
     expected = [integrate.quad(density, 0.0, 30.0, args=(lag,), limit=400)[0] for lag in lags]
     np.testing.assert_allclose(covariance_of_filtered_process(corr_time, BAND, lags), expected, atol=2e-3)
-
-
-def test_noise_in_the_band_is_correlated_as_the_low_pass_makes_it() -> None:
-    """White noise at 400 Hz behind the filter itself, in 20,000 rows 0.1 s apart: four standard errors are 0.028."""
-    noise = lowpass(np.random.default_rng(1).standard_normal(20_000 * 40), 400.0, BAND)[::40]
-    expected = correlation_of_filtered_noise(BAND, STEP * np.arange(4))
-    assert expected[0] == pytest.approx(1.0)
-    assert -0.1 < expected[1] < -0.05
-    for lag in (1, 2, 3):
-        assert noise[lag:] @ noise[:-lag] / (noise @ noise) == pytest.approx(expected[lag], abs=0.028)
 
 
 def test_std_and_correlation_time_are_found_within_their_spread() -> None:
