@@ -23,7 +23,7 @@ BOOT_S = 0.001  # Wait in each step for an instance whose control loops do not r
 MOTORS = 16
 
 
-class Link:
+class Px4Link:
     """One instance of PX4."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -81,7 +81,7 @@ class Px4Links:
             CapabilityError: If ports are taken; names all of them.
         """
         self._listening, taken = list[socket.socket](), list[int]()
-        self.links, self.ended = dict[int, Link](), dict[int, str]()
+        self.links, self.ended = dict[int, Px4Link](), dict[int, str]()
         self.controls = np.zeros((num_envs, MOTORS), dtype=np.float32)
         for number in range(port, port + num_envs):
             listener = socket.socket()
@@ -112,7 +112,7 @@ class Px4Links:
         for env, listener in enumerate(self._listening):
             listener.settimeout(max(0.01, end - time.monotonic()))
             try:
-                self.links[env] = Link(listener.accept()[0])
+                self.links[env] = Px4Link(listener.accept()[0])
             except TimeoutError:
                 continue
         if missing := [str(self.port + env) for env in range(len(self._listening)) if env not in self.links]:
@@ -136,7 +136,7 @@ class Px4Links:
             self._guard(env, lambda link: link.await_commands(time_us))
         return self.controls
 
-    def _guard(self, env: int, work: Callable[[Link], None]) -> None:
+    def _guard(self, env: int, work: Callable[[Px4Link], None]) -> None:
         try:
             work(self.links[env])
             self.controls[env] = self.links[env].controls

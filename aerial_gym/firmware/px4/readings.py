@@ -55,7 +55,7 @@ def ned_attitude(attitude: Rows) -> Rows:
     return np.stack((w + z, x + y, x - y, w - z), axis=1) * np.sqrt(0.5)
 
 
-def pressure_at(altitude: Rows) -> Rows:
+def air_pressure(altitude: Rows) -> Rows:
     """Return the pressure [hPa] of the standard atmosphere at an altitude above sea level [m]. Source: ISO 2533."""
     return 1013.25 * (1.0 - 2.25577e-5 * altitude) ** 5.25588
 
@@ -81,7 +81,7 @@ class Readings:
         field = _turn_to_body(motion.attitude, np.tile(self._field, (len(rate), 1))) * TO_FRD
         altitude = self._home.altitude + motion.position[:, 2]
         no_airspeed, fields = np.zeros_like(altitude), ACCELEROMETER | GYRO | MAGNETOMETER | BAROMETER
-        air = (pressure_at(altitude), no_airspeed, altitude, no_airspeed + TEMPERATURE)
+        air = (air_pressure(altitude), no_airspeed, altitude, no_airspeed + TEMPERATURE)
         rows = np.column_stack((force, rate, field, *air)).tolist()
         return [_messages.MAVLink_hil_sensor_message(time_us, *row, fields, 0) for row in rows]
 

@@ -19,12 +19,12 @@ from aerial_gym.task import Task
 from aerial_gym.task.step.actor import DELAY
 
 
-class ShapedPilot(Pilot, PolicyShapes, Protocol):
+class CheckablePilot(Pilot, PolicyShapes, Protocol):
     """A policy that states the shapes of its inputs and outputs."""
 
 
 def fly_cells(
-    policy: ShapedPilot, flown: PolicyTask, plan: Plan, *, flights: int, trained_on: str,
+    policy: CheckablePilot, flown: PolicyTask, plan: Plan, *, flights: int, trained_on: str,
     on_progress: Callable[[str, float], None] = lambda _stage, _share: None,
 ) -> Iterator[Robustness]:  # fmt: skip
     """Yield the result after every simulation; the last one is complete."""
@@ -39,7 +39,7 @@ def fly_cells(
 
 
 def _fly_group(
-    policy: ShapedPilot,
+    policy: CheckablePilot,
     flown: PolicyTask,
     group: CellGroup,
     flights: int,

@@ -9,7 +9,7 @@ from aerial_gym.firmware.px4.flight import fly_px4, make_px4_env
 from tests.unit.firmware.px4.test_links import FakePx4, free_port
 
 
-def connected(commands, *, instances: int = 1, robot: str = "x500_px4") -> tuple[Px4Env, list[FakePx4]]:
+def connect_peers(commands, *, instances: int = 1, robot: str = "x500_px4") -> tuple[Px4Env, list[FakePx4]]:
     """Return vehicles on the ground whose motors get ``commands``, a function of the last sensor message."""
     env = make_px4_env(robot, instances=instances, port=free_port(instances))
     peers = [FakePx4(env.links.port + number, boot=0, commands=commands) for number in range(instances)]
@@ -20,7 +20,7 @@ def connected(commands, *, instances: int = 1, robot: str = "x500_px4") -> tuple
 
 
 def test_vehicle_at_rest_feels_gravity_and_stays():
-    env, peers = connected(lambda _: [0.0] * 16)
+    env, peers = connect_peers(lambda _: [0.0] * 16)
     flight = fly_px4(env, duration=0.4)
     last = [message for message in peers[0].seen if message.get_type() == "HIL_SENSOR"][-1]
     assert last.zacc == pytest.approx(-9.81, abs=0.2)
@@ -29,7 +29,7 @@ def test_vehicle_at_rest_feels_gravity_and_stays():
 
 
 def test_more_than_hover_thrust_lifts_it_by_newton_s_law():
-    env, _ = connected(lambda _: [share] * 16)
+    env, _ = connect_peers(lambda _: [share] * 16)
     vehicle = env.robot_manager.declared
     hover = env.robot_manager.cfg.body.mass * 9.81 / 4.0
     low, high = float(vehicle.speed_low[0, 0]), float(vehicle.speed_high[0, 0])
@@ -44,7 +44,7 @@ def test_more_than_hover_thrust_lifts_it_by_newton_s_law():
 
 @pytest.mark.parametrize("motor", range(4))
 def test_each_motor_turns_the_vehicle_as_its_parameters_say(motor: int):
-    env, peers = connected(lambda _: [0.9 if k == motor else 0.7 for k in range(16)])
+    env, peers = connect_peers(lambda _: [0.9 if k == motor else 0.7 for k in range(16)])
     fly_px4(env, duration=0.3)
     last = [message for message in peers[0].seen if message.get_type() == "HIL_SENSOR"][-1]
     right, forward = (env.parameters[f"CA_ROTOR{motor}_P{axis}"] for axis in "YX")
@@ -72,7 +72,7 @@ def test_instances_are_independent_of_each_other():
         booted = message.time_usec > 1_300_000  # until then the simulation does not wait for them
         return [booted * (0.6 + 0.3 * (message.time_usec % 7 == 0))] * 16
 
-    env, _ = connected(commands, instances=3)
+    env, _ = connect_peers(commands, instances=3)
     fly_px4(env, duration=0.8)
     position = env.gtd["robot_position"]
     assert torch.equal(position[0], position[1])
@@ -81,7 +81,7 @@ def test_instances_are_independent_of_each_other():
 
 
 def test_what_px4_cannot_do_is_refused():
-    env, _ = connected(lambda _: [0.0] * 16)
+    env, _ = connect_peers(lambda _: [0.0] * 16)
     env.step()
     with pytest.raises(CapabilityError, match="reset"):
         env.reset()

@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pymavlink")
 
-from aerial_gym.firmware.px4.readings import Home, Motion, Readings, ned_attitude, pressure_at
+from aerial_gym.firmware.px4.readings import Home, Motion, Readings, air_pressure, ned_attitude
 
 TIME_US = 4000
 
@@ -59,12 +59,12 @@ def test_magnetometer_points_north_and_down():
 
 
 def test_pressure_falls_with_height_as_a_column_of_air():
-    low, high = pressure_at(np.array([0.0, 1.0]))
+    low, high = air_pressure(np.array([0.0, 1.0]))
     assert low == pytest.approx(1013.25)
     assert (low - high) * 100.0 == pytest.approx(1.225 * 9.80665, rel=1e-3)  # [Pa]
 
 
-def test_gps_of_a_point_to_the_north_east_above():
+def test_gps_shows_place_height_and_course():
     message = gps(position=(100.0, 200.0, 3.0), lin_vel=(2.0, 0.0, 1.0))
     north = (message.lat * 1e-7 - Home().latitude) * 111194.93  # [m] for each degree of a sphere of 6371 km
     east = (message.lon * 1e-7 - Home().longitude) * 111194.93 * np.cos(np.radians(Home().latitude))

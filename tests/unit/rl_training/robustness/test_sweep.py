@@ -13,7 +13,7 @@ from aerial_gym.rl_training.robustness.cell import CLEAN, Cell, CellGroup, Plan,
 from aerial_gym.rl_training.robustness.figure import write_figure
 from aerial_gym.rl_training.robustness.plan import make_plan
 from aerial_gym.rl_training.robustness.result import CellFlights, Robustness, judge
-from aerial_gym.rl_training.robustness.sweep import ShapedPilot, fly_cells
+from aerial_gym.rl_training.robustness.sweep import CheckablePilot, fly_cells
 from tests.unit.rl_training.robustness.test_cells import HOVER, RANGES
 
 POLICY, TASK = load_pilot(Path("pretrained/position_setpoint_task"), "cpu")[0], HOVER
@@ -25,7 +25,7 @@ SHIFTED = Cell(
 LATE = replace(CLEAN, name="late", subject="delay", delay_steps=5)
 
 
-def fly(*groups: CellGroup, policy: ShapedPilot = POLICY) -> Robustness:
+def fly(*groups: CellGroup, policy: CheckablePilot = POLICY) -> Robustness:
     return [*fly_cells(policy, TASK, Plan(groups=groups), flights=FLIGHTS, trained_on=TASK.name)][-1]
 
 
