@@ -259,8 +259,10 @@ def test_onnx(activation: str, memory: int, name: str, tmp_path: Path) -> None:
     check_bad_entries(written.file, policy, made)
 
 
-def test_every_format_is_tested_here() -> None:
-    assert set(FORMATS) == {*QUICK, "onnx"}
+def test_every_format_is_tested_here_or_in_the_engine_of_a_firmware() -> None:
+    slow = Path(__file__).parents[2] / "slow"
+    engines = {path.name.removeprefix("test_").removesuffix("_engine.py") for path in slow.glob("test_*_engine.py")}
+    assert set(FORMATS) == {*QUICK, "onnx", *engines}
 
 
 @NEEDS_C
