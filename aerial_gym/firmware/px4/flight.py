@@ -9,6 +9,7 @@ import torch
 
 from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager.sim_builder import environment_by_name
+from aerial_gym.errors import ConfigError
 from aerial_gym.firmware.px4.environment import PERIOD_S, Px4Env
 from aerial_gym.firmware.px4.links import PORT
 from aerial_gym.interop import usual_settings
@@ -49,6 +50,8 @@ def make_px4_env(robot: str | Path, *, instances: int, port: int = PORT, seed: i
 @torch.no_grad()
 def fly_px4(env: Px4Env, *, duration: float, on_step: Callable[[float], None] | None = None) -> Px4Flight:
     """Fly connected instances for a time [s], or until all have ended; ``on_step`` receives the share that is done."""
+    if not duration >= env.dt:
+        raise ConfigError(f"duration = {duration:g} s: must be at least a step of {env.dt:g} s")
     start, highest = env.gtd["robot_position"][:, 2].clone(), torch.zeros(env.num_envs)
     armed, steps, begin, flown = torch.zeros(env.num_envs), round(duration / env.dt), time.perf_counter(), 0
     for step in range(steps):

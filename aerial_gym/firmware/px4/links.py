@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
-from aerial_gym.errors import CapabilityError
+from aerial_gym.errors import CapabilityError, ConfigError
 
 PORT = 4560  # Of instance 0. Source: PX4, simulator_mavlink
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -78,8 +78,11 @@ class Px4Links:
         """Listen on loopback.
 
         Raises:
+            ConfigError: If a port is no port.
             CapabilityError: If ports are taken; names all of them.
         """
+        if not 0 < port <= 65536 - num_envs:
+            raise ConfigError(f"port = {port}: must be 1 to {65536 - num_envs}, as each environment has the next one")
         self._listening, taken = list[socket.socket](), list[int]()
         self.links, self.ended = dict[int, Px4Link](), dict[int, str]()
         self.controls = np.zeros((num_envs, MOTORS), dtype=np.float32)

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pymavlink")
 from pymavlink.dialects.v20 import common as mavlink
 
-from aerial_gym.errors import CapabilityError
+from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.firmware.px4 import links
 from aerial_gym.firmware.px4.links import Px4Links
 from aerial_gym.firmware.px4.readings import Home, Readings
@@ -122,6 +122,12 @@ def test_all_taken_ports_are_named():
         second.listen()
         with pytest.raises(CapabilityError, match=f"{port}, {port + 2}"):
             Px4Links(3, port=port)
+
+
+@pytest.mark.parametrize("port", [0, -1, 65534, 70000])
+def test_a_number_that_is_no_port_is_refused(port: int):
+    with pytest.raises(ConfigError, match="must be 1 to 65533"):
+        Px4Links(3, port=port)
 
 
 def test_instances_that_do_not_connect_are_named():
