@@ -36,7 +36,8 @@ class CloseLoopCmd:
     tolerances: Path | None = None
     """How well the robot is declared (.yaml): standard deviations of mass, thrust, inertia, time_constant, com, acc_bias,
     gyro_bias, acc_of_flight, attitude, sensor_delay, acc_scale, imu_place, nominal_voltage, command_hold, joint_rest,
-    command_clock, command_gain, products, velocity_place; docs/guides/identify_from_flights.md has those that are left out."""
+    command_clock, command_gain, products, velocity_place, load_place; docs/guides/identify_from_flights.md has those that are
+    left out."""
 
     effects: tuple[str, ...] | None = None
     """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/results/propellers.md) and

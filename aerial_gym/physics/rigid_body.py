@@ -270,17 +270,20 @@ def pull_of_load(
     Source:
         Derived: a force F at the origin o, at r = -c from the centre of mass, gives ``a_o = a + (1/m - [r] J^-1 [r]) F``.
     """
-    lever = -model.vehicle.com
-    turning = torch.linalg.cross(ang_acc, lever)
-    turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
-    return suspension_pull(
-        model, attitude, origin_suspension(model, attitude, acc + quat_rotate(attitude, turning)), load
-    )
+    turning = lever_acceleration(ang_vel, ang_acc, -model.vehicle.com)
+    origin = torch.zeros_like(model.vehicle.com)
+    suspension = load_suspension(model, attitude, acc + quat_rotate(attitude, turning), origin)
+    return suspension_pull(model, attitude, suspension, load, origin)
 
 
-def origin_suspension(model: Model, attitude: Tensor, acceleration: Tensor) -> SuspensionMotion:
-    """Return the suspension of a load at the body origin, which has ``acceleration`` [m/s²], world, (E, 3), without it."""
-    cross = cross_product_matrix(-model.vehicle.com)
+def lever_acceleration(ang_vel: Tensor, ang_acc: Tensor, lever: Tensor) -> Tensor:
+    """Return ``alpha x r + w x (w x r)`` [m/s²], (E, 3): acceleration of a point r [m] beside another one of a rigid body."""
+    return torch.linalg.cross(ang_acc, lever) + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
+
+
+def load_suspension(model: Model, attitude: Tensor, acceleration: Tensor, place: Tensor) -> SuspensionMotion:
+    """Return the suspension of a load at a ``place`` [m], body, whose ``acceleration`` without it [m/s²], world, is given."""
+    cross = cross_product_matrix(place - model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
     mobility = mobility + torch.diag_embed(1.0 / (model.vehicle.mass.unsqueeze(-1) + _added_mass(model)))
     rotation = quat_to_matrix(attitude)
@@ -290,12 +293,12 @@ def origin_suspension(model: Model, attitude: Tensor, acceleration: Tensor) -> S
 
 
 def suspension_pull(
-    model: Model, attitude: Tensor, suspension: SuspensionMotion, load: Tensor
+    model: Model, attitude: Tensor, suspension: SuspensionMotion, load: Tensor, place: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return force, torque and n'' of a load on a suspension, as ``pull_of_load``."""
+    """Return force, torque and n'' of a load on a suspension at a ``place`` [m], body, (E, 3), as ``pull_of_load``."""
     ((effect, params),) = model.effects[LoadEffect]
     force, swing = effect.pull(suspension, load, params)
-    return force, torch.linalg.cross(-model.vehicle.com, quat_rotate_inverse(attitude, force)), swing
+    return force, torch.linalg.cross(place - model.vehicle.com, quat_rotate_inverse(attitude, force)), swing
 
 
 def append_memory_to_params(model: Model, remembered: Mapping[str, Tensor]) -> Model:
@@ -354,5 +357,5 @@ def accelerations(
         alone = com_acceleration(model, state.attitude, force)
         acc, ang_acc, _ = with_load(model, state.attitude, ang_vel, load, alone, ang_acc)
         felt = felt + quat_rotate_inverse(state.attitude, acc - alone)
-    lever = torch.linalg.cross(ang_acc, com) + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, com))
+    lever = lever_acceleration(ang_vel, ang_acc, com)
     return Accelerations(specific_force=felt - lever, ang_acc=ang_acc)

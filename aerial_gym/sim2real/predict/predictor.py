@@ -127,4 +127,7 @@ class Predictor:
         logged = b"" if deviation is None else sensor_errors(self.tolerances, deviation).key
         numbers = [rows.numpy().tobytes() for rows in vehicle.tensors_by_name().values()]
         others_key = params_key(ModelParams(effects=remaining))
-        return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)
+        loaded = any(isinstance(EFFECTS.get(name), LoadEffect) for name in remaining)
+        hook = off.load_place.numpy().tobytes() if loaded else b""
+        settings = (off.command_shift, off.command_gain, off.joint_start, hook)
+        return (*numbers, logged, *settings, others_key, params.learned)

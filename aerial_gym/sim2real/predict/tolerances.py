@@ -7,7 +7,7 @@ R rotors, N tolerances.
 """
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 
 import numpy as np
@@ -35,7 +35,7 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
     **dict.fromkeys(("time_constant", "nominal_voltage", "command_hold", "joint_rest"), ("",)),
     **dict.fromkeys(("command_clock", "command_gain"), ("",)),
     "products": ("xy", "xz", "yz"),
-    **dict.fromkeys(("velocity_place", "gyro_scale", "attitude_scale", "velocity_scale"), "xyz"),
+    **dict.fromkeys(("velocity_place", "gyro_scale", "attitude_scale", "velocity_scale", "load_place"), "xyz"),
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
@@ -44,7 +44,7 @@ OF_LOGS = ("sensor_delay", *SCALES, "imu_place", "command_clock", "command_gain"
 """Tolerances of the logger, which hide no effect."""
 
 OF_COMMANDS = ("command_clock", "command_gain")  # Exact unless the log leaves them open
-UNKNOWN_GAIN = 0.3  # Of commands that are scaled until they lift the declared mass
+UNKNOWN_GAIN = 0.15  # Of commands whose scale comes from the log: 30 % of the thrust
 
 STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
 
@@ -76,7 +76,8 @@ class Tolerances:
     command_hold: float = 0.3  # Shift of the command towards the next row, in rows: autopilots are faster than logs
     joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
     command_clock: float = 0.0  # Common delay of all sensors behind the commands [s], unknown after a move of their log
-    command_gain: float = 0.0  # Relative thrust of all rotors at a command whose largest speed the log does not state
+    command_gain: float = 0.0  # Relative scale of commands whose largest value the log does not state
+    load_place: float = 0.01  # Hook of a slung load relative to the body origin, per axis [m]
 
     def __post_init__(self) -> None:
         require_positive(self, *(field.name for field in fields(self) if field.name not in OF_COMMANDS))
@@ -114,23 +115,28 @@ def tolerances_after_move(tolerances: Tolerances, notes: Iterable[Finding]) -> T
 
 
 def tolerances_after_scaling(tolerances: Tolerances, flights: Sequence[Flight]) -> Tolerances:
-    """Return the tolerances with an unknown gain of commands if the mean measured thrust scales them in all flights.
+    """Return the tolerances with an unknown gain of commands if the measurements scale them in all flights.
 
-    The scale assumes the declared mass and thrust, and a load that hangs below changes it.
+    A scale by thrust assumes the declared mass and thrust, and a load that hangs below changes it. One by measured speeds
+    has the error of that fit, which is common to all rotors: a gain of one rotor beside an error of its sensor imitates it.
     """
-    gain = UNKNOWN_GAIN if are_scaled_by_thrust(flights) else 0.0
+    scaled = bool(flights) and all(_scaling_notes(flight) for flight in flights)
+    gain = UNKNOWN_GAIN if scaled else 0.0
     return replace(tolerances, command_gain=max(tolerances.command_gain, gain))
 
 
 def are_scaled_by_thrust(flights: Sequence[Recording]) -> bool:
     """Return whether the commands of all flights, without rotor speeds, are scaled by their mean measured thrust."""
 
-    def is_scaled(note: Finding) -> bool:
-        return note.code == "commands_scaled" or (
-            note.code == "relative_commands_scaled" and not note.values["by_speeds"]
-        )
+    def is_scaled(flight: Recording) -> bool:
+        return flight.rotor_speed is None and not all(note.values.get("by_speeds") for note in _scaling_notes(flight))
 
-    return bool(flights) and all(one.rotor_speed is None and any(map(is_scaled, one.notes)) for one in flights)
+    return bool(flights) and all(map(is_scaled, flights))
+
+
+def _scaling_notes(flight: Recording) -> list[Finding]:
+    """Return the findings on commands that measurements scale."""
+    return [note for note in flight.notes if note.code in ("commands_scaled", "relative_commands_scaled")]
 
 
 def tolerances_after_gains(tolerances: Tolerances, flights: Sequence[Sequence[Finding]]) -> Tolerances:
@@ -152,7 +158,7 @@ def tolerances_after_gains(tolerances: Tolerances, flights: Sequence[Sequence[Fi
 def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
     """Return the vehicle with a deviation (N,) in standard deviations: inertia ``S J S``, S = sqrt(1 + d), plus products."""
     off = split_deviations(deviation)
-    factor = (1.0 + tolerances.thrust * off["thrust"] + tolerances.command_gain * off["command_gain"]).unsqueeze(0)
+    factor = (1.0 + tolerances.thrust * off["thrust"]).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * off["inertia"]).clamp_min(0.01).sqrt()
     products = (tolerances.products * off["products"]).expand(len(vehicle.mass), 3)
     slower = 1.0 + tolerances.time_constant * off["time_constant"]
@@ -174,20 +180,25 @@ class VehicleForReplay:
     """Vehicle and replay settings with deviations within the tolerances."""
 
     vehicle: Vehicle  # One environment
-    command_shift: float  # Shift of the effective command towards the next row, in rows
-    joint_start: float  # Initial angle of soft arms as a share of their rest angle
+    command_shift: float = 0.0  # Shift of the effective command towards the next row, in rows
+    joint_start: float = 1.0  # Initial angle of soft arms as a share of their rest angle
+    command_gain: float = 1.0  # Factor on the commands
+    load_place: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
+    """Hook of a slung load relative to the body origin [m], body, (3,)."""
 
 
 def vehicle_for_replay(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleForReplay:
     """Return vehicle and replay settings for deviations (N,) in standard deviations; None: exactly as declared."""
     if deviation is None:
-        return VehicleForReplay(vehicle=declared, command_shift=0.0, joint_start=1.0)
+        return VehicleForReplay(vehicle=declared)
     numbers = torch.from_numpy(deviation)
     off = split_deviations(numbers)
     return VehicleForReplay(
         vehicle=vehicle_with_deviations(declared, tolerances, numbers),
         command_shift=float(tolerances.command_hold * off["command_hold"]),
         joint_start=float(1.0 + tolerances.joint_rest * off["joint_rest"]),
+        command_gain=float(1.0 + tolerances.command_gain * off["command_gain"]),
+        load_place=tolerances.load_place * off["load_place"],
     )
 
 

@@ -24,6 +24,7 @@ REMEDIES_OF_DEVIATIONS = {
     "command_clock": "Log on one clock",
     "command_gain": "Log rotor speeds",
     "imu_place": "Log its reading at the body origin",
+    "load_place": "Hang the load at the body origin",
     "attitude": "Align the logged attitude with the body",
     "command_hold": "",
     "joint_rest": "",

@@ -31,16 +31,21 @@ from aerial_gym.sim2real.predict.tolerances import VehicleForReplay
 
 
 def target_speeds_with_delay(
-    flight: Flight, model: Model, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = (), *, shift: float = 0.0
+    flight: Flight,
+    model: Model,
+    sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = (),
+    *,
+    shift: float = 0.0,
+    gain: float = 1.0,
 ) -> tuple[Tensor, Tensor, float]:
     """Return the target speeds at the start and in the rest of each row [rad/s], (T, R), and the first part's share.
 
     A command holds until the next row; ``shift`` interpolates it towards the next, as a share of a row. Before the first
-    one arrives, its value is assumed. ``sensors``: effects on the rotor sensors, whose error commands share if measured
-    speeds scale them. Raise ``DataError`` if the log lacks a quantity that an effect needs.
+    one arrives, its value is assumed. ``gain``: factor on the commands. ``sensors``: effects on the rotor sensors, whose
+    error commands share if measured speeds scale them. Raise ``DataError`` if the log lacks a quantity that an effect needs.
     """
-    command = flight.rotor_command
-    assert command is not None
+    assert flight.rotor_command is not None
+    command = gain * flight.rotor_command
     if sensors and flight.has_commands_scaled_by_speeds:
         command = command * float(true_rotor_speed(torch.from_numpy(command), sensors).mean()) / command.mean()
     moved = torch.from_numpy(command + shift * np.diff(command, axis=0, append=command[-1:]))
@@ -62,7 +67,10 @@ def replace_by_arriving_commands(off: VehicleForReplay, flights: Sequence[Flight
     acting = [one for one in effects if acts_on_commands(one[0].name) or isinstance(one[0], RotorSensorEffect)]
     model = build_model(off.vehicle, acting)
     sensors = model.effects[RotorSensorEffect]
-    arriving = (target_speeds_with_delay(flight, model, sensors, shift=off.command_shift) for flight in flights)
+    arriving = (
+        target_speeds_with_delay(flight, model, sensors, shift=off.command_shift, gain=off.command_gain)
+        for flight in flights
+    )
     means = [(share * earlier + (1.0 - share) * later).numpy() for earlier, later, share in arriving]
     return [replace(flight, rotor_command=mean) for flight, mean in zip(flights, means, strict=True)]
 
@@ -102,37 +110,38 @@ class RotorReplay:
         self._results: OrderedDict[tuple[object, ...], list[Array | None]] = OrderedDict()
 
     def speeds(
-        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = ()
+        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = (), gain: float = 1.0
     ) -> list[Array | None]:
         """Return the speeds of each flight as a sensor reads them [rad/s], (T, R); None for a flight without commands.
 
         ``shift``: interpolation of each command towards the next, as a share of a row. ``sensors``: effects on the sensors
-        with parameters (1, P). Raise ``DataError`` if a log lacks a quantity that an effect needs.
+        with parameters (1, P). ``gain``: factor on the commands. Raise ``DataError`` if a log lacks a quantity that an
+        effect needs.
         """
         vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
         numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
         numbers += [params for _, params in effects]
         alike = torch.cat(numbers, dim=1)[0].numpy().tobytes()  # bytes, as an undeclared battery is NaN
-        key = (tuple(effect.name for effect, _ in effects), shift, alike)
+        key = (tuple(effect.name for effect, _ in effects), shift, gain, alike)
         if key not in self._results:
-            self._results[key] = self._simulate_speeds(model, shift, sensors)
+            self._results[key] = self._simulate_speeds(model, shift, sensors, gain)
             while len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
         return self._results[key]
 
     def _simulate_speeds(
-        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]
+        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]], gain: float
     ) -> list[Array | None]:
         result: list[Array | None] = [None] * len(self._flights)
         if not self._members:
             return result
         flights = [self._flights[index] for index in self._members]
-        arriving = [target_speeds_with_delay(flight, model, sensors, shift=shift) for flight in flights]
+        arriving = [target_speeds_with_delay(flight, model, sensors, shift=shift, gain=gain) for flight in flights]
         earlier, later, shares = zip(*arriving, strict=True)
         vehicle, limited = model.vehicle, model.vehicle.traits & {"slew", "reversible"}
         table = simulate_rotor_lag(
-            torch.stack([self._initial_speeds(index, sensors) for index in self._members]),
+            torch.stack([self._initial_speeds(index, sensors, gain) for index in self._members]),
             torch.cat(earlier),
             torch.cat(later),
             torch.tensor(shares, dtype=torch.float64),
@@ -148,12 +157,12 @@ class RotorReplay:
             result[index] = table[self._ends[place] : self._ends[place + 1]].numpy()
         return result
 
-    def _initial_speeds(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
+    def _initial_speeds(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]], gain: float) -> Tensor:
         """Return the true initial speeds, (R,): measured, corrected for sensor errors, else the first commands."""
         flight = self._flights[index]
         if flight.rotor_speed is None:
             assert flight.rotor_command is not None
-            return torch.from_numpy(flight.rotor_command[0].copy())
+            return torch.from_numpy(gain * flight.rotor_command[0])
         return true_rotor_speed(torch.from_numpy(flight.rotor_speed[:1].copy()), sensors)[0]
 
 

@@ -35,7 +35,8 @@ from aerial_gym.physics.rigid_body import (
     append_memory_to_params,
     condition_at_origin,
     force_breakdown,
-    origin_suspension,
+    lever_acceleration,
+    load_suspension,
     suspension_pull,
 )
 from aerial_gym.sim2real.arrays import Array
@@ -50,6 +51,7 @@ from aerial_gym.sim2real.predict.rows.spectra import delay_by_quarter_period, to
 from aerial_gym.sim2real.predict.tolerances import (
     SensorErrors,
     Tolerances,
+    VehicleForReplay,
     sensor_errors,
     vehicle_for_replay,
 )
@@ -66,7 +68,7 @@ class _ModelQuery:
     """A model with the inputs of its prediction."""
 
     model: Model  # One environment
-    joint_start: float  # Initial angle of soft arms as a share of their rest angle
+    off: VehicleForReplay  # Vehicle and replay settings of these deviations
     logged: SensorErrors  # Sensor errors of these deviations
     speeds: list[Array | None] | None  # Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed
 
@@ -145,12 +147,12 @@ class FlightBatch:
         speeds = None
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
-            speeds = self._replay.speeds(model, off.command_shift, sensors)
+            speeds = self._replay.speeds(model, off.command_shift, sensors, off.command_gain)
         logged = sensor_errors(self.tolerances, deviation)
         turns = [effect.turn(params)[0] for effect, params in model.effects[AttitudeSensorEffect]]
         turn = sum(turns, logged.attitude)
         logged = replace(logged, imu_place=logged.imu_place + self._accelerometer, attitude=turn)
-        return _ModelQuery(model=model, joint_start=off.joint_start, logged=logged, speeds=speeds)
+        return _ModelQuery(model=model, off=off, logged=logged, speeds=speeds)
 
     def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
@@ -167,9 +169,10 @@ class FlightBatch:
         """Return a hashable key of the predicted motion without some effects, except commanded rotor speeds."""
         names, effects = ERRORS_OF_MOTION, asked.model.effects
         names = (*names, "acc_bias") if effects[LoadEffect] else names
-        rows = (*asked.model.vehicle.tensors_by_name().values(), *(getattr(asked.logged, name) for name in names))
+        rows = [*asked.model.vehicle.tensors_by_name().values(), *(getattr(asked.logged, name) for name in names)]
+        rows += [asked.off.load_place] if effects[LoadEffect] else []
         pairs = ((effect, params.numpy().tobytes()) for effect, params in effects.exclude(*excluded))
-        return (asked.joint_start, *pairs, *(numbers.numpy().tobytes() for numbers in rows))
+        return (asked.off.joint_start, *pairs, *(numbers.numpy().tobytes() for numbers in rows))
 
     def _accelerations_in_band(self, flown: Model, asked: _ModelQuery) -> Accelerations:
         """Return the accelerations that a model predicts, in the band, with the delays of the log."""
@@ -187,7 +190,7 @@ class FlightBatch:
         if model.effects[LoadEffect]:
             hanging = self._load_query(flown, condition, remembered, asked)
             load = self._load_replay.link_states(flown, hanging.missed)
-            force, torque, _ = suspension_pull(flown, hanging.attitude, hanging.suspension, load)
+            force, torque, _ = suspension_pull(flown, hanging.attitude, hanging.suspension, load, asked.off.load_place)
             wrench = torch.cat((quat_rotate_inverse(hanging.attitude, force), torque), dim=-1)
             acting.wrenches.append(("load", wrench))
         about = None if hubs is None else hubs.vehicle.com[0]
@@ -227,13 +230,15 @@ class FlightBatch:
                 force = torch.where(self.data.felt_force, imu_readings_of_model(model)[0].apply(force), force)
             force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
             missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
-        suspension = origin_suspension(model, attitude, acceleration)
+        place = asked.off.load_place.expand_as(force)
+        turning = lever_acceleration(state.ang_vel, results.ang_acc, place)
+        suspension = load_suspension(model, attitude, acceleration + quat_rotate(attitude, turning), place)
         self._hung = _LoadQuery(key=key, speeds=asked.speeds, attitude=attitude, suspension=suspension, missed=missed)
         return self._hung
 
     def _effect_memory(self, model: Model, asked: _ModelQuery) -> dict[str, Tensor]:
         """Return the memory of effects on rotors and body in every row, (E, M), by effect, replayed at the log's rate."""
-        along = replay_memory(model, self.data.flights, asked.speeds, self._memories, settled=asked.joint_start)
+        along = replay_memory(model, self.data.flights, asked.speeds, self._memories, settled=asked.off.joint_start)
         return {
             name: torch.cat([self.data.thin_rows(k, part.numpy()) for k, part in enumerate(parts)])
             for name, parts in along.items()

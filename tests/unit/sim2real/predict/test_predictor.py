@@ -379,6 +379,21 @@ def test_tolerances_change_what_they_say() -> None:
     assert replayed.joint_start == pytest.approx(0.4)
 
 
+def test_a_load_that_hangs_at_the_centre_of_mass_exerts_no_torque(tmp_path: Path) -> None:
+    """With hook and centre of mass 2 mm from the origin, all torques are those without a load; else its pull tells."""
+    predictor = make_predictor([load(tmp_path)])
+    load_params = {"slung_payload": np.array([0.1, 0.5, 0.02])}
+    place = {"com_x": 2.0 / 0.3, "com_y": -2.0 / 0.3}
+    hook = {"load_place_x": 0.2, "load_place_y": -0.2}
+    torques = [
+        predictor.predict(ModelParams(effects=effects, deviation=draw_deviations(**place, **more)))[0][:, 3:6]
+        for effects, more in (({}, {}), (load_params, hook), (load_params, {}), ({}, hook))
+    ]
+    np.testing.assert_allclose(torques[1], torques[0], atol=1e-9)
+    np.testing.assert_array_equal(torques[3], torques[0])
+    assert np.abs(torques[2] - torques[0]).max() > 0.1
+
+
 def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
     results = load(tmp_path)
     predictor = make_predictor([results])

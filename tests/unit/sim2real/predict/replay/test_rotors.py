@@ -1,6 +1,7 @@
 """Commands on their way to the rotors in a replay of logs: lag, dead time and battery against closed forms."""
 
 from dataclasses import replace
+from math import sqrt
 from pathlib import Path
 
 import numpy as np
@@ -262,20 +263,48 @@ def test_a_clock_of_moved_commands_is_a_delay_of_the_commands(tmp_path: Path) ->
     np.testing.assert_allclose(late, delayed, rtol=0.0, atol=1e-3 * np.abs(late - on_time).max())
 
 
-@pytest.mark.parametrize(("by_speeds", "std"), [(False, 0.3), (True, 0.0)])
-def test_commands_that_are_scaled_by_thrust_have_an_unknown_gain(tmp_path: Path, by_speeds: bool, std: float) -> None:
-    """It does what a thrust coefficient does, so that neither has evidence of its own: 10 % more thrust."""
+def flight_with_scaled_commands(folder: Path, *, by_speeds: bool) -> Flight:
+    """Return an exact flight whose commands were shares of the largest, scaled by the speeds or by the thrust."""
     note = Finding("relative_commands_scaled", "", {"full": 900.0, "unit": "rad/s", "by_speeds": by_speeds})
-    flights = [replace(flight_from_commands(tmp_path, delay=0.0, gain=0.0), rotor_speed=None, notes=(note,))]
-    predictor = prepare_comparison(POWERED, flights, flights, bandwidth=10.0, tolerances=Tolerances()).train
-    assert predictor.tolerances.command_gain == std
-    gain = np.array([(name == "command_gain") / 3.0 for name in Tolerances().names(4)])
-    more = ModelParams(effects={"thrust_coefficient": np.array([1.1])})
-    as_declared, scaled, known = (
-        predictor.predict(one)[0] for one in (ModelParams(), ModelParams(deviation=gain), more)
+    flown = replace(flight_from_commands(folder, delay=0.0, gain=0.0), notes=(note,))
+    return flown if by_speeds else replace(flown, rotor_speed=None)
+
+
+def command_gain(factor: float) -> ModelParams:
+    """Return the declared model with a factor on the commands."""
+    return ModelParams(
+        deviation=np.array([(name == "command_gain") * (factor - 1.0) / 0.15 for name in Tolerances().names(4)])
     )
+
+
+@pytest.mark.parametrize("by_speeds", [False, True])
+def test_commands_scaled_by_measurements_have_an_unknown_gain(by_speeds: bool, tmp_path: Path) -> None:
+    flights = [flight_with_scaled_commands(tmp_path, by_speeds=by_speeds)]
+    named = [replace(flights[0], notes=())]
+    for part, std in ((flights, 0.15), (named, 0.0)):
+        comparison = prepare_comparison(POWERED, part, part, bandwidth=10.0, tolerances=Tolerances())
+        assert comparison.train.tolerances.command_gain == std
+
+
+def test_a_gain_of_commands_without_rotor_speeds_is_a_thrust_coefficient(tmp_path: Path) -> None:
+    """Neither has evidence of its own: 10 % more thrust at a speed, or at the root of 1.1 times the speed."""
+    flights = [flight_with_scaled_commands(tmp_path, by_speeds=False)]
+    predictor = prepare_comparison(POWERED, flights, flights, bandwidth=10.0, tolerances=Tolerances()).train
+    models = (ModelParams(), command_gain(sqrt(1.1)), ModelParams(effects={"thrust_coefficient": np.array([1.1])}))
+    as_declared, scaled, known = (predictor.predict(one)[0] for one in models)
     assert np.abs(known - as_declared).max() > 0.5
-    np.testing.assert_allclose(scaled, as_declared if by_speeds else known, atol=1e-6)
+    np.testing.assert_allclose(scaled, known, atol=1e-6)
+
+
+def test_a_gain_of_commands_beside_rotor_speeds_scales_their_prediction_alone(tmp_path: Path) -> None:
+    """By 1 % from the start on, but for the first speed, which is measured and forgotten after 0.5 s of a lag of 0.04 s."""
+    flights = [flight_with_scaled_commands(tmp_path, by_speeds=True)]
+    predictor = prepare_comparison(POWERED, flights, flights, bandwidth=10.0, tolerances=Tolerances()).train
+    as_declared, scaled = (predictor.predict(one)[0] for one in (ModelParams(), command_gain(1.01)))
+    speeds = np.array([channel.kind == "rotor_speed" for channel in predictor.channels])
+    assert speeds.sum() == 4
+    np.testing.assert_allclose(scaled[:, speeds], 1.01 * as_declared[:, speeds], rtol=1e-5)
+    np.testing.assert_array_equal(scaled[:, ~speeds], as_declared[:, ~speeds])
 
 
 def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Path) -> None:

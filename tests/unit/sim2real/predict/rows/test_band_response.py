@@ -14,7 +14,7 @@ from aerial_gym.physics.rigid_body import (
     add_fluid_contributions,
     condition_at_origin,
     force_breakdown,
-    origin_suspension,
+    load_suspension,
     suspension_pull,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -73,8 +73,9 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
         alone = accelerations(replace(model, effects=model.effects.exclude(LoadEffect)), state, condition=condition)
         gravity = model.gravity * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
         free_fall = quat_rotate(state.attitude, alone.specific_force) - gravity
-        suspension = origin_suspension(model, state.attitude, free_fall)
-        force, torque, _ = suspension_pull(model, state.attitude, suspension, link)
+        origin = torch.zeros_like(model.vehicle.com)
+        suspension = load_suspension(model, state.attitude, free_fall, origin)
+        force, torque, _ = suspension_pull(model, state.attitude, suspension, link, origin)
         pull = torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=1)
         acting.wrenches.append(("load", pull))
     band = BandResponse(data)
