@@ -1,8 +1,9 @@
 """The proven set: named effects that the flights show despite their scatter, each on the rotor with the largest odds.
 
 The most probable set may hold unproven effects, and beside these a wrong rotor. So after their removal, each effect of that
-set is tried again on every rotor. Sets are compared by the robust log odds of the one effect in which they differ
-(``Support.log_odds_with_overdispersion``), as their evidence overstates differences that the flights do not share.
+set is tried again on every rotor. An addition is judged by its robust log odds (``Support.log_odds_with_overdispersion``), as
+evidence overstates what the flights do not share. Two rotors are compared by their evidence over the larger overdispersion of
+both: of few flights each is known to its order only, so that odds with one for each rotor differ by chance.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -120,25 +121,21 @@ class RotorSearch:
             yield one.support[name].log_odds_with_overdispersion - LEAST_NAMING_ODDS, one
 
     def exchanges(self, fitted: EffectSetFit) -> Iterator[tuple[float, EffectSetFit]]:
-        """Yield sets with an effect of one rotor on another rotor or as another one, each with its gain in log odds."""
+        """Yield sets with an effect of one rotor on another rotor or as another one, each with its log odds over the set."""
         for gone in filter(is_of_one_rotor, fitted.effects):
             names = {gone, *filter(is_of_one_rotor, self.pool.difference(fitted.effects))}
             less = self.view.fitter.refit_without_effects(fitted, (gone,))
-            own = fitted.support[gone].log_odds_with_overdispersion
             for name, one in self._larger_sets(less, names, label_of_effect(fitted, gone)):
-                yield one.support[name].log_odds_with_overdispersion - own, one
+                scatter = max(1.0, fitted.support[gone].overdispersion, one.support[name].overdispersion)
+                yield (one.log_posterior - fitted.log_posterior) / scatter, one
 
     def ties(self, fitted: EffectSetFit) -> dict[str, tuple[str, ...]]:
-        """Return the labels of effects on other rotors that are not clearly less probable, by the effect of one rotor.
-
-        One that the evidence alone clearly prefers is tied as well: the overdispersions of two sets differ by chance.
-        """
+        """Return the labels of effects on other rotors that are not clearly less probable, by the effect of one rotor."""
         results = dict[str, tuple[str, ...]]()
         for gain, one in self.exchanges(fitted):
             (gone,) = (name for name in fitted.effects if label_of_effect(fitted, name) not in one.label)
             (new,) = (name for name in one.effects if label_of_effect(one, name) not in fitted.label)
-            evidence = (one.log_posterior - fitted.log_posterior) / one.parameter_overdispersion
-            if (gain > -LEAST_SCORE or evidence > LEAST_SCORE) and one.is_supported:
+            if gain > -LEAST_SCORE and one.is_supported:
                 results[gone] = (*results.get(gone, ()), label_of_effect(one, new))
         return results
 

@@ -35,6 +35,7 @@ class RotorFits(FitStub):
         odds = {name: value if value == max(odds.values()) else -9.0 for name, value in odds.items()}
         return make_fit(
             *effects,
+            log=sum(odds.values()),
             odds=odds,
             params={name: start.effects[name].tolist() for name in effects},
             structures=tuple(structures),
@@ -71,7 +72,7 @@ def test_an_effect_that_is_unproven_beside_others_is_named_on_the_rotor_that_sho
 
 def test_an_effect_of_one_rotor_gives_way_to_one_with_larger_odds() -> None:
     case = rotor_search({"weak_motor 4": 12.0, "motor_tilt 2": 7.0})
-    tilted = make_fit("motor_tilt", odds={"motor_tilt": 7.0}, params={"motor_tilt": (2.0, 0.0, 0.0)})
+    tilted = make_fit("motor_tilt", log=7.0, odds={"motor_tilt": 7.0}, params={"motor_tilt": (2.0, 0.0, 0.0)})
     named = case.best_set(tilted)
     assert named.params.effects["weak_motor"][0] == 4.0
     assert "motor_tilt 2" not in named.label
@@ -83,20 +84,31 @@ def test_rotors_that_flights_do_not_distinguish_are_tied(other: float, ties: tup
     assert case.ties(case.best_set(make_fit())) == ({} if ties is None else {"weak_motor": ties})
 
 
-@pytest.mark.parametrize(("ahead", "ties"), [(9.0, {"weak_motor": ("weak_motor 3",)}), (-9.0, {})])
-def test_a_rotor_that_evidence_prefers_is_tied_whatever_the_scatter_between_flights(ahead: float, ties: dict) -> None:
-    """Robust odds of 12 against 4: an overdispersion by chance. The evidence has rotor 3 ahead, or behind."""
-    case = rotor_search({"weak_motor 1": 12.0, "weak_motor 3": 4.0})
+@pytest.mark.parametrize(
+    ("ahead", "scatter", "label", "ties"),
+    [
+        (75.0, 20.0, "weak_motor 3", {}),
+        (75.0, 30.0, "weak_motor 3", {"weak_motor": ("weak_motor 1",)}),
+        (-75.0, 30.0, "weak_motor 1", {"weak_motor": ("weak_motor 3",)}),
+        (-75.0, 20.0, "weak_motor 1", {}),
+    ],
+)
+def test_rotors_are_compared_by_evidence_over_the_larger_overdispersion(
+    ahead: float, scatter: float, label: str, ties: dict
+) -> None:
+    """Robust odds of 12 against 8 are no reason: the two overdispersions, of which one is 1, differ by chance."""
+    case = rotor_search({"weak_motor 1": 12.0, "weak_motor 3": 8.0})
     fit = case.view.fitter.fit
 
     def fit_with_evidence(effects, structures, start, *_, **_compared):
-        fitted = fit(effects, structures, start)
-        third = [values[0] for values in start.effects.values()] == [3.0]
-        return replace(fitted, log_posterior=ahead if third else 0.0)
+        fitted, third = fit(effects, structures, start), [v[0] for v in start.effects.values()] == [3.0]
+        own = scatter if third else 1.0
+        support = {name: replace(one, overdispersion=own) for name, one in fitted.support.items()}
+        return replace(fitted, log_posterior=ahead if third else 0.0, support=support)
 
     case.view.fitter.fit = fit_with_evidence
     named = case.best_set(make_fit())
-    assert named.label == ("weak_motor 1",)
+    assert named.label == (label,)
     assert case.ties(named) == ties
 
 
