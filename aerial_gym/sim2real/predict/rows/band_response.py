@@ -276,7 +276,8 @@ class ImuReading:
         the logged velocity [m/s²], (T, 3). None: without.
         """
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
-        own = (logged.acc_bias, logged.gyro_bias, logged.imu_place, logged.velocity_place, logged.delays)
+        names = ("acc_bias", "gyro_bias", "imu_place", "velocity_place", "gyro_scale", "delays")
+        own = [getattr(logged, name) for name in names]
         numbers = torch.cat((*own, *turns, *(params[0] for _, params in errs))).numpy().tobytes()
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:

@@ -242,6 +242,18 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
         np.testing.assert_array_equal(alone, beside)
 
 
+def test_the_kinematic_force_of_a_gyro_scale_is_not_that_of_the_last_one(tmp_path: Path) -> None:
+    """The acceleration of an accelerometer beside the origin follows from the turning, which the gyro's scale changes."""
+    results = load(tmp_path)
+    predictor, fresh = make_predictor([results]), make_predictor([results])
+    names = predictor.tolerances.names(4)
+    off = np.array([2.0 * name.startswith("imu_place") for name in names])
+    scaled = off + np.array([3.0 * name.startswith("gyro_scale") for name in names])
+    predictor.predict(ModelParams(deviation=scaled))
+    after, alone = (one.predict(ModelParams(deviation=off))[0] for one in (predictor, fresh))
+    np.testing.assert_array_equal(after, alone)
+
+
 def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path) -> None:
     results = load(tmp_path)
     predictor = make_predictor([results])
