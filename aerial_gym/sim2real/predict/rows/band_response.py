@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
-from aerial_gym.math.rows import cross_product_matrix, sum_slices, times
+from aerial_gym.math.rows import cross_product_matrix, times
 from aerial_gym.physics import Accelerations
 from aerial_gym.physics.effects import ImuEffect, WrenchEffect
 from aerial_gym.physics.effects.sensor_errors import imu_errors
@@ -27,6 +27,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.tolerances import SensorErrors
 
+FORCE, TORQUE = slice(0, 3), slice(3, 6)  # Parts of a wrench
 KEPT = 2  # Number of cached results per effect and sensor, as in ``physics.answers``
 
 
@@ -76,10 +77,9 @@ class BandResponse:
         [rad/s], (E, R). ``about``: point of the torques of effects at hubs [m], body, (3,); None: the centre of mass.
         ``late``: sensor delays; None: zero.
         """
-        late = late or self._on_time
-        vehicle, wrench = model.vehicle, self._wrench_in_band(model, rotor_speed, acting, about, late.force)
-        if late.gyro != late.force:
-            wrench[3:] = self._wrench_in_band(model, rotor_speed, acting, about, late.gyro)[3:]
+        late, vehicle = late or self._on_time, model.vehicle
+        parts = [(slice(6), late.force)] if late.gyro == late.force else [(FORCE, late.force), (TORQUE, late.gyro)]
+        wrench = torch.cat([self._wrench_in_band(model, rotor_speed, acting, about, *one) for one in parts])
         _, products = _motion_selectors()
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
@@ -88,27 +88,35 @@ class BandResponse:
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
     def _wrench_in_band(
-        self, model: Model, rotor_speed: Tensor, acting: ForceBreakdown, about: Tensor | None, late: tuple[float, ...]
-    ) -> Tensor:
-        """Return the total forces and torques in the band, (6, T), with a delay [s] per flight."""
-        vehicle = model.vehicle
+        self, model: Model, rotor_speed: Tensor, acting: ForceBreakdown, about: Tensor | None, part: slice,
+        late: tuple[float, ...],
+    ) -> Tensor:  # fmt: skip
+        """Return a ``part`` of the total force and torque (6, T) in the band, with a delay [s] per flight."""
+        vehicle, hubs = model.vehicle, {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
+        offset = vehicle.com[0].new_zeros(3) if about is None else about - vehicle.com[0]
 
-        def band_rows(name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
-            return self._rows_in_band(name, late, rows, law)
+        def band_rows(name: str, rows: Tensor, needed: slice = part) -> Tensor:
+            return self._rows_in_band(f"{name} {needed}", late, rows, lambda rows: rows[:, needed])
 
-        terms = band_rows("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
         maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
-        coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
-        thrust, drag = (sum_slices(of_each * terms, 0) for of_each in coefficients)
+        thrust, drag = (torch.cat([rows[0] for rows in pair], dim=1).T for pair in maps)  # (6, R) each
+        used = [k for k in range(6 if "reversible" in vehicle.traits else 3) if thrust[k].any() or drag[k].any()]
+        along, against = rotor_matrix(vehicle).T[part].split(vehicle.num_rotors, dim=1)
+        factors = along * thrust[used].unsqueeze(1) + against * drag[used].unsqueeze(1)  # (K, part, R)
+        terms = self._rows_in_band(
+            f"rotors {used}", late, rotor_speed, lambda speed: map_terms(vehicle, speed)[used].permute(1, 0, 2)
+        )
+        wrench = factors.transpose(0, 1).flatten(1) @ terms.flatten(0, 1)
         for name, more in acting.thrusts:
-            thrust = thrust + band_rows(f"thrust of {name}", more)
-        wrench = rotor_matrix(vehicle).T @ torch.cat((thrust, drag))  # (6, T)
-        at_hubs = {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
-        parts = [(name, band_rows(name, rows)) for name, rows in acting.wrenches]
-        parts += [(name, params[0] @ band_rows(f"regressor of {name}", rows)) for name, rows, params in acting.linear]
-        wrench, forces = sum((part for _, part in parts), wrench), [part[:3] for name, part in parts if name in at_hubs]
-        if about is not None and forces:
-            wrench[3:] += cross_product_matrix(about - vehicle.com[0]) @ sum(forces)
+            wrench = wrench + along @ band_rows(f"thrust of {name}", more, slice(None))
+        linear = ((name, rows, params[0]) for name, rows, params in acting.linear)
+        for name, rows, params in (*((name, rows, None) for name, rows in acting.wrenches), *linear):
+            turned = part.stop == 6 and name in hubs and bool(offset.any())
+            own = band_rows(name, rows, slice(6) if turned else part)
+            own = own if params is None else params @ own
+            wrench = wrench + own[-len(wrench) :]
+            if turned:
+                wrench[-3:] += cross_product_matrix(offset) @ own[:3]
         return wrench
 
     def lever_arm_acceleration(self, place: Tensor, late: SensorDelays) -> Tensor:
