@@ -15,6 +15,7 @@ import torch
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
+from aerial_gym.interop import map_in_threads
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array
@@ -89,7 +90,8 @@ class Predictor:
                 del self._told[next(iter(self._told))]
         key = self._told[numbers]
         if key not in self._predictions:
-            self._predictions[key] = [prediction for part in self._parts for prediction in part.predict(params)]
+            of_parts = map_in_threads(lambda part: part.predict(params), self._parts)
+            self._predictions[key] = [prediction for of_part in of_parts for prediction in of_part]
             if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.interop import map_in_threads
 from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
 from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, concatenate_moments
 
@@ -81,7 +82,8 @@ class DerivativesWithWeights:
         start = 0 if first is None else first.width
         self.width = start + num_columns(flights[0])
         root = np.sqrt(offsets.weight)
-        self.columns = [[[one] for one in _nonzero_columns_with_weights(parts, root, start)] for parts in flights]
+        found = map_in_threads(lambda parts: _nonzero_columns_with_weights(parts, root, start), flights)
+        self.columns = [[[one] for one in of_flight] for of_flight in found]
         """By flight and channel: blocks of indices among the K columns, and their values (T, k)."""
         for own in self.columns if offsets.has_offsets else ():
             for channel in np.flatnonzero(offsets.size):
@@ -213,12 +215,12 @@ def weighted_moments(
     parts: int = 1,
 ) -> Moments:  # fmt: skip
     """Return the block sums over all channels as one channel of weight 1, flight by flight to save memory."""
-    return concatenate_moments(
-        [
-            NuisanceSums([time], [own], weight, parts=parts).moments_with_effects([r], [np.zeros((*r.shape, 0))])
-            for time, r, own in zip(times, residuals, flights, strict=True)
-        ]
-    )
+
+    def moments_of_flight(flight: tuple[Array, Array, Sequence[Part]]) -> Moments:
+        time, r, own = flight
+        return NuisanceSums([time], [own], weight, parts=parts).moments_with_effects([r], [np.zeros((*r.shape, 0))])
+
+    return concatenate_moments(map_in_threads(moments_of_flight, list(zip(times, residuals, flights, strict=True))))
 
 
 def moments_by_channel(residuals: Sequence[Array], flights: Sequence[Sequence[Part]]) -> Moments:

@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import start_warp
+from aerial_gym.interop import launch_on_cpu, start_warp
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.fused.formulas import make_pull
 
@@ -49,8 +49,8 @@ def integrate_swing(
         )
     start_warp()
     load, force = (torch.empty(rows // 2 + 1, count, width, dtype=torch.float64) for width in (6, 3))
-    wp.launch(
-        _make_swing_kernel(effect),
+    launch_on_cpu(
+        lambda: _make_swing_kernel(effect),
         dim=count,
         inputs=[
             wp.from_torch(acceleration.contiguous(), dtype=wp.vec3d),
@@ -60,7 +60,6 @@ def integrate_swing(
             wp.float64(step),
         ],
         outputs=[wp.from_torch(load, dtype=wp.spatial_vectord), wp.from_torch(force, dtype=wp.vec3d)],
-        device="cpu",
     )
     return load, force
 

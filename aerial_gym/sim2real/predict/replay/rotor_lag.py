@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import start_warp
+from aerial_gym.interop import launch_on_cpu, start_warp
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.rotor_lag import DecayLag, SlewLimitedLag
 
@@ -86,10 +86,10 @@ def simulate_rotor_lag(
         limits = torch.cat((lags, torch.stack(slew_rates, dim=-1)), dim=-1).expand(len(step), -1, -1)
         spans = [(part * step[:, None, None]).expand(-1, rows[1], -1) for part in parts]
         numbers = [torch.cat((limits, span), dim=-1) for span in spans]
-    kernel = _make_lag_kernel(slew_rates is not None)
     rows_of = [
         wp.from_torch(n.contiguous(), dtype=wp.types.vector(length=n.shape[-1], dtype=wp.float64)) for n in numbers
     ]
     inputs, outputs = [wp.from_torch(ends), *tables, *rows_of], [wp.from_torch(speed)]
-    wp.launch(kernel, dim=first.shape, inputs=inputs, outputs=outputs, device="cpu")
+    limited = slew_rates is not None
+    launch_on_cpu(lambda: _make_lag_kernel(limited), dim=first.shape, inputs=inputs, outputs=outputs)
     return speed

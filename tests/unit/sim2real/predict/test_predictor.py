@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from threading import current_thread
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
+from aerial_gym.interop import one_thread
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
@@ -25,9 +27,10 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_ro
 from aerial_gym.sim2real.predict.noise_floor import mean_square_of_rounding, noise_floor, simulate_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import FARTHEST, find_windows, rollout_errors_of_models
-from aerial_gym.sim2real.predict.rows.band_response import BandResponse
+from aerial_gym.sim2real.predict.rows.band_response import BandResponse, Columns
 from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import row_stride
+from aerial_gym.sim2real.predict.rows.flight_batch import FlightBatch
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
     sensor_errors,
@@ -240,6 +243,30 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
             np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-10, err_msg=name)
     for alone, beside in zip(*(predictor.times for predictor in predictors), strict=True):
         np.testing.assert_array_equal(alone, beside)
+
+
+def test_batches_on_two_threads_are_predicted_as_on_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit, whatever was predicted before, and each batch on a thread of its own."""
+    monkeypatch.setattr("aerial_gym.sim2real.predict.rows.batches.MOST_ROWS", 1)
+    flights = load_tables(tmp_path, [flight(seed, seconds=6.0 + seed) for seed in range(2)])
+    names, predict = set[str](), FlightBatch.predict
+
+    def predict_on_known_thread(batch: FlightBatch, params: ModelParams) -> list[Columns]:
+        names.add(current_thread().name)
+        return predict(batch, params)
+
+    monkeypatch.setattr(FlightBatch, "predict", predict_on_known_thread)
+    results, before = [], torch.get_num_threads()
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        with one_thread():
+            predictor, names = make_predictor(flights), set[str]()
+            derivatives = [tolerance_jacobian(predictor, params) for params in MODELS.values()]
+        results.append([part for parts in derivatives for part in parts])
+        assert len(names) == threads
+    torch.set_num_threads(before)
+    for one, two in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, two)
 
 
 def test_the_kinematic_force_of_a_gyro_scale_is_not_that_of_the_last_one(tmp_path: Path) -> None:
