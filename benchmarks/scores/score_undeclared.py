@@ -44,7 +44,8 @@ def run_in_processes(
     call: Callable[[Item], Result], items: Iterable[Item], processes: int, *, cases_of_each: int | None = None
 ) -> Iterator[tuple[Item, Result]]:
     """Yield each item with its result as they come; a process ends after ``cases_of_each`` cases, if given."""
-    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start
+    if processes > 1:
+        os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start
     context = get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=cases_of_each) as pool:
         try:
