@@ -28,7 +28,7 @@ from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import Dataset, row_stride
 from aerial_gym.sim2real.predict.rows.flight_batch import Columns, FlightBatch
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
-from aerial_gym.sim2real.predict.tolerances import Tolerances, sensor_errors, vehicle_for_replay
+from aerial_gym.sim2real.predict.tolerances import Tolerances, VehicleForReplay, sensor_errors, vehicle_for_replay
 
 KEPT_BYTES = 2e7  # Memory for stored predictions [bytes], as if they shared nothing; fits often return to one
 MOST_TOLD = 512  # Number of models whose prediction keys are stored
@@ -72,6 +72,7 @@ class Predictor:
         self.times = [time for part in self._parts for time in part.data.times]
         self._predictions: OrderedDict[tuple[object, ...], list[Columns]] = OrderedDict()
         self._told: dict[tuple[object, ...], tuple[object, ...]] = {}
+        self._off: tuple[bytes | None, VehicleForReplay] | None = None
 
     @property
     def num_tolerances(self) -> int:
@@ -90,7 +91,8 @@ class Predictor:
                 del self._told[next(iter(self._told))]
         key = self._told[numbers]
         if key not in self._predictions:
-            of_parts = map_in_threads(lambda part: part.predict(params), self._parts)
+            off = self._vehicle_for_replay(params)
+            of_parts = map_in_threads(lambda part: part.predict(params, off), self._parts)
             self._predictions[key] = [prediction for of_part in of_parts for prediction in of_part]
             if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
                 self._predictions.popitem(last=False)
@@ -117,13 +119,20 @@ class Predictor:
             return None
         return [link for part in self._parts for link in part.load_links(params)]
 
+    def _vehicle_for_replay(self, params: ModelParams) -> VehicleForReplay:
+        """Return the vehicle with a model's deviations; the last one is cached."""
+        key = None if params.deviation is None else params.deviation.tobytes()
+        if self._off is None or self._off[0] != key:
+            self._off = key, vehicle_for_replay(self._declared, self.tolerances, params.deviation)
+        return self._off[1]
+
     def _prediction_key(self, params: ModelParams) -> tuple[object, ...]:
         """Return a key of a model's predictions: the resulting vehicle, and all other parameters in order."""
         on_vehicle = {
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
         }
         remaining = {name: values for name, values in params.effects.items() if name not in on_vehicle}
-        off = vehicle_for_replay(self._declared, self.tolerances, params.deviation)
+        off = self._vehicle_for_replay(params)
         vehicle = build_model(off.vehicle, expand_effects(ModelParams(effects=on_vehicle), 1)).vehicle
         deviation = None if params.deviation is None else torch.from_numpy(params.deviation)
         logged = b"" if deviation is None else sensor_errors(self.tolerances, deviation).key

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.math.rows import sum_slices
 from aerial_gym.physics import Accelerations, BodyState, Vehicle, accelerations, build_model, condition_in
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import (
@@ -109,9 +110,9 @@ class FlightBatch:
         self._in_band.clear_cache()
 
     @torch.inference_mode()
-    def predict(self, params: ModelParams) -> list[Columns]:
-        """Return the predicted channels of each flight; read-only."""
-        asked = self._make_query(params)
+    def predict(self, params: ModelParams, off: VehicleForReplay | None = None) -> list[Columns]:
+        """Return the predicted channels of each flight; read-only. ``off``: the vehicle with the deviations, if known."""
+        asked = self._make_query(params, off)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
         rows = self._imu_prediction(asked) if kinds.keys() - {"rotor_speed"} else {}
         if "rotor_speed" in kinds:
@@ -139,9 +140,9 @@ class FlightBatch:
         rows = self.data.row_times, self.data.spans
         return [LoadLink(time=time, load=load[span]) for time, span in zip(*rows, strict=True)]
 
-    def _make_query(self, params: ModelParams) -> _ModelQuery:
+    def _make_query(self, params: ModelParams, off: VehicleForReplay | None = None) -> _ModelQuery:
         """Return the model in one environment with its deviations, its scene in every row and the commanded rotor speeds."""
-        off = vehicle_for_replay(self._declared, self.tolerances, params.deviation)
+        off = off or vehicle_for_replay(self._declared, self.tolerances, params.deviation)
         deviation = self._nothing if params.deviation is None else torch.from_numpy(params.deviation)
         model = build_model(off.vehicle, expand_effects(params, 1), **self.data.heights, other_position=self.data.other)
         speeds = None
@@ -157,7 +158,7 @@ class FlightBatch:
     def _imu_prediction(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
         model, noise = self._model_in_every_row(asked), asked.logged.answered_noise
-        seeming = (noise.view(2, 3) * self._torque_noise_std()).sum(1) if noise.any() else None
+        seeming = sum_slices(noise.view(2, 3) * self._torque_noise_std(), 1) if noise.any() else None
         key, before = self._motion_key(asked), self._moving
         if before is None or before[0] != key or before[1] is not asked.speeds:
             self._moving = before = key, asked.speeds, self._accelerations_in_band(model, asked)

@@ -251,9 +251,9 @@ def test_batches_on_two_threads_are_predicted_as_on_one(tmp_path: Path, monkeypa
     flights = load_tables(tmp_path, [flight(seed, seconds=6.0 + seed) for seed in range(2)])
     names, predict = set[str](), FlightBatch.predict
 
-    def predict_on_known_thread(batch: FlightBatch, params: ModelParams) -> list[Columns]:
+    def predict_on_known_thread(batch: FlightBatch, *arguments: object) -> list[Columns]:
         names.add(current_thread().name)
-        return predict(batch, params)
+        return predict(batch, *arguments)
 
     monkeypatch.setattr(FlightBatch, "predict", predict_on_known_thread)
     results, before = [], torch.get_num_threads()
