@@ -231,7 +231,8 @@ def interval_of_thrust_slope(
 ) -> tuple[float, float]:
     """Return the interval of ``d ln |f| / d ln T``, between both regressions (see ``units``); 0 to infinity: not observable.
 
-    ``beside``: another cause of the force, (T,), such as the voltage.
+    Inflow, lift and height are causes of the force beside the thrust: a controller lowers the thrust where a ceiling or the
+    ground adds to it. ``beside``: another cause, (T,), such as the voltage.
     """
     assert log.specific_force is not None
     rows = max(1, round(WINDOW_S * sample_rate(log)))
@@ -244,6 +245,10 @@ def interval_of_thrust_slope(
     if log.lin_vel is not None:
         speed = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)
         regressors += [window_means(speed[:, 2:]), window_means(np.sum(speed[:, :2] ** 2, axis=1))]
+    if log.position is not None:
+        height = window_means(log.position[:, 2:])
+        height -= height.mean()
+        regressors += [height, height**2]
     regressors += [] if beside is None else [window_means(beside)]
     flies = np.full(count, True) if on_ground is None else window_means(on_ground.astype(float))[:, 0] == 0.0
     causes = np.concatenate(regressors, axis=1)[flies]

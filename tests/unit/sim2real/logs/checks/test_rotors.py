@@ -175,6 +175,20 @@ def test_a_battery_that_sags_under_load_is_no_slope_of_the_thrust(law_table: pd.
     assert low < 1.0 < high
 
 
+def test_a_ceiling_that_pulls_a_hover_is_no_slope_of_the_thrust(law_table: pd.DataFrame, tmp_path: Path) -> None:
+    """Where the vehicle is high it accelerates down, and a ceiling adds thrust: rotors slow down more than the force shows."""
+    rng, time = np.random.default_rng(4), law_table["t"].to_numpy()
+    waves = [(0.04, 2.5), (0.02, 4.0)]
+    height = sum(size * np.sin(frequency * time) for size, frequency in waves)
+    force = 9.81 - sum(size * frequency**2 * np.sin(frequency * time) for size, frequency in waves)
+    still = dict.fromkeys(("v_x", "v_y", "v_z", "acc_x", "acc_y"), 0.0)
+    hover = law_table.assign(p_z=1.0 + height, **still, acc_z=force + 0.02 * rng.standard_normal(len(time)))
+    log = read_flight_log(write(hover, tmp_path / "a.csv"))
+    states = HOVER * np.sqrt(force / 9.81 / (1.0 + height))[:, None].repeat(4, axis=1)
+    low, high = interval_of_thrust_slope(log, total_rotor_force(ROBOT, states), None)
+    assert 0.9 < low < 1.0 < high < 1.1
+
+
 def test_a_hover_tells_nothing(law_table: pd.DataFrame, tmp_path: Path) -> None:
     """Where the thrust is noise, the slope is between 0 and infinity."""
     hover, rng = law_table.copy(), np.random.default_rng(2)
