@@ -82,8 +82,8 @@ class DerivativesWithWeights:
         start = 0 if first is None else first.width
         self.width = start + num_columns(flights[0])
         root = np.sqrt(offsets.weight)
-        found = map_in_threads(lambda parts: _nonzero_columns_with_weights(parts, root, start), flights)
-        self.columns = [[[one] for one in of_flight] for of_flight in found]
+        by_flight = map_in_threads(lambda parts: _nonzero_columns_with_weights(parts, root, start), flights)
+        self.columns = [[[one] for one in of_flight] for of_flight in by_flight]
         """By flight and channel: blocks of indices among the K columns, and their values (T, k)."""
         for own in self.columns if offsets.has_offsets else ():
             for channel in np.flatnonzero(offsets.size):
