@@ -43,6 +43,14 @@ class TrainCmd:
     out: Path = Path("runs/train")  # Run folder: settings, checkpoints, TensorBoard files. New, unless --resume
     resume: bool = False  # Continue the run in --out from its last checkpoint; only the limits given here change
 
+    for_real: str | None = None
+    """Registered robot or robot file of a real vehicle: trains within what --log leaves uncertain, exports, and runs
+    robustness. The same command continues after an interruption."""
+
+    log: Path | None = None  # Log of that vehicle, as of aerial-gym preflight; robot.yaml of close-loop beside it is used
+    preflight: Path | None = None  # Result of aerial-gym preflight --out, in place of --log
+    mapping: str | None = None  # Mapping of a CSV file for --log: a name or a file (.yaml)
+
     config: Path | None = None
     """Settings in a YAML file. One that leaves out required fields extends the package's own for its task and trainer."""
 
@@ -79,6 +87,13 @@ class TrainCmd:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
         from aerial_gym.rl_training.ranks import torchrun_rank
 
+        if self.for_real is not None:
+            from aerial_gym.cli.train_for_real import train_for_real
+
+            return train_for_real(self)
+        for name in ("log", "preflight", "mapping"):
+            if getattr(self, name) is not None:
+                raise ConfigError(f"--{name}: needs --for-real ROBOT")
         result = self.result()
         if torchrun_rank() == 0:
             self._print_result(result)

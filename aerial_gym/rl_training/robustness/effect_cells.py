@@ -52,7 +52,7 @@ def effect_groups(
     not_flown: dict[str, str] = {}
     for name in EFFECTS:
         effect = EFFECTS.get(name)
-        if reason := _obstacle(effect, cfg, robot, env, sim):
+        if reason := effect_obstacle(effect, cfg, robot, env, sim):
             not_flown[name] = reason
             continue
         place = next((each for each in held if _slot(effect) not in each), None)
@@ -86,7 +86,7 @@ def _neutral_robot(robot: RobotCfg, effects: Collection[Effect]) -> RobotCfg:
     return replace(robot, effects=rows, effects_source=robot.effects_source or "neutral, for a robustness test")
 
 
-def _obstacle(effect: Effect, cfg: TaskCfg, robot: RobotCfg, env: EnvironmentCfg, sim: SimCfg) -> str:
+def effect_obstacle(effect: Effect, cfg: TaskCfg, robot: RobotCfg, env: EnvironmentCfg, sim: SimCfg) -> str:
     """Return why an effect cannot be flown; empty if it can."""
     terms = {entry.term for entries in cfg.observations.values() for entry in entries}
     own = [EFFECTS.get(name) for name in robot.effects]

@@ -75,8 +75,8 @@ def real_sensor_noise() -> dict[str, float]:
     return noise
 
 
-def _rate_group(cfg: TaskCfg, sim: SimCfg, dt: float, rate: float) -> CellGroup:
-    """Return the cell of another rate of the policy. Times stay; the physics step stays or becomes shorter."""
+def rate_settings(cfg: TaskCfg, sim: SimCfg, dt: float, rate: float) -> list[str]:
+    """Return the settings for another rate of the policy. Times stay; the physics step stays or becomes shorter."""
     substeps, ratio = max(1, ceil(1.0 / (rate * sim.dt) - 1e-6)), rate * dt
     delays = {"task.action": cfg.action.delay_steps} | {
         f"task.observations.{group}.{i}": entry.delay_steps
@@ -87,11 +87,16 @@ def _rate_group(cfg: TaskCfg, sim: SimCfg, dt: float, rate: float) -> CellGroup:
         f"sim.dt={1.0 / (rate * substeps)!r}", f"env.physics_steps_per_env_step={substeps}",
         f"task.episode_len_steps={max(1, round(ratio * cfg.episode_len_steps))}",
     ]  # fmt: skip
-    settings += [
+    return settings + [
         f"{key}.delay_steps={[round(ratio * n) for n in fewest_and_most_steps(steps)]}"
         for key, steps in delays.items()
         if steps
     ]
+
+
+def _rate_group(cfg: TaskCfg, sim: SimCfg, dt: float, rate: float) -> CellGroup:
+    """Return the cell of another rate of the policy."""
+    settings = rate_settings(cfg, sim, dt, rate)
     return CellGroup(cells=(_link_cell("rate", rate, f"{rate:g} Hz"),), settings=tuple(settings))
 
 

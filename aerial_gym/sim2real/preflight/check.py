@@ -1,7 +1,7 @@
 """The preflight check: sensors, rotors and link of a log against a robot file and the training of a policy."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.preflight.constants import Constant
 from aerial_gym.sim2real.preflight.link import check_link
+from aerial_gym.sim2real.preflight.noise import sensor_noise
 from aerial_gym.sim2real.preflight.ranges import TrainingConditions, findings_outside_training
 from aerial_gym.sim2real.preflight.result_file import digest
 from aerial_gym.sim2real.preflight.rotors import check_rotors
@@ -42,6 +43,7 @@ class Preflight:
         Finding, ...
     ]  # One for each constant, sign and order, the contradictions first; then what is outside
     constants: tuple[Constant, ...] = field(default=(), repr=False)
+    noise: Mapping[str, float] = field(default_factory=dict)  # Standard deviations of the sensors, by stream
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
@@ -61,7 +63,7 @@ class Preflight:
             "log": self.log,
             "policy": self.policy,
         }
-        return names | {"findings": finding_rows(self.findings)}
+        return names | {"noise": dict(self.noise), "findings": finding_rows(self.findings)}
 
     def write(self, path: Path) -> None:
         """Write the result as JSON, with its hash."""
@@ -117,6 +119,7 @@ def preflight(
         policy=conditions.source,
         findings=(*_in_order(findings), *outside),
         constants=constants,
+        noise=sensor_noise(sensors.logs),
     )
 
 
