@@ -36,7 +36,9 @@ def train_for_real(cmd: "TrainCmd") -> int:
     if "export" not in record:
         from aerial_gym.export import export_policy
 
-        files = export_policy(cmd.out, cmd.out / "export", ("onnx",), preflight=cmd.out / RESULT, allow_contradicted=True)
+        files = export_policy(
+            cmd.out, cmd.out / "export", ("onnx",), preflight=cmd.out / RESULT, allow_contradicted=True
+        )
         wrong = [str(each.file) for each in files if each.agrees is False]
         record = _store(cmd.out, record | {"export": [str(each.file) for each in files], "export_differs": wrong})
     if "robustness" not in record:
@@ -53,7 +55,9 @@ def _load_or_plan(cmd: "TrainCmd") -> dict[str, Any]:
     if file.exists():
         record = json.loads(file.read_text(encoding="utf-8"))
         if record["request"] != given:
-            raise ConfigError(f"{cmd.out}: holds a training with other options ({record['request']}). Choose another --out")
+            raise ConfigError(
+                f"{cmd.out}: holds a training with other options ({record['request']}). Choose another --out"
+            )
         return record
     if cmd.resume:
         raise ConfigError(f"{cmd.out}: holds no training for a real vehicle. Leave --resume out")

@@ -1,11 +1,12 @@
 """Settings of a training by the preflight result of a log: values, ranges, delays, noise and losses, each with its reason.
 
-A measured or contradicted value is drawn within its interval. An assumed one is drawn within the tolerance around its declared
-value, which also covers what a log lacks.
+A contradicted value is drawn within its measured interval. A measured one is too, in a range widened to the declared value: both
+agree within the tolerance, so that either may be right. An assumed one is drawn within the tolerance around its declared value,
+which also covers what a log lacks.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from math import ceil, floor, sqrt
 from pathlib import Path
@@ -13,8 +14,8 @@ from typing import Any
 
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.config.task import POLICY, TaskCfg
-from aerial_gym.config.task_terms import ObservationCfg, fewest_and_most_steps
+from aerial_gym.config.task import POLICY
+from aerial_gym.config.task_terms import fewest_and_most_steps
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.rl_training.policy_task import PolicyTask
@@ -36,8 +37,8 @@ DRAWN = {
     "torque_ratio": ("torque_ratio", "scale", 1.0, "factor"),
     "rotor_lag": ("motor_time_constant", "tau", 0.0, "value"),
 }
-"""Effect, parameter, neutral value, and how a constant changes it: by its offset from the declared value, by its factor on it, or
-by itself."""
+"""Effect, parameter, neutral value, and how a constant changes it: by its offset from the declared value, by its ratio to that,
+or as the new value."""
 
 UNMEASURED = (("com_offset", "x"), ("com_offset", "y"))  # Parameters that no preflight log shows: one moderate change
 WIRING = ("gyro_sign_contradicted", "rotor_order_contradicted", "spins_contradicted")  # Not to be trained around
@@ -117,6 +118,8 @@ def interval(finding: Mapping[str, Any] | None, kind: str, *, declared: float = 
     state, values = finding["code"].rpartition("_")[2], finding["values"]
     if state == "assumed":
         return values["declared"] - values["tolerance"], values["declared"] + values["tolerance"], state
+    if state == "measured":
+        return min(values["low"], values["declared"]), max(values["high"], values["declared"]), state
     return values["low"], values["high"], state
 
 
@@ -138,7 +141,7 @@ def _draws(task: PolicyTask, known: Mapping[str, Mapping[str, Any]]) -> tuple[di
             choices.append(Choice(name=name, state="left", setting=reason))
         else:
             number = next(each for each in bound.parameters if each.name == parameter)
-            low, high = max(low, number.low), min(high, number.high)
+            low, high = (min(max(each, number.low), number.high) for each in (low, high))
             draws[key] = {"how": "value", "low": low, "high": high}
             choices.append(
                 Choice(name=name, state=state, low=low, high=high, unit=number.unit, setting=f"task.randomize.{key}")
@@ -184,14 +187,21 @@ def _link_settings(
     _, high, state = interval(known.get("packet_loss"), "packet_loss")
     loss = min(max(high, 0.0), MOST_LOST)
     choices.append(Choice(name="packet_loss", state=state, low=loss, high=loss, setting="dropout of the observations"))
-    defaults = real_sensor_noise()
-    for number, entry, stream in _sensed(cfg):
+    defaults = dict[str, float]()
+    for term, std in real_sensor_noise().items():
+        defaults[_stream(term)] = max(std, defaults.get(_stream(term), 0.0))
+    for number, entry in enumerate(cfg.observations[POLICY]):
+        stream = _stream(entry.term)
+        if not stream:
+            continue
         key = f"task.observations.{POLICY}.{number}"
         measured = noise.get(stream)
-        std = defaults.get(entry.term, 0.0) if measured is None else measured * (0.5 if entry.term == "attitude" else 1.0)
+        std = defaults.get(stream, 0.0) if measured is None else measured * (0.5 if entry.term == "attitude" else 1.0)
         settings.append(f"{key}.noise_std={max(std, entry.noise_std)!r}")
         source = "default" if measured is None else "measured"
-        choices.append(Choice(name=f"noise of {entry.term}", state=source, low=std, high=std, setting=f"{key}.noise_std"))
+        choices.append(
+            Choice(name=f"noise of {entry.term}", state=source, low=std, high=std, setting=f"{key}.noise_std")
+        )
         if loss > 0.0:
             settings += [f"{key}.dropout={loss!r}", f"{key}.hold_steps={HELD_STEPS}"]
         if stream != "ang_vel":
@@ -202,13 +212,10 @@ def _link_settings(
     return settings, choices
 
 
-def _sensed(cfg: TaskCfg) -> Iterator[tuple[int, ObservationCfg, str]]:
-    """Yield number, entry and stream of each measured observation of the policy."""
-    for number, entry in enumerate(cfg.observations[POLICY]):
-        inputs = OBSERVATIONS.get(entry.term).reads if entry.term in OBSERVATIONS else (entry.term,)
-        streams = [stream for tensor, stream in STREAMS.items() if tensor in inputs]
-        if streams:
-            yield number, entry, streams[0]
+def _stream(term: str) -> str:
+    """Return the stream that an observation term shows; empty if it shows no measurement."""
+    reads = OBSERVATIONS.get(term).reads if term in OBSERVATIONS else (term,)
+    return next((stream for tensor, stream in STREAMS.items() if tensor in reads), "")
 
 
 def _steps(low: float, high: float, rate: float) -> list[int]:
