@@ -1,8 +1,8 @@
 """Settings of a training by the preflight result of a log: values, ranges, delays, noise and losses, each with its reason.
 
-A contradicted value is drawn within its measured interval. A measured one is too, in a range widened to the declared value: both
-agree within the tolerance, so that either may be right. An assumed one is drawn within the tolerance around its declared value,
-which also covers what a log lacks.
+A contradicted value is drawn within its measured interval. A measured one is drawn in the same way, but up to the declared value:
+both agree within the tolerance, so that either may be right. An assumed one is drawn within the tolerance around its declared
+value, as is what a log lacks.
 """
 
 import json

@@ -42,6 +42,7 @@ class ForRealCmd:
 
     out: Path  # Folder for logs, run folders and figures; an interrupted run continues
     seeds: int = 5  # Trainings of each arm
+    first_seed: int = 1  # Seed of the first training; each has the next one
     flights: int = 48  # Flights of each policy
     workers: int = 1  # Processes that fly
     phase: Literal["all", "log", "train", "fly"] = "all"
@@ -66,7 +67,11 @@ class ForRealCmd:
         PreflightCmd(robot=ROBOT, log=log, rate_hz=100.0).result().write(RESULT)
 
     def _runs(self) -> list[tuple[str, int, Path]]:
-        return [(arm, seed, self.out / f"{arm}_{seed}") for seed in range(1, self.seeds + 1) for arm in ARMS]
+        return [
+            (arm, seed, self.out / f"{arm}_{seed}")
+            for seed in range(self.first_seed, self.first_seed + self.seeds)
+            for arm in ARMS
+        ]
 
     def _missing(self) -> int:
         return sum(not (run / "trained.json").exists() for _, _, run in self._runs())
