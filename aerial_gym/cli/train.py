@@ -90,12 +90,9 @@ class TrainCmd:
         from aerial_gym.rl_training.ranks import torchrun_rank
 
         if self.for_real is not None:
-            from aerial_gym.cli.train_for_real import train_for_real
+            from aerial_gym.cli.train_for_real import print_record, train_for_real
 
-            return train_for_real(self)
-        for name in ("log", "preflight", "mapping"):
-            if getattr(self, name) is not None:
-                raise ConfigError(f"--{name}: needs --for-real ROBOT")
+            return print_record(self, train_for_real(self))
         result = self.result()
         if torchrun_rank() == 0:
             self._print_result(result)
@@ -109,9 +106,16 @@ class TrainCmd:
             from aerial_gym.rl_training.policies.catalog import policy_path
             from aerial_gym.rl_training.run.run_folder import RunFolder
             from aerial_gym.rl_training.settings import load_task_settings
-            from aerial_gym.rl_training.training import train
+            from aerial_gym.rl_training.training import TrainingResult, train
             from aerial_gym.task import task_registry
 
+        if self.for_real is not None:
+            from aerial_gym.cli.train_for_real import train_for_real
+
+            return TrainingResult(**train_for_real(self)["training"])
+        for name in ("log", "preflight", "mapping"):
+            if getattr(self, name) is not None:
+                raise ConfigError(f"--{name}: needs --for-real ROBOT")
         if self.resume:
             cfg = RunFolder(self.out).config()
             self._refuse_changes(cfg)

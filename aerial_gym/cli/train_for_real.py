@@ -4,7 +4,6 @@ Each stage is kept in ``for_real.json`` of the run folder. The same command cont
 """
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -24,28 +23,35 @@ OWN = ("for_real", "log", "preflight", "mapping")  # Options of this command alo
 WORST = 5  # Cells of the robustness test in the summary
 
 
-def train_for_real(cmd: "TrainCmd") -> int:
-    """Train, export, test and print; return the exit status, 1 if the training was interrupted."""
+def train_for_real(cmd: "TrainCmd") -> dict[str, Any]:
+    """Train, export and test; return the record of all stages, or up to the training if that was interrupted."""
     record = _load_or_plan(cmd)
     if "training" not in record:
         result = _training_command(cmd, record).result()
         if result.interrupted:
-            print("interrupted: the same command continues", file=sys.stderr)
-            return 1
+            return record | {"training": asdict(result)}
         record = _store(cmd.out, record | {"training": asdict(result)})
     if "export" not in record:
         from aerial_gym.export import export_policy
 
-        files = export_policy(
-            cmd.out, cmd.out / "export", ("onnx",), preflight=cmd.out / RESULT, allow_contradicted=True
-        )
-        wrong = [str(each.file) for each in files if each.agrees is False]
-        record = _store(cmd.out, record | {"export": [str(each.file) for each in files], "export_differs": wrong})
+        checked = {"preflight": cmd.out / RESULT, "allow_contradicted": True}  # the plan contains the contradictions
+        files = export_policy(cmd.out, cmd.out / "export", ("onnx",), **checked)
+        record = _store(cmd.out, record | {"export": {str(each.file): each.agrees is not False for each in files}})
     if "robustness" not in record:
         tested = asdict(RobustnessCmd(policy=cmd.out, quick=True, out=cmd.out).result())
         record = _store(cmd.out, record | {"robustness": tested})
-    print(json.dumps(record)) if cmd.json else _print_summary(cmd.out, record)
-    return int(bool(record["export_differs"]))
+    return record
+
+
+def print_record(cmd: "TrainCmd", record: Mapping[str, Any]) -> int:
+    """Print the summary; return the exit status, 1 if the training was interrupted or an exported file differs from it."""
+    if cmd.json:
+        print(json.dumps(record))
+    elif record["training"]["interrupted"]:
+        print("interrupted: the same command continues")
+    else:
+        _print_summary(cmd.out, record)
+    return int(not all(record.get("export", {"": False}).values()))
 
 
 def _load_or_plan(cmd: "TrainCmd") -> dict[str, Any]:
@@ -70,7 +76,7 @@ def _load_or_plan(cmd: "TrainCmd") -> dict[str, Any]:
 
 def _plan(cmd: "TrainCmd") -> dict[str, Any]:
     from aerial_gym.config.changes import changes_simulation
-    from aerial_gym.for_real.plan import conditions_of_task, plan_training, robot_for_training
+    from aerial_gym.for_real.plan import plan_training, robot_for_training
     from aerial_gym.rl_training.policy_task import PolicyTask
     from aerial_gym.rl_training.settings import load_task_settings
     from aerial_gym.sim2real.preflight.result_file import read_result
@@ -85,14 +91,15 @@ def _plan(cmd: "TrainCmd") -> dict[str, Any]:
     source = cmd.preflight
     if source is None:
         assert cmd.log is not None
-        rate = conditions_of_task(task).link.rate
+        _, _, env, sim = task.configurations()
+        rate = 1.0 / (sim.dt * env.physics_steps_per_env_step)
         cmd.out.mkdir(parents=True, exist_ok=True)
         source = cmd.out / RESULT
         PreflightCmd(robot=str(task.robot), log=cmd.log, rate_hz=rate, mapping=cmd.mapping).result().write(source)
     result = read_result(source)
     plan = plan_training(task, result)
     write_atomic(cmd.out / RESULT, source.read_bytes())
-    return {"verdict": result["verdict"]} | plan.as_mapping()
+    return {"verdict": result["verdict"]} | asdict(plan)
 
 
 def _training_command(cmd: "TrainCmd", record: Mapping[str, Any]) -> "TrainCmd":
@@ -115,9 +122,9 @@ def _print_summary(out: Path, record: Mapping[str, Any]) -> None:
     def number(value: float | None) -> str:
         return "" if value is None else f"{value:.4g}"
 
-    rows = [(one["name"], one["state"], number(one["low"]), number(one["high"]), one["unit"], one["setting"])
+    rows = [(one["name"], one["state"], number(one["low"]), number(one["high"]), one["setting"])
             for one in record["choices"]]  # fmt: skip
-    head = ("quantity", "by the log", "lowest", "highest", "unit", "setting, or reason for none")
+    head = ("quantity", "by the log", "lowest", "highest", "setting, or reason for none")
     print_table(rows, head, title=f"training of {record['robot']}: the log is {record['verdict']}")
     for text in record["corrections"]:
         print(f"correct on the vehicle, which no training contains: {text}")
@@ -125,6 +132,6 @@ def _print_summary(out: Path, record: Mapping[str, Any]) -> None:
     print(f"success within these ranges: {clean['success_rate']:.1%} of {clean['flights']} flights")
     print_table([(one["label"], f"{one['success_rate']:.1%}", one["outcome"]) for one in cells],
                 ("worst conditions", "success", "result"))  # fmt: skip
-    for file in record["export_differs"]:
+    for file in (file for file, agrees in record["export"].items() if not agrees):
         print(f"do not fly {file}: it differs from the policy; export another format")
     print(f"policy: {out}; exported: {', '.join(record['export'])}; all conditions: {out / 'robustness.json'}")

@@ -1,21 +1,20 @@
 """Settings of a training by the preflight result of a log: values, ranges, delays, noise and losses, each with its reason.
 
-A contradicted value is drawn within its measured interval. A measured one is drawn in the same way, but up to the declared value:
-both agree within the tolerance, so that either may be right. An assumed one is drawn within the tolerance around its declared
-value, as is what a log lacks.
+A contradicted value is drawn within its measured interval. A measured one is too, and up to the declared value: both agree
+within the tolerance, so that either may be right. An assumed one is drawn within the tolerance around its declared value, as is
+what a log lacks.
 """
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import ceil, floor, sqrt
 from pathlib import Path
 from typing import Any
 
-from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.loader import to_mapping
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.task import POLICY
-from aerial_gym.config.task_terms import fewest_and_most_steps
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.rl_training.policy_task import PolicyTask
@@ -23,8 +22,6 @@ from aerial_gym.rl_training.robustness.effect_cells import effect_obstacle
 from aerial_gym.rl_training.robustness.plan import rate_settings, real_sensor_noise
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.preflight.constants import TOLERANCES
-from aerial_gym.sim2real.preflight.link import TrainingLink
-from aerial_gym.sim2real.preflight.ranges import TrainingConditions
 from aerial_gym.sim2real.preflight.rotors import effect_parameter
 from aerial_gym.task.terms.observations import OBSERVATIONS
 
@@ -40,13 +37,13 @@ DRAWN = {
 """Effect, parameter, neutral value, and how a constant changes it: by its offset from the declared value, by its ratio to that,
 or as the new value."""
 
-UNMEASURED = (("com_offset", "x"), ("com_offset", "y"))  # Parameters that no preflight log shows: one moderate change
+UNMEASURED = (("com_offset", "x"), ("com_offset", "y"))  # Parameters that no preflight log shows: a moderate change
 WIRING = ("gyro_sign_contradicted", "rotor_order_contradicted", "spins_contradicted")  # Not to be trained around
 STREAMS = {"robot_position": "position", "robot_linvel": "lin_vel", "robot_body_linvel": "lin_vel",
            "robot_body_angvel": "ang_vel", "robot_orientation": "attitude"}  # fmt: skip
 """Stream of a log by the tensors of an observation term; the first one in this order that a term reads."""
+LINK = ("link_rate", "link_jitter", "packet_loss", "command_latency")
 WIDTH_OF_JITTER = sqrt(12.0)  # Width of a uniform delay per standard deviation
-MOST_LOST = 0.9  # Largest share of lost observations in training
 HELD_STEPS = 100  # Steps for which a lost observation is held: longer than any burst of losses
 
 
@@ -55,10 +52,9 @@ class Choice:
     """One quantity of the training."""
 
     name: str
-    state: str  # measured, contradicted, assumed, default (no log shows it), close_loop, or left (as the task has it)
-    low: float | None = None  # Range in the training
+    state: str  # measured, contradicted, assumed, default (not in the log), close_loop, or left (as the task has it)
+    low: float | None = None  # Range in the training, in SI units
     high: float | None = None
-    unit: str = ""
     setting: str = ""  # Setting of the training, or the reason why there is none
 
 
@@ -66,30 +62,17 @@ class Choice:
 class TrainingPlan:
     """Settings of a training for a real vehicle."""
 
-    robot: str  # Robot file
+    robot: str
     settings: tuple[str, ...]  # Of the simulation, ``KEY=VALUE``
     choices: tuple[Choice, ...]
     corrections: tuple[str, ...]  # Contradictions to correct on the vehicle, which no training can contain
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the plan for JSON."""
-        return json.loads(json.dumps(asdict(self)))
 
 
 def robot_for_training(robot: str, log: Path | None) -> str:
     """Return the result of ``close-loop --ranges`` beside a log (``robot.yaml`` with drawn effects), or else the robot."""
     beside = None if log is None else (log if log.is_dir() else log.parent) / "robot.yaml"
-    if beside is None or not beside.is_file():
-        return robot
-    return str(beside) if any(name.startswith("effects.") for name in robot_by_name(beside).randomize) else robot
-
-
-def conditions_of_task(task: PolicyTask) -> TrainingConditions:
-    """Return the rate and the mean latency of the commands of a task."""
-    cfg, _, env, sim = task.configurations()
-    dt = sim.dt * env.physics_steps_per_env_step
-    latency = 0.5 * sum(fewest_and_most_steps(cfg.action.delay_steps)) * dt
-    return TrainingConditions(link=TrainingLink(rate=1.0 / dt, latency=latency))
+    drawn = robot_by_name(beside).randomize if beside is not None and beside.is_file() else {}
+    return str(beside) if any(name.startswith("effects.") for name in drawn) else robot
 
 
 def plan_training(task: PolicyTask, result: Mapping[str, Any]) -> TrainingPlan:
@@ -98,117 +81,111 @@ def plan_training(task: PolicyTask, result: Mapping[str, Any]) -> TrainingPlan:
     Raises:
         ConfigError: If the log contradicts a sign, the order or the spins of the rotors.
     """
-    findings = result["findings"]
-    if wrong := [one["text"] for one in findings if one["code"] in WIRING]:
+    if wrong := [one["text"] for one in result["findings"] if one["code"] in WIRING]:
         raise ConfigError(*(f"{text} Correct it on the vehicle or in the robot file first" for text in wrong))
-    known = {one["subject"]: one for one in findings if one["code"].startswith("constant_")}
-    draws, drawn = _draws(task, known)
-    link, choices = _link_settings(task, known, result.get("noise", {}))
-    handled = (*DRAWN, *LINK, *(f"{name}_latency" for name in STREAMS.values()))
-    contradicted = [one for name, one in known.items() if one["code"].endswith("contradicted") and name not in handled]
-    settings = (*link, f"task.randomize={json.dumps(draws)}") if draws else tuple(link)
-    corrections = tuple(one["text"] for one in contradicted)
-    return TrainingPlan(robot=str(task.robot), settings=settings, choices=(*drawn, *choices), corrections=corrections)
+    known = {one["subject"]: one for one in result["findings"] if one["code"].startswith("constant_")}
+    drawing, drawn = _draws(task, known)
+    link, observed = _link_settings(task, known, result.get("noise", {}))
+    trained = (*DRAWN, *LINK, *(f"{name}_latency" for name in STREAMS.values()))
+    others = {name: one for name, one in known.items() if name not in trained}
+    return TrainingPlan(
+        robot=str(task.robot), settings=(drawing, *link), choices=(*drawn, *observed),
+        corrections=tuple(one["text"] for one in others.values() if one["code"] == "constant_contradicted"),
+    )  # fmt: skip
 
 
-def interval(finding: Mapping[str, Any] | None, kind: str, *, declared: float = 0.0) -> tuple[float, float, str]:
-    """Return the range of a constant in training, and its state; without a finding, its tolerance around ``declared``."""
+def constant_range(finding: Mapping[str, Any] | None, kind: str) -> tuple[float, float, str]:
+    """Return the range of a constant in training, and its state; without a finding, its tolerance around zero."""
     if finding is None:
-        return declared - TOLERANCES[kind], declared + TOLERANCES[kind], "default"
+        return -TOLERANCES[kind], TOLERANCES[kind], "default"
     state, values = finding["code"].rpartition("_")[2], finding["values"]
+    declared = values["declared"]
     if state == "assumed":
-        return values["declared"] - values["tolerance"], values["declared"] + values["tolerance"], state
-    if state == "measured":
-        return min(values["low"], values["declared"]), max(values["high"], values["declared"]), state
-    return values["low"], values["high"], state
+        return declared - values["tolerance"], declared + values["tolerance"], state
+    ends = (values["low"], values["high"], *([declared] if state == "measured" else []))
+    return min(ends), max(ends), state
 
 
-def _draws(task: PolicyTask, known: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], list[Choice]]:
-    """Return the drawn parameters of effects by the names of ``randomize``, and the choices of all."""
+def _draws(task: PolicyTask, known: Mapping[str, Mapping[str, Any]]) -> tuple[str, list[Choice]]:
+    """Return the setting of the draws of a task, with those of effects, and the choices."""
     cfg, robot, env, sim = task.configurations()
-    draws = {name: _plain_draw(each) for name, each in cfg.randomize.items()}
-    rows = [(name, *DRAWN[name][:2], *_drawn_range(one, robot, name)) for name, one in known.items() if name in DRAWN]
-    for effect, parameter in UNMEASURED:
-        scale = next(each.scale for each in EFFECTS.get(effect).parameters if each.name == parameter)
-        middle = effect_parameter(robot, effect, parameter, 0.0)
-        rows.append((f"{effect}.{parameter}", effect, parameter, middle - scale, middle + scale, "default"))
-    choices = []
-    for name, effect, parameter, low, high, state in rows:
+    draws, choices = dict(to_mapping(cfg)["randomize"]), list[Choice]()
+    rows = [
+        (name, *DRAWN[name][:2], *_parameter_range(one, robot, name)) for name, one in known.items() if name in DRAWN
+    ]
+    for effect, name in UNMEASURED:
+        middle = effect_parameter(robot, effect, name, 0.0)
+        scale = next(each.scale for each in EFFECTS.get(effect).parameters if each.name == name)
+        rows.append((f"{effect}.{name}", effect, name, middle - scale, middle + scale, "default"))
+    for name, effect, parameter, *ends, state in rows:
         key, bound = f"effects.{effect}.{parameter}", EFFECTS.get(effect).bind_robot(robot)
         if key in robot.randomize:
             choices.append(Choice(name=name, state="close_loop", setting=f"robot.randomize.{key}"))
         elif reason := effect_obstacle(bound, cfg, robot, env, sim):
             choices.append(Choice(name=name, state="left", setting=reason))
         else:
-            number = next(each for each in bound.parameters if each.name == parameter)
-            low, high = (min(max(each, number.low), number.high) for each in (low, high))
+            limits = next(each for each in bound.parameters if each.name == parameter)
+            low, high = (min(max(end, limits.low), limits.high) for end in ends)
             draws[key] = {"how": "value", "low": low, "high": high}
-            choices.append(
-                Choice(name=name, state=state, low=low, high=high, unit=number.unit, setting=f"task.randomize.{key}")
-            )
-    return draws, choices
+            choices.append(Choice(name=name, state=state, low=low, high=high, setting=f"task.randomize.{key}"))
+    return f"task.randomize={json.dumps(draws)}", choices
 
 
-def _plain_draw(cfg: RandomizeCfg) -> dict[str, Any]:
-    return {name: value for name, value in asdict(cfg).items() if value not in (None, {}, False)}
-
-
-def _drawn_range(finding: Mapping[str, Any], robot: RobotCfg, name: str) -> tuple[float, float, str]:
+def _parameter_range(finding: Mapping[str, Any], robot: RobotCfg, name: str) -> tuple[float, float, str]:
     """Return the range of the parameter of an effect by the range of its constant, and the state."""
     effect, parameter, neutral, how = DRAWN[name]
-    low, high, state = interval(finding, name)
-    declared = finding["values"]["declared"]
+    low, high, state = constant_range(finding, name)
+    declared, own = finding["values"]["declared"], effect_parameter(robot, effect, parameter, neutral)
     if how == "value":
         return low, high, state
-    own = effect_parameter(robot, effect, parameter, neutral)
     if how == "offset":
         return own + low - declared, own + high - declared, state
     return own * low / declared, own * high / declared, state
 
 
-LINK = ("link_rate", "link_jitter", "packet_loss", "command_latency")
-
-
 def _link_settings(
     task: PolicyTask, known: Mapping[str, Mapping[str, Any]], noise: Mapping[str, float]
 ) -> tuple[list[str], list[Choice]]:
-    """Return settings for rate, delays, losses and noise of the observations and commands, and their choices."""
+    """Return settings for rate, delays, losses and noise of commands and observations, and the choices."""
     cfg, _, env, sim = task.configurations()
     dt, settings, choices = sim.dt * env.physics_steps_per_env_step, list[str](), list[Choice]()
-    low, high, state = interval(known.get("link_rate"), "link_rate", declared=1.0 / dt)
-    rate = 0.5 * (low + high) if state == "contradicted" else 1.0 / dt
+    rate = 1.0 / dt
+
+    def choose(name: str, state: str, low: float, high: float, key: str, value: object) -> None:
+        settings.append(f"{key}={value!r}")
+        choices.append(Choice(name=name, state=state, low=low, high=high, setting=key))
+
+    def delay(name: str, constant: str, kind: str, key: str, more: float = 0.0) -> None:
+        low, high, state = constant_range(known.get(constant), kind)
+        low, high = max(low, 0.0), max(high, 0.0) + more
+        choose(name, state, low, high, f"{key}.delay_steps", [floor(low * rate + 1e-6), ceil(high * rate - 1e-6)])
+
+    low, high, state = constant_range(known.get("link_rate"), "link_rate")
     if state == "contradicted":
+        rate = 0.5 * (low + high)
         settings += rate_settings(cfg, sim, dt, rate)
-    choices.append(Choice(name="link_rate", state=state, low=rate, high=rate, unit="Hz", setting="sim.dt"))
-    jitter = max(interval(known.get("link_jitter"), "link_jitter")[1], 0.0) * WIDTH_OF_JITTER
-    low, high, state = interval(known.get("command_latency"), "command_latency")
-    settings.append(f"task.action.delay_steps={_steps(low, high + jitter, rate)}")
-    choices.append(_delay("command_latency", state, low, high + jitter, "task.action.delay_steps"))
-    _, high, state = interval(known.get("packet_loss"), "packet_loss")
-    loss = min(max(high, 0.0), MOST_LOST)
-    choices.append(Choice(name="packet_loss", state=state, low=loss, high=loss, setting="dropout of the observations"))
-    defaults = dict[str, float]()
+        choices.append(Choice(name="link_rate", state=state, low=rate, high=rate, setting="sim.dt"))
+    jitter = max(constant_range(known.get("link_jitter"), "link_jitter")[1], 0.0)
+    delay("command_latency, link_jitter", "command_latency", "command_latency", "task.action", WIDTH_OF_JITTER * jitter)
+    _, lost, state = constant_range(known.get("packet_loss"), "packet_loss")
+    default = dict[str, float]()
     for term, std in real_sensor_noise().items():
-        defaults[_stream(term)] = max(std, defaults.get(_stream(term), 0.0))
+        default[_stream(term)] = max(std, default.get(_stream(term), 0.0))
     for number, entry in enumerate(cfg.observations[POLICY]):
-        stream = _stream(entry.term)
+        stream, key = _stream(entry.term), f"task.observations.{POLICY}.{number}"
         if not stream:
             continue
-        key = f"task.observations.{POLICY}.{number}"
-        measured = noise.get(stream)
-        std = defaults.get(stream, 0.0) if measured is None else measured * (0.5 if entry.term == "attitude" else 1.0)
-        settings.append(f"{key}.noise_std={max(std, entry.noise_std)!r}")
-        source = "default" if measured is None else "measured"
-        choices.append(
-            Choice(name=f"noise of {entry.term}", state=source, low=std, high=std, setting=f"{key}.noise_std")
+        std = max(
+            noise.get(stream, default.get(stream, 0.0)) * (0.5 if entry.term == "attitude" else 1.0), entry.noise_std
         )
-        if loss > 0.0:
-            settings += [f"{key}.dropout={loss!r}", f"{key}.hold_steps={HELD_STEPS}"]
+        choose(
+            f"noise of {entry.term}", "measured" if stream in noise else "default", std, std, f"{key}.noise_std", std
+        )
+        if lost > 0.0:
+            choose(f"packet_loss of {entry.term}", state, lost, lost, f"{key}.dropout", lost)
+            settings.append(f"{key}.hold_steps={HELD_STEPS}")
         if stream != "ang_vel":
-            late = known.get(f"{stream}_latency")
-            low, high, state = interval(late, "state_latency")
-            settings.append(f"{key}.delay_steps={_steps(low, high, rate)}")
-            choices.append(_delay(f"latency of {entry.term}", state, low, high, f"{key}.delay_steps"))
+            delay(f"latency of {entry.term}", f"{stream}_latency", "state_latency", key)
     return settings, choices
 
 
@@ -216,12 +193,3 @@ def _stream(term: str) -> str:
     """Return the stream that an observation term shows; empty if it shows no measurement."""
     reads = OBSERVATIONS.get(term).reads if term in OBSERVATIONS else (term,)
     return next((stream for tensor, stream in STREAMS.items() if tensor in reads), "")
-
-
-def _steps(low: float, high: float, rate: float) -> list[int]:
-    """Return the fewest and the most whole steps of a delay [s]."""
-    return [max(floor(low * rate + 1e-6), 0), max(ceil(high * rate - 1e-6), 0)]
-
-
-def _delay(name: str, state: str, low: float, high: float, setting: str) -> Choice:
-    return Choice(name=name, state=state, low=max(low, 0.0), high=max(high, 0.0), unit="s", setting=setting)

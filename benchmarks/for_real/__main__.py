@@ -13,7 +13,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from math import sqrt
+from math import inf, sqrt
 from pathlib import Path
 from statistics import mean, variance
 from typing import Literal
@@ -28,6 +28,7 @@ from aerial_gym.for_real.plan import plan_training
 from aerial_gym.rl_training.policy_task import PolicyTask
 from aerial_gym.sim2real.preflight.result_file import read_result
 from benchmarks.for_real.hidden import FOLDER, TASK, fly_log, make_hidden_task
+from benchmarks.learning.policies import write_weights
 from benchmarks.markdown import table
 
 ROBOT, RESULT = "racing_quadrotor", FOLDER / "preflight.json"
@@ -47,6 +48,7 @@ class ForRealCmd:
     workers: int = 1  # Processes that fly
     phase: Literal["all", "log", "train", "fly"] = "all"
     max_env_steps: int = 200_000_000  # Of each training
+    max_time_s: float = 60.0  # The same, whichever comes first [s]
     num_envs: int | None = None  # Environments of a training; those of the settings if not given
     device: str = "auto"  # Of the training
     stop_after_s: float = 240.0  # No training begins after this time [s]; run again to continue
@@ -89,10 +91,12 @@ class ForRealCmd:
                 shutil.rmtree(run)
             result = TrainCmd(
                 task=TASK, robot=ROBOT, trainer="ppo", device=self.device, seed=seed, out=run, num_envs=self.num_envs,
-                max_env_steps=self.max_env_steps, set=plan.settings if arm == "with" else (),
+                max_env_steps=self.max_env_steps, max_time_s=self.max_time_s, set=plan.settings if arm == "with" else (),
             ).result()  # fmt: skip
             if result.interrupted:
                 return False
+            write_weights(run, run)
+            shutil.rmtree(run / "checkpoints")
             write_atomic(run / "trained.json", json.dumps(asdict(result)))
             print(f"{run.name}: {result}", file=sys.stderr, flush=True)
         return True
@@ -121,7 +125,7 @@ class ForRealCmd:
             *(f"{name}, its training" for name in names),
         )
         print(table(heads, lines))
-        print(f"\ndifference: {100.0 * gain:.0f} points [{100.0 * low:.0f} to {100.0 * high:.0f}]")
+        print(f"\ndifference: {100.0 * gain:.0f} points, 95 % interval {100.0 * low:.0f} to {100.0 * high:.0f}")
         return int(gain < LIMIT or low <= 0.0)
 
 
@@ -167,6 +171,8 @@ def _figures(row: dict) -> tuple[str, str, str]:
 
 def welch_interval(first: list[float], second: list[float]) -> tuple[float, float]:
     """Return the 95 % interval of the difference of two means (Welch, 1947); without scatter it is the difference alone."""
+    if min(len(first), len(second)) < 2:
+        return -inf, inf
     parts = [variance(each) / len(each) for each in (first, second)]
     middle, total = mean(first) - mean(second), sum(parts)
     if total == 0.0:

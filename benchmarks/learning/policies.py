@@ -22,18 +22,24 @@ STARTS = 1_000  # Random starts of each evaluation
 
 def pack_run(run: Path, command: str) -> Path:
     """Write settings and weights of the last checkpoint of a run into the package; return the folder."""
-    checkpoint, cfg = find_checkpoint(run)
+    _, cfg = find_checkpoint(run)
+    folder = CONFIG_DIR / PREFIX / cfg.task
+    folder.mkdir(parents=True, exist_ok=True)
+    write_weights(run, folder)
+    summary = f"policy that can {task_registry.get(cfg.task).summary.partition(';')[0]}"
+    write_atomic(folder / "config.yaml", dump_yaml(replace(cfg, summary=summary, source=f"made by: {command}")))
+    return folder
+
+
+def write_weights(run: Path, folder: Path) -> None:
+    """Write the weights of the last checkpoint of a run into a folder, without the state of its simulation."""
+    checkpoint, _ = find_checkpoint(run)
     payload = read_archive(checkpoint, "checkpoint")
     network = payload["network"]
     arrays = {f"model/{name}": tensor.numpy() for name, tensor in payload["model"].items()}
     arrays |= {f"network/shapes/{key}": np.array(shape) for key, shape in network["shapes"].items()}
     arrays["network/num_actions"] = np.array(network["num_actions"])
-    folder = CONFIG_DIR / PREFIX / cfg.task
-    folder.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(folder / ARRAYS, allow_pickle=False, **arrays)
-    summary = f"policy that can {task_registry.get(cfg.task).summary.partition(';')[0]}"
-    write_atomic(folder / "config.yaml", dump_yaml(replace(cfg, summary=summary, source=f"made by: {command}")))
-    return folder
 
 
 def table_row(name: str, result: Evaluation) -> str:
