@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parent.parent / "aerial_gym"
 ORDER = (
     "errors | extras | lazy | interop math | config registry | physics assets | control sensors | robots | env_manager | "
-    "task | rl_training sim2real | export compat | firmware fleet viewer workloads | cli | __main__"
+    "task | rl_training sim2real | export compat | for_real firmware fleet viewer workloads | cli | __main__"
 )
 """The only statement of the import order. A package may still be absent, but no package may be missing here."""
 

@@ -72,7 +72,12 @@ def test_latency_and_jitter_become_whole_steps() -> None:
 def test_without_findings_tolerances_and_noise_of_the_library_are_the_default() -> None:
     made, cfg = plan()
     states = {one.name: one.state for one in made.choices}
-    assert states["command_latency"] == states["noise of rotation_rows"] == states["com_offset.x"] == "default"
+    assert (
+        states["command_latency, link_jitter"]
+        == states["noise of rotation_rows"]
+        == states["com_offset.x"]
+        == "default"
+    )
     assert cfg.action.delay_steps == (0, 2)  # 8 ms, and the jitter of 3 ms
     assert all(entry.noise_std > 0.0 for entry in cfg.observations["policy"][:4])
     assert cfg.observations["policy"][4].noise_std == 0.0  # the target is no measurement
