@@ -33,22 +33,7 @@ class ExportCmd:
 
     def run(self) -> int:
         """Write, compare, print; return 0, or 1 if a file is not the policy."""
-        from aerial_gym.export.export import export_policy
-        from aerial_gym.rl_training.policies.catalog import policy_path
-        from aerial_gym.rl_training.run.run_folder import run_folder_of_checkpoint
-
-        pretrained, given = policy_path(self.policy) != self.policy, self.policy.is_dir()
-        folder = Path() if pretrained else self.policy if given else run_folder_of_checkpoint(self.policy).path
-        out = self.out or folder / "export"
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-        with progress_bar() as progress, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the exporters, about names of axes
-            progress("writing", 0.0)
-            exports = export_policy(
-                self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check, preflight=self.preflight,
-                allow_contradicted=self.allow_contradicted,
-            )  # fmt: skip
-            progress("writing", 1.0)
+        exports = self.result()
         for each in exports:
             if each.agrees is False:
                 print(_disagreement_message(each), file=sys.stderr)
@@ -57,8 +42,31 @@ class ExportCmd:
                 print(json.dumps(_json_row(each)))
         else:
             print_table(map(_table_row, exports), ("format", "file", "kB", "error", "limit", "output"))
-            print(f"{out / 'policy.json'}: inputs and outputs, entry by entry")
+            print(f"{self._folder() / 'policy.json'}: inputs and outputs, entry by entry")
         return int(any(each.agrees is False for each in exports))
+
+    def result(self) -> "list[Exported]":
+        """Write and compare."""
+        from aerial_gym.export.export import export_policy
+
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        with progress_bar() as progress, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the exporters, about names of axes
+            progress("writing", 0.0)
+            exports = export_policy(
+                self.policy, self._folder(), self.to, robot=self.robot, name=self.name, check=self.check,
+                preflight=self.preflight, allow_contradicted=self.allow_contradicted,
+            )  # fmt: skip
+            progress("writing", 1.0)
+        return exports
+
+    def _folder(self) -> Path:
+        from aerial_gym.rl_training.policies.catalog import policy_path
+        from aerial_gym.rl_training.run.run_folder import run_folder_of_checkpoint
+
+        pretrained, given = policy_path(self.policy) != self.policy, self.policy.is_dir()
+        folder = Path() if pretrained else self.policy if given else run_folder_of_checkpoint(self.policy).path
+        return self.out or folder / "export"
 
 
 def _json_row(each: "Exported") -> dict[str, object]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
+from aerial_gym.cli.export import ExportCmd
 from aerial_gym.cli.preflight import PreflightCmd
 from aerial_gym.cli.robustness import RobustnessCmd
 from aerial_gym.cli.terminal import print_table
@@ -78,10 +79,7 @@ def _train(cmd: "TrainCmd", record: Mapping[str, Any]) -> dict[str, Any]:
 
 def _export(cmd: "TrainCmd", _: Mapping[str, Any]) -> dict[str, bool]:
     """Return the exported files, and whether each agrees with the policy; the plan contains the contradictions."""
-    from aerial_gym.export import export_policy
-
-    checked = {"preflight": cmd.out / RESULT, "allow_contradicted": True}
-    files = export_policy(cmd.out, cmd.out / "export", ("onnx",), **checked)
+    files = ExportCmd(policy=cmd.out, preflight=cmd.out / RESULT, allow_contradicted=True).result()
     return {str(each.file): each.agrees is not False for each in files}
 
 

@@ -30,6 +30,7 @@ def write_figure(result: Robustness, path: Path) -> None:
     left.set_ylim(len(result.cells) - 0.5, -0.5)
     left.set_xlabel("success rate and its 95 % interval [%]")
     right.set_xlabel("final error without crash [m]")
-    right.set_xscale("log")
+    if any(each.error_mean_m for each in (*result.cells, result.clean)):
+        right.set_xscale("log")
     left.legend(fontsize=7)
     figure.savefig(path, dpi=120, bbox_inches="tight")

@@ -116,3 +116,12 @@ def test_statistics_of_pairs_and_shares(tmp_path: Path) -> None:
     assert result.clean.error_mean_m == 0.25
     write_figure(result, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 0
+
+
+def test_plot_of_flights_that_all_crash_has_no_errors(tmp_path: Path) -> None:
+    crashed, rows = torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool)
+    cells = [CellFlights(replace(CLEAN, name=name), rows, crashed, torch.full((4,), 9.0), False) for name in "ab"]
+    result = judge(cells, Plan(groups=(CellGroup(cells=tuple(each.cell for each in cells)),)))
+    assert result.clean.error_mean_m is None
+    write_figure(result, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").stat().st_size > 0
