@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.config.loader import to_mapping
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.task import POLICY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
@@ -25,37 +24,34 @@ from aerial_gym.sim2real.preflight.constants import TOLERANCES
 from aerial_gym.sim2real.preflight.rotors import effect_parameter
 from aerial_gym.task.terms.observations import OBSERVATIONS
 
-DRAWN = {
-    "thrust_per_weight": ("thrust_coefficient", "scale", 1.0, "offset"),
-    "thrust_exponent": ("thrust_curve", "k", 0.0, "offset"),
-    "motor_latency": ("actuation_delay", "delay", 0.0, "offset"),
-    "inertia_roll": ("inertia_error", "sx", 1.0, "factor"),
-    "inertia_pitch": ("inertia_error", "sy", 1.0, "factor"),
-    "torque_ratio": ("torque_ratio", "scale", 1.0, "factor"),
-    "rotor_lag": ("motor_time_constant", "tau", 0.0, "value"),
-}
-"""Effect, parameter, neutral value, and how a constant changes it: by its offset from the declared value, by its ratio to that,
-or as the new value."""
+Findings = Mapping[str, Mapping[str, Any]]  # Findings on constants, as a written result has them, by their subject
+
+DRAWN: dict[str, tuple[str, str, float | None, bool]] = {
+    "thrust_per_weight": ("thrust_coefficient", "scale", 1.0, False), "thrust_exponent": ("thrust_curve", "k", 0.0, False),
+    "motor_latency": ("actuation_delay", "delay", 0.0, False), "rotor_lag": ("motor_time_constant", "tau", None, False),
+    "inertia_roll": ("inertia_error", "sx", 1.0, True), "inertia_pitch": ("inertia_error", "sy", 1.0, True),
+    "torque_ratio": ("torque_ratio", "scale", 1.0, True),
+}  # fmt: skip
+"""Effect and parameter of a constant, its value without the effect (None: that of the constant), and whether it is a share."""
 
 UNMEASURED = (("com_offset", "x"), ("com_offset", "y"))  # Parameters that no preflight log shows: a moderate change
 WIRING = ("gyro_sign_contradicted", "rotor_order_contradicted", "spins_contradicted")  # Not to be trained around
+LINK = ("link_rate", "link_jitter", "packet_loss", "command_latency")
 STREAMS = {"robot_position": "position", "robot_linvel": "lin_vel", "robot_body_linvel": "lin_vel",
            "robot_body_angvel": "ang_vel", "robot_orientation": "attitude"}  # fmt: skip
 """Stream of a log by the tensors of an observation term; the first one in this order that a term reads."""
-LINK = ("link_rate", "link_jitter", "packet_loss", "command_latency")
-WIDTH_OF_JITTER = sqrt(12.0)  # Width of a uniform delay per standard deviation
 HELD_STEPS = 100  # Steps for which a lost observation is held: longer than any burst of losses
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Choice:
     """One quantity of the training."""
 
     name: str
     state: str  # measured, contradicted, assumed, default (not in the log), close_loop, or left (as the task has it)
+    setting: str  # Setting of the training, or the reason why there is none
     low: float | None = None  # Range in the training, in SI units
     high: float | None = None
-    setting: str = ""  # Setting of the training, or the reason why there is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,12 +81,12 @@ def plan_training(task: PolicyTask, result: Mapping[str, Any]) -> TrainingPlan:
         raise ConfigError(*(f"{text} Correct it on the vehicle or in the robot file first" for text in wrong))
     known = {one["subject"]: one for one in result["findings"] if one["code"].startswith("constant_")}
     drawing, drawn = _draws(task, known)
-    link, observed = _link_settings(task, known, result.get("noise", {}))
-    trained = (*DRAWN, *LINK, *(f"{name}_latency" for name in STREAMS.values()))
-    others = {name: one for name, one in known.items() if name not in trained}
+    settings, observed = _link_settings(task, known, result.get("noise", {}))
+    trained = {*DRAWN, *LINK, *(f"{name}_latency" for name in STREAMS.values())}
+    untrained = [one for name, one in known.items() if name not in trained and one["code"] == "constant_contradicted"]
     return TrainingPlan(
-        robot=str(task.robot), settings=(drawing, *link), choices=(*drawn, *observed),
-        corrections=tuple(one["text"] for one in others.values() if one["code"] == "constant_contradicted"),
+        robot=str(task.robot), settings=(drawing, *settings), choices=(*drawn, *observed),
+        corrections=tuple(one["text"] for one in untrained),
     )  # fmt: skip
 
 
@@ -106,46 +102,39 @@ def constant_range(finding: Mapping[str, Any] | None, kind: str) -> tuple[float,
     return min(ends), max(ends), state
 
 
-def _draws(task: PolicyTask, known: Mapping[str, Mapping[str, Any]]) -> tuple[str, list[Choice]]:
+def _draws(task: PolicyTask, known: Findings) -> tuple[str, list[Choice]]:
     """Return the setting of the draws of a task, with those of effects, and the choices."""
     cfg, robot, env, sim = task.configurations()
-    draws, choices = dict(to_mapping(cfg)["randomize"]), list[Choice]()
-    rows = [
-        (name, *DRAWN[name][:2], *_parameter_range(one, robot, name)) for name, one in known.items() if name in DRAWN
-    ]
+    draws, choices, rows = (
+        dict(to_mapping(cfg)["randomize"]),
+        list[Choice](),
+        list[tuple[str, str, str, float, float, str]](),
+    )
+    for name in [name for name in DRAWN if name in known]:
+        (effect, parameter, neutral, share), declared = DRAWN[name], known[name]["values"]["declared"]
+        low, high, state = constant_range(known[name], name)
+        own = effect_parameter(robot, effect, parameter, declared if neutral is None else neutral)
+        low, high = (own + (end - declared) / (declared if share else 1.0) for end in (low, high))
+        rows.append((name, effect, parameter, low, high, state))
     for effect, name in UNMEASURED:
         middle = effect_parameter(robot, effect, name, 0.0)
         scale = next(each.scale for each in EFFECTS.get(effect).parameters if each.name == name)
         rows.append((f"{effect}.{name}", effect, name, middle - scale, middle + scale, "default"))
-    for name, effect, parameter, *ends, state in rows:
+    for name, effect, parameter, low, high, state in rows:
         key, bound = f"effects.{effect}.{parameter}", EFFECTS.get(effect).bind_robot(robot)
         if key in robot.randomize:
-            choices.append(Choice(name=name, state="close_loop", setting=f"robot.randomize.{key}"))
+            choices.append(Choice(name, "close_loop", f"robot.randomize.{key}"))
         elif reason := effect_obstacle(bound, cfg, robot, env, sim):
-            choices.append(Choice(name=name, state="left", setting=reason))
+            choices.append(Choice(name, "left", reason))
         else:
             limits = next(each for each in bound.parameters if each.name == parameter)
-            low, high = (min(max(end, limits.low), limits.high) for end in ends)
+            low, high = (min(max(end, limits.low), limits.high) for end in (low, high))
             draws[key] = {"how": "value", "low": low, "high": high}
-            choices.append(Choice(name=name, state=state, low=low, high=high, setting=f"task.randomize.{key}"))
+            choices.append(Choice(name, state, f"task.randomize.{key}", low, high))
     return f"task.randomize={json.dumps(draws)}", choices
 
 
-def _parameter_range(finding: Mapping[str, Any], robot: RobotCfg, name: str) -> tuple[float, float, str]:
-    """Return the range of the parameter of an effect by the range of its constant, and the state."""
-    effect, parameter, neutral, how = DRAWN[name]
-    low, high, state = constant_range(finding, name)
-    declared, own = finding["values"]["declared"], effect_parameter(robot, effect, parameter, neutral)
-    if how == "value":
-        return low, high, state
-    if how == "offset":
-        return own + low - declared, own + high - declared, state
-    return own * low / declared, own * high / declared, state
-
-
-def _link_settings(
-    task: PolicyTask, known: Mapping[str, Mapping[str, Any]], noise: Mapping[str, float]
-) -> tuple[list[str], list[Choice]]:
+def _link_settings(task: PolicyTask, known: Findings, noise: Mapping[str, float]) -> tuple[list[str], list[Choice]]:
     """Return settings for rate, delays, losses and noise of commands and observations, and the choices."""
     cfg, _, env, sim = task.configurations()
     dt, settings, choices = sim.dt * env.physics_steps_per_env_step, list[str](), list[Choice]()
@@ -153,7 +142,7 @@ def _link_settings(
 
     def choose(name: str, state: str, low: float, high: float, key: str, value: object) -> None:
         settings.append(f"{key}={value!r}")
-        choices.append(Choice(name=name, state=state, low=low, high=high, setting=key))
+        choices.append(Choice(name, state, key, low, high))
 
     def delay(name: str, constant: str, kind: str, key: str, more: float = 0.0) -> None:
         low, high, state = constant_range(known.get(constant), kind)
@@ -164,9 +153,10 @@ def _link_settings(
     if state == "contradicted":
         rate = 0.5 * (low + high)
         settings += rate_settings(cfg, sim, dt, rate)
-        choices.append(Choice(name="link_rate", state=state, low=rate, high=rate, setting="sim.dt"))
+        choices.append(Choice("link_rate", state, "sim.dt", rate, rate))
     jitter = max(constant_range(known.get("link_jitter"), "link_jitter")[1], 0.0)
-    delay("command_latency, link_jitter", "command_latency", "command_latency", "task.action", WIDTH_OF_JITTER * jitter)
+    width = sqrt(12.0) * jitter  # Of a uniform delay with this standard deviation
+    delay("command_latency, link_jitter", "command_latency", "command_latency", "task.action", width)
     _, lost, state = constant_range(known.get("packet_loss"), "packet_loss")
     default = dict[str, float]()
     for term, std in real_sensor_noise().items():
@@ -175,9 +165,8 @@ def _link_settings(
         stream, key = _stream(entry.term), f"task.observations.{POLICY}.{number}"
         if not stream:
             continue
-        std = max(
-            noise.get(stream, default.get(stream, 0.0)) * (0.5 if entry.term == "attitude" else 1.0), entry.noise_std
-        )
+        std = noise.get(stream, default.get(stream, 0.0)) * (0.5 if entry.term == "attitude" else 1.0)
+        std = max(std, entry.noise_std)
         choose(
             f"noise of {entry.term}", "measured" if stream in noise else "default", std, std, f"{key}.noise_std", std
         )
