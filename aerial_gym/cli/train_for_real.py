@@ -27,7 +27,9 @@ def train_for_real(cmd: "TrainCmd") -> dict[str, Any]:
     """Train, export and test; return the record of all stages, or up to the training if that was interrupted."""
     request = {name: None if (value := getattr(cmd, name)) is None else str(value) for name in (*OWN, "task")}
     file = cmd.out / RECORD
-    record = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"request": request}
+    record: dict[str, Any] = {"request": request}
+    if file.exists():
+        record = json.loads(file.read_text(encoding="utf-8"))
     if record["request"] != request:
         raise ConfigError(f"{cmd.out}: holds a training with other options, {record['request']}. Choose another --out")
     for name, stage in (("plan", _plan), ("training", _train), ("export", _export), ("robustness", _test)):
@@ -59,9 +61,10 @@ def _plan(cmd: "TrainCmd", _: Mapping[str, Any]) -> dict[str, Any]:
     )  # fmt: skip
     cmd.out.mkdir(parents=True, exist_ok=True)
     if cmd.log is not None:
-        _, _, env, sim = task.configurations()
-        link = {"rate_hz": 1.0 / (sim.dt * env.physics_steps_per_env_step), "mapping": cmd.mapping}
-        PreflightCmd(robot=str(task.robot), log=cmd.log, **link).result().write(cmd.out / RESULT)
+        env, sim = task.configurations()[2:]
+        rate = 1.0 / (sim.dt * env.physics_steps_per_env_step)
+        check = PreflightCmd(robot=str(task.robot), log=cmd.log, rate_hz=rate, mapping=cmd.mapping)
+        check.result().write(cmd.out / RESULT)
     elif cmd.preflight is not None:
         write_atomic(cmd.out / RESULT, cmd.preflight.read_bytes())
     result = read_result(cmd.out / RESULT)

@@ -27,7 +27,7 @@ from aerial_gym.config.storage import write_atomic
 from aerial_gym.for_real.plan import plan_training
 from aerial_gym.rl_training.policy_task import PolicyTask
 from aerial_gym.sim2real.preflight.result_file import read_result
-from benchmarks.for_real.hidden import FOLDER, TASK, fly_log, make_hidden_task
+from benchmarks.for_real.vehicle import FOLDER, TASK, fly_log, make_hidden_task
 from benchmarks.learning.policies import write_weights
 from benchmarks.markdown import table
 
@@ -59,7 +59,7 @@ class ForRealCmd:
         if self.phase == "log" or (self.phase == "all" and not RESULT.exists()):
             self._fly_log()
         if self.phase in ("all", "train") and not self._train():
-            print(f"{self._missing()} trainings are missing: run the same command again", file=sys.stderr)
+            print(f"{self._num_missing()} trainings are missing: run the same command again", file=sys.stderr)
             return 1
         return self._fly() if self.phase in ("all", "fly") else 0
 
@@ -163,7 +163,7 @@ def fly_policy(run: Path, flights: int) -> dict:
     return row
 
 
-def _figures(row: dict) -> tuple[str, str, str]:
+def _figures(row: dict) -> tuple[str, ...]:
     error = row["final_error_mean_m"]
     rates = (f"{100.0 * row[name]:.0f} %" for name in ("success_rate", "crash_rate"))
     return (*rates, "-" if error is None else f"{error:.3f} m")

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from aerial_gym.cli.main import main
-from benchmarks.for_real.hidden import JITTER_S, LATENCY_S, LinkedFirmwareEnv, fly_log, make_hidden_task
+from benchmarks.for_real.vehicle import JITTER_S, LATENCY_S, LinkFirmwareEnv, fly_log, make_hidden_task
 
 pytestmark = pytest.mark.slow
 RESULT = Path(__file__).parents[2] / "benchmarks" / "for_real" / "preflight.json"
@@ -17,7 +17,7 @@ def test_motors_react_after_the_latency_and_within_the_width_of_the_jitter() -> 
     """A command for more thrust moves the motors of each environment 35 to 46 ms later, in a physics step of 1 ms."""
     with make_hidden_task(4, seed=3) as task:
         env = task.env
-        assert isinstance(env, LinkedFirmwareEnv)
+        assert isinstance(env, LinkFirmwareEnv)
         env.reset()
         for _ in range(20):
             env.step(torch.zeros(4, 4))

@@ -10,7 +10,7 @@ from scipy.stats import ttest_ind
 from aerial_gym.for_real.plan import plan_training
 from aerial_gym.sim2real.preflight.result_file import read_result
 from benchmarks.for_real.__main__ import RESULT, policy_task, welch_interval
-from benchmarks.for_real.hidden import JITTER_S, LATENCY_S
+from benchmarks.for_real.vehicle import JITTER_S, LATENCY_S
 
 
 def test_interval_of_the_difference_is_that_of_scipy() -> None:

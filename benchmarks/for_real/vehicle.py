@@ -31,7 +31,7 @@ FLIGHT_S, SETTLE_S, PAUSE_S = 24.0, 10.0, 4.0  # Length of each part; hover befo
 ROWS_EVERY = 2  # Physics steps of 1 ms between two rows of the log
 
 
-class LinkedFirmwareEnv(FirmwareEnv):
+class LinkFirmwareEnv(FirmwareEnv):
     """Environments whose commands come over a link: each late by the latency and a uniform delay, in order."""
 
     def __init__(self, **options: Any) -> None:
@@ -91,7 +91,7 @@ def make_hidden_task(num_envs: int, *, seed: int) -> Task:
     changes = Changes([f"task.observations.policy.{i}.noise_std={std}" for i, std in ENTRIES.items()])
     cfg, robot, env, sim, law = task_registry.configurations(TASK, changes, num_envs=num_envs, robot=VEHICLE)
     changes.finish()
-    flown = LinkedFirmwareEnv(
+    flown = LinkFirmwareEnv(
         controller=law, sim=sim, robot=robot, env=env, num_envs=num_envs, device=torch.device("cpu"), seed=seed,
         randomize=cfg.randomize,
     )  # fmt: skip
@@ -102,7 +102,7 @@ def make_hidden_task(num_envs: int, *, seed: int) -> Task:
 class _Recorder:
     """Rows of the log, every ``ROWS_EVERY`` physics steps."""
 
-    env: LinkedFirmwareEnv
+    env: LinkFirmwareEnv
     names = ("robot_position", "robot_orientation", "robot_linvel")
 
     def __post_init__(self) -> None:
@@ -125,7 +125,7 @@ def fly_log(path: Path, *, seed: int, duration: float = FLIGHT_S) -> None:
     """Fly hover, climbs, a yaw turn and rate steps on the hidden vehicle under a position controller; write one CSV file."""
     with make_hidden_task(len(FAMILIES), seed=seed) as task:
         env = task.env
-        assert isinstance(env, LinkedFirmwareEnv)
+        assert isinstance(env, LinkFirmwareEnv)
         env.reset()
         env.on_physics_step = recorder = _Recorder(env)
         physics = round(1.0 / env.sim_cfg.dt)
@@ -152,7 +152,7 @@ def _reference(family: str, rate: int, seed: int, duration: float) -> Reference:
 class _Pilot:
     """Position control at the rate of the link: the outer loops of ``px4_position_control``."""
 
-    def __init__(self, env: LinkedFirmwareEnv) -> None:
+    def __init__(self, env: LinkFirmwareEnv) -> None:
         manager = env.robot_manager
         law = make_controller(
             CONTROLLERS.get("px4_position_control"), manager.declared, env.sim_cfg.gravity, dt=env.dt,
@@ -190,7 +190,7 @@ def _write_log(
                 arrived[row] = (*rate, 9.81 * (1.0 + thrust))
         values = [time, _noisy(position[:, flight], NOISE["position"], rng)]
         values += [
-            _turned(attitude[:, flight], NOISE["attitude"], rng),
+            _with_turns(attitude[:, flight], NOISE["attitude"], rng),
             _noisy(lin_vel[:, flight], NOISE["lin_vel"], rng),
         ]
         values += [_noisy(imu[:, flight, 3:], NOISE["ang_vel"], rng), _noisy(imu[:, flight, :3], FORCE_NOISE, rng)]
@@ -203,7 +203,7 @@ def _noisy(values: np.ndarray, std: float, rng: np.random.Generator) -> np.ndarr
     return values + std * rng.standard_normal(values.shape)
 
 
-def _turned(quat: np.ndarray, std: float, rng: np.random.Generator) -> np.ndarray:
+def _with_turns(quat: np.ndarray, std: float, rng: np.random.Generator) -> np.ndarray:
     """Return xyzw turned by small random angles."""
     from scipy.spatial.transform import Rotation
 
