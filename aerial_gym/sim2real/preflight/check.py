@@ -119,7 +119,7 @@ def preflight(
         policy=conditions.source,
         findings=(*_in_order(findings), *outside),
         constants=constants,
-        noise=sensor_noise(sensors.logs),
+        noise=sensor_noise(logs),
     )
 
 
