@@ -47,9 +47,7 @@ class TrainCmd:
     """Registered robot or robot file of a real vehicle: trains within what --log leaves uncertain, exports, and runs
     robustness. The same command continues after an interruption."""
 
-    log: Path | None = (
-        None  # Log of that vehicle, as of aerial-gym preflight; robot.yaml of close-loop beside it is used
-    )
+    log: Path | None = None  # Log of that vehicle, as of preflight; a robot.yaml of close-loop beside it is used
     preflight: Path | None = None  # Result of aerial-gym preflight --out, in place of --log
     mapping: str | None = None  # Mapping of a CSV file for --log: a name or a file (.yaml)
 
