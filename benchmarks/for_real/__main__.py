@@ -13,13 +13,12 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from math import inf, sqrt
+from math import hypot, sqrt
 from pathlib import Path
-from statistics import mean, variance
+from statistics import NormalDist, mean
 from typing import Literal
 
 import tyro
-from scipy.stats import t as student
 
 from aerial_gym.cli.preflight import PreflightCmd
 from aerial_gym.cli.train import TrainCmd
@@ -106,7 +105,7 @@ class ForRealCmd:
             rows = list(pool.map(fly_policy, [run for _, _, run in self._runs()], [self.flights] * 2 * self.seeds))
         runs = list(zip(rows, self._runs(), strict=True))
         success = {arm: [row["success_rate"] for row, (own, *_) in runs if own == arm] for arm in ARMS}
-        low, high = welch_interval(success["with"], success["without"])
+        low, high = difference_interval(success["with"], success["without"])
         gain = mean(success["with"]) - mean(success["without"])
         figures = {
             "success": success,
@@ -169,17 +168,23 @@ def _figures(row: dict) -> tuple[str, ...]:
     return (*rates, "-" if error is None else f"{error:.3f} m")
 
 
-def welch_interval(first: list[float], second: list[float]) -> tuple[float, float]:
-    """Return the 95 % interval of the difference of two means (Welch, 1947); without scatter it is the difference alone."""
-    if min(len(first), len(second)) < 2:
-        return -inf, inf
-    parts = [variance(each) / len(each) for each in (first, second)]
-    middle, total = mean(first) - mean(second), sum(parts)
-    if total == 0.0:
-        return middle, middle
-    freedom = total**2 / sum(part**2 / (len(each) - 1) for part, each in zip(parts, (first, second), strict=True))
-    half = float(student.ppf(0.975, freedom)) * sqrt(total)
-    return middle - half, middle + half
+def difference_interval(first: list[float], second: list[float]) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of two mean shares, by Wilson's intervals of both (Newcombe, 1998, method 10).
+
+    One training counts as one trial. A yes or no has the largest scatter of all shares with its mean, so the interval is not too
+    narrow, also where all trainings of an arm are equal.
+    """
+    ends = [wilson_interval(mean(shares), len(shares)) for shares in (first, second)]
+    (low_a, high_a), (low_b, high_b) = ends
+    a, b = mean(first), mean(second)
+    return a - b - hypot(a - low_a, high_b - b), a - b + hypot(high_a - a, b - low_b)
+
+
+def wilson_interval(share: float, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share of ``count`` trials."""
+    square = NormalDist().inv_cdf(0.975) ** 2 / count
+    middle, half = share + 0.5 * square, sqrt(square * share * (1.0 - share) + 0.25 * square**2)
+    return (middle - half) / (1.0 + square), (middle + half) / (1.0 + square)
 
 
 if __name__ == "__main__":
