@@ -4,13 +4,15 @@
     python -m benchmarks.for_real --seeds 5 --out DIR --phase train          # without firmware; on a GPU
 
 Phases: ``log`` flies the owner's log and compares it with the robot file (its result is kept in this folder), ``train`` trains,
-``fly`` flies all policies. What is in ``--out`` is not repeated; a training that was interrupted begins again.
+``fly`` flies all policies, and ``parts`` those of the first seed with each part of the hidden vehicle alone. What is in ``--out``
+is not repeated; a training that was interrupted begins again.
 """
 
 import json
 import shutil
 import sys
 import time
+from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from math import hypot, sqrt
@@ -24,9 +26,12 @@ from aerial_gym.cli.preflight import PreflightCmd
 from aerial_gym.cli.train import TrainCmd
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.for_real.plan import plan_training
+from aerial_gym.interop import one_thread
+from aerial_gym.rl_training.evaluation import evaluate
+from aerial_gym.rl_training.policies.load import load_policy
 from aerial_gym.rl_training.policy_task import PolicyTask
 from aerial_gym.sim2real.preflight.result_file import read_result
-from benchmarks.for_real.vehicle import FOLDER, TASK, fly_log, make_hidden_task
+from benchmarks.for_real.vehicle import FOLDER, PARTS, TASK, fly_log, make_hidden_task
 from benchmarks.learning.policies import write_weights
 from benchmarks.markdown import table
 
@@ -45,7 +50,7 @@ class ForRealCmd:
     first_seed: int = 1  # Seed of the first training; each has the next one
     flights: int = 48  # Flights of each policy
     workers: int = 1  # Processes that fly
-    phase: Literal["all", "log", "train", "fly"] = "all"
+    phase: Literal["all", "log", "train", "fly", "parts"] = "all"
     max_env_steps: int = 200_000_000  # Of each training
     max_time_s: float = 60.0  # The same, whichever comes first [s]
     num_envs: int | None = None  # Environments of a training; those of the settings if not given
@@ -60,6 +65,8 @@ class ForRealCmd:
         if self.phase in ("all", "train") and not self._train():
             print(f"{self._num_missing()} trainings are missing: run the same command again", file=sys.stderr)
             return 1
+        if self.phase == "parts":
+            return self._fly_parts()
         return self._fly() if self.phase in ("all", "fly") else 0
 
     def _fly_log(self) -> None:
@@ -127,6 +134,23 @@ class ForRealCmd:
         print(f"\ndifference: {100.0 * gain:.0f} points, 95 % interval {100.0 * low:.0f} to {100.0 * high:.0f}")
         return int(gain < LIMIT or low <= 0.0)
 
+    def _fly_parts(self) -> int:
+        for arm, _, run in self._runs()[: len(ARMS)]:
+            for parts in ((), *((part,) for part in PARTS)):
+                row = fly_parts(run, self.flights, parts)
+                print(json.dumps({"training": arm, "parts": parts} | {name: row[name] for name in FIGURES}), flush=True)
+        return 0
+
+
+FIGURES = ("success_rate", "crash_rate", "final_error_mean_m")
+
+
+def fly_parts(run: Path, flights: int, parts: Collection[str]) -> dict:
+    """Return the figures of a policy on a vehicle with some parts of the hidden one."""
+    policy, _ = load_policy(run, device="cpu")
+    with one_thread(), make_hidden_task(flights, seed=FLIGHT_SEED, parts=parts) as task:
+        return asdict(evaluate(policy, task))
+
 
 def policy_task(settings: tuple[str, ...] = (), seed: int = 0) -> PolicyTask:
     """Return the task of the trainings."""
@@ -145,34 +169,26 @@ def policy_task(settings: tuple[str, ...] = (), seed: int = 0) -> PolicyTask:
 
 def fly_policy(run: Path, flights: int) -> dict:
     """Return the figures of a policy on the hidden vehicle, and in its own training; from its folder if they are there."""
-    from aerial_gym.interop import one_thread
-    from aerial_gym.rl_training.evaluation import evaluate
-    from aerial_gym.rl_training.policies.load import load_policy
-
     kept = run / f"flown_{flights}.json"
     if kept.exists():
         return json.loads(kept.read_text())
-    policy, cfg = load_policy(run, device="cpu")
-    with one_thread():
-        with make_hidden_task(flights, seed=FLIGHT_SEED) as task:
-            row = asdict(evaluate(policy, task))
-        with policy_task(cfg.settings, seed=FLIGHT_SEED).make(flights) as task:
-            row["own"] = asdict(evaluate(policy, task))
+    row, (policy, cfg) = fly_parts(run, flights, PARTS), load_policy(run, device="cpu")
+    with one_thread(), policy_task(cfg.settings, seed=FLIGHT_SEED).make(flights) as task:
+        row["own"] = asdict(evaluate(policy, task))
     write_atomic(kept, json.dumps(row))
     return row
 
 
 def _figures(row: dict) -> tuple[str, ...]:
-    error = row["final_error_mean_m"]
-    rates = (f"{100.0 * row[name]:.0f} %" for name in ("success_rate", "crash_rate"))
-    return (*rates, "-" if error is None else f"{error:.3f} m")
+    success, crashed, error = (row[name] for name in FIGURES)
+    return f"{100.0 * success:.0f} %", f"{100.0 * crashed:.0f} %", "-" if error is None else f"{error:.3f} m"
 
 
 def difference_interval(first: list[float], second: list[float]) -> tuple[float, float]:
     """Return the 95 % interval of the difference of two mean shares, by Wilson's intervals of both (Newcombe, 1998, method 10).
 
-    One training counts as one trial. A yes or no has the largest scatter of all shares with its mean, so the interval is not too
-    narrow, also where all trainings of an arm are equal.
+    One training counts as one trial. A yes or no has the largest scatter of all shares with its mean, so the interval is not
+    too narrow, also where all trainings of an arm are equal.
     """
     ends = [wilson_interval(mean(shares), len(shares)) for shares in (first, second)]
     (low_a, high_a), (low_b, high_b) = ends

@@ -3,7 +3,7 @@
 Letters: E environments, F flights, T rows of a log.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,11 @@ FOLDER = Path(__file__).parent
 TASK, VEHICLE = str(FOLDER / "task.yaml"), str(FOLDER / "hidden_vehicle.yaml")
 LATENCY_S, JITTER_S = 0.035, 0.003  # From the stamp of a command to its use; standard deviation of its arrival
 NOISE = {"position": 0.01, "lin_vel": 0.05, "attitude": 0.01, "ang_vel": 0.02}  # Of one sample [m, m/s, rad, rad/s]
+PARTS = (
+    "delay",
+    "vehicle",
+    "noise",
+)  # What distinguishes the hidden vehicle from the robot file; delay with its jitter
 FORCE_NOISE = 0.2  # Of the accelerometer [m/s²]
 ENTRIES = dict(zip(range(4), NOISE.values(), strict=True))  # Noise by the number of the observation in task.yaml
 FAMILIES = ("hover", "vertical", "yaw_turn", "rate_steps")  # Parts of the log
@@ -34,8 +39,9 @@ ROWS_EVERY = 2  # Physics steps of 1 ms between two rows of the log
 class LinkFirmwareEnv(FirmwareEnv):
     """Environments whose commands come over a link: each late by the latency and a uniform delay, in order."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, latency: float, jitter: float, **options: Any) -> None:
         super().__init__(**options)
+        self._latency, self._width = latency, 12.0**0.5 * jitter
         self._random_link = torch.Generator().manual_seed(options["seed"])
         self._held, self._now = torch.zeros(self.num_envs, 4), 0
         self._sent: list[tuple[Tensor, Tensor]] = []  # Physics step of the use, (E,), and command (E, 4)
@@ -48,7 +54,7 @@ class LinkFirmwareEnv(FirmwareEnv):
         manager.act(action_tensor(actions, self.device))
         stored = manager.tensors.actions
         command = stored.clone()
-        late = LATENCY_S + 12.0**0.5 * JITTER_S * torch.rand(self.num_envs, generator=self._random_link)
+        late = self._latency + self._width * torch.rand(self.num_envs, generator=self._random_link)
         due = self._now + (late / dt).round().long()
         if self._sent:
             due = torch.maximum(due, self._sent[-1][0] + 1)
@@ -86,14 +92,17 @@ class LinkFirmwareEnv(FirmwareEnv):
 
 
 @usual_settings
-def make_hidden_task(num_envs: int, *, seed: int) -> Task:
-    """Return the task on the hidden vehicle, with the noise of its sensors."""
-    changes = Changes([f"task.observations.policy.{i}.noise_std={std}" for i, std in ENTRIES.items()])
-    cfg, robot, env, sim, law = task_registry.configurations(TASK, changes, num_envs=num_envs, robot=VEHICLE)
+def make_hidden_task(num_envs: int, *, seed: int, parts: Collection[str] = PARTS) -> Task:
+    """Return the task on the hidden vehicle, or on one that has only some of its parts."""
+    noise = ENTRIES if "noise" in parts else {}
+    changes = Changes([f"task.observations.policy.{i}.noise_std={std}" for i, std in noise.items()])
+    vehicle = VEHICLE if "vehicle" in parts else None
+    cfg, robot, env, sim, law = task_registry.configurations(TASK, changes, num_envs=num_envs, robot=vehicle)
     changes.finish()
+    latency, jitter = (LATENCY_S, JITTER_S) if "delay" in parts else (0.0, 0.0)
     flown = LinkFirmwareEnv(
-        controller=law, sim=sim, robot=robot, env=env, num_envs=num_envs, device=torch.device("cpu"), seed=seed,
-        randomize=cfg.randomize,
+        latency=latency, jitter=jitter, controller=law, sim=sim, robot=robot, env=env, num_envs=num_envs,
+        device=torch.device("cpu"), seed=seed, randomize=cfg.randomize,
     )  # fmt: skip
     return Task(cfg, flown, capture=False)
 
