@@ -4,8 +4,8 @@
     python -m benchmarks.for_real --seeds 5 --out DIR --phase train          # without firmware; on a GPU
 
 Phases: ``log`` flies the owner's log and compares it with the robot file (its result is kept in this folder), ``train`` trains,
-``fly`` flies all policies, and ``parts`` those of the first seed with each part of the hidden vehicle alone. What is in ``--out``
-is not repeated; a training that was interrupted begins again.
+``fly`` flies all policies, and ``parts`` those of the first seed with each part of the hidden vehicle alone. What is in
+``--out`` is not repeated; a training that was interrupted begins again.
 """
 
 import json
