@@ -81,7 +81,7 @@ class ForRealCmd:
             for arm in ARMS
         ]
 
-    def _missing(self) -> int:
+    def _num_missing(self) -> int:
         return sum(not (run / "trained.json").exists() for _, _, run in self._runs())
 
     def _train(self) -> bool:
