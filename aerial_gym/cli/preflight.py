@@ -57,7 +57,7 @@ class PreflightCmd:
                 from aerial_gym.export.training_range import training_conditions
 
                 progress("flying the policy", 0.0)
-                conditions, _ = training_conditions(self.policy)
+                conditions = training_conditions(self.policy)
             if self.rate_hz is not None:
                 conditions = replace(conditions, link=replace(conditions.link, rate=self.rate_hz))
             return preflight(self.robot, self.log, training=conditions, mapping=mapping, progress=progress)

@@ -20,8 +20,8 @@ AXES = ("roll", "pitch", "yaw")
 
 @usual_settings
 @torch.no_grad()
-def training_conditions(source: str | Path) -> tuple[TrainingConditions, str]:
-    """Return the conditions of a policy's training, and the name of its robot.
+def training_conditions(source: str | Path) -> TrainingConditions:
+    """Return the conditions of a policy's training.
 
     The policy flies its task from random starts. Ranges are those of its observations and commands.
     """
@@ -31,6 +31,7 @@ def training_conditions(source: str | Path) -> tuple[TrainingConditions, str]:
         settings=cfg.settings,
     ) as task:  # fmt: skip
         layout = policy_layout(policy, cfg, task, name="policy", source=str(source))
+        robot = task.env.robot_manager.cfg
         observation, _ = task.reset()
         policy.reset()
         rows = []
@@ -42,9 +43,9 @@ def training_conditions(source: str | Path) -> tuple[TrainingConditions, str]:
     ends = {name: np.quantile(np.concatenate([row[name] for row in rows]), EXTREMES) for name in names}
     latency = 0.5 * sum(layout.action_delay_steps) / layout.rate_hz
     return TrainingConditions(
-        link=TrainingLink(rate=layout.rate_hz, latency=latency), source=str(source),
+        link=TrainingLink(rate=layout.rate_hz, latency=latency), source=str(source), robot=robot,
         ranges={name: (float(low), float(high)) for name, (low, high) in ends.items()},
-    ), layout.robot  # fmt: skip
+    )  # fmt: skip
 
 
 def _motion_of_task(task: Task, command: tuple[str, ...]) -> dict[str, np.ndarray]:

@@ -88,11 +88,14 @@ def preflight(
         mapping: Layout of a CSV file.
 
     Raises:
+        ConfigError: If the policy was trained on another robot.
         DataError: If the log has no gyro, accelerometer or rotors, or too little of a flight.
     """
     cfg = robot if isinstance(robot, RobotCfg) else robot_by_name(robot)
     if "force" in cfg.rotor_traits:
         raise ConfigError("preflight compares rotor speeds: give a robot file with rotors in speed mode")
+    conditions = training or TrainingConditions()
+    conditions.check_robot(cfg)
     progress("reading the log", 0.0)
     logs = read_flights([log], mapping=mapping)
     for one in logs:
@@ -107,7 +110,6 @@ def preflight(
     progress("rotors", 0.6)
     rotors = check_rotors(sensors.logs, cfg)
     progress("link", 0.9)
-    conditions = training or TrainingConditions()
     link = check_link(sensors.logs, rotors.robot, conditions.link)
     constants = (*sensors.constants, *rotors.constants, *link)
     findings = [*sensors.findings, *rotors.findings, *(one.finding() for one in constants)]

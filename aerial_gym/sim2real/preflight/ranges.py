@@ -1,11 +1,13 @@
 """Motion in a log outside the range of a policy's training."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
@@ -21,6 +23,27 @@ class TrainingConditions:
     link: TrainingLink = field(default_factory=TrainingLink)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # By the names of ``motion_of_log``
     source: str = ""  # The policy
+    robot: RobotCfg | None = None  # Robot of the training; None: not known
+
+    def check_robot(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` if the policy was trained on a robot with other dynamics."""
+        if self.robot is None:
+            return
+        pairs = zip(*(_dynamics(one).items() for one in (self.robot, robot)), strict=True)
+        parts = [name for (name, trained), (_, given) in pairs if trained != given]
+        if parts:
+            raise ConfigError(
+                f"policy {self.source}: was trained on a robot with other {', '.join(parts)} ({self.robot.summary}). Give the "
+                "robot file of its training, or train a policy on this one (train --robot FILE)"
+            )
+
+
+def _dynamics(robot: RobotCfg) -> dict[str, object]:
+    """Return the parts of a robot that a log is compared with, without their sources."""
+    parts = {"mass or inertia": robot.body, "battery": robot.battery}
+    plain: dict[str, object] = {name: part and replace(part, source="") for name, part in parts.items()}
+    plain["rotors"] = [replace(one, source="") for one in robot.rotor_types]
+    return plain | {"mounts": robot.mounts.layout, "effects": robot.effects}
 
 
 def motion_of_log(log: FlightLog) -> dict[str, Array]:
