@@ -14,6 +14,7 @@ from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import LATE_S, FlightLog, sample_rate, take_rows
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, apply_lag, interpolate_columns, lowpass, num_edge_rows
 
 LARGEST_SHIFT_S = 0.05  # Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s
@@ -200,6 +201,15 @@ def rotor_clock_offsets(
     curves = [force_offset_curve(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
     offsets = iter(common_offsets(curves, sum(able[:learning])))
     return [next(offsets) if one else ClockOffset() for one in able]
+
+
+def with_rotors_on_sensor_clock(
+    logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int
+) -> list[FlightLog]:
+    """Return the logs with the rotor columns, delayed by their clock offset; the first ``learning`` decide."""
+    offsets = rotor_clock_offsets(logs, robot, bandwidth, learning)
+    together = commands_share_clock(logs[:learning], offsets[:learning], mean_time_constant(robot))
+    return [shift_rotor_log(log, offset, commands=together) for log, offset in zip(logs, offsets, strict=True)]
 
 
 def force_offset_curve(

@@ -27,19 +27,14 @@ from aerial_gym.sim2real.logs.checks.rotors import (
     without_copied_commands,
 )
 from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_flights
-from aerial_gym.sim2real.logs.clock_offset import (
-    check_rotor_clock,
-    commands_share_clock,
-    rotor_clock_offsets,
-    shift_rotor_log,
-)
+from aerial_gym.sim2real.logs.clock_offset import check_rotor_clock, with_rotors_on_sensor_clock
 from aerial_gym.sim2real.logs.command_scale import SCALED, with_common_command_scale
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate, split_flight_number
-from aerial_gym.sim2real.logs.rotor_model import SETTLE_S, fit_line_behind_lag, mean_time_constant, total_rotor_force
+from aerial_gym.sim2real.logs.rotor_model import SETTLE_S, fit_line_behind_lag, total_rotor_force
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     DERIVED_BAND,
@@ -154,13 +149,12 @@ def load_flights(
             read[real] = (log, check_log(log, robot))
             learned += learns
     logs = with_common_command_scale([log for log, _ in read.values()], robot, learned)
-    offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)
-    together = commands_share_clock(logs[:learned], offsets[:learned], mean_time_constant(robot))
+    timed = with_rotors_on_sensor_clock(logs, robot, bandwidth, learned)
     flights: list[Flight] = []
-    for (real, (_, notes)), log, offset in zip(read.items(), logs, offsets, strict=True):
+    for (real, (_, notes)), log, moved in zip(read.items(), logs, timed, strict=True):
         with _collect_refusals(refused):
             check_rotor_clock(log, robot, bandwidth)
-            log = scale_commands_to_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
+            log = scale_commands_to_hover_thrust(moved, robot)
             stands = rows_on_ground(log, robot)
             notes = [*notes, *check_rotor_order(log, robot, stands)]
             check_airborne(log, stands, bandwidth)

@@ -15,15 +15,18 @@ from scipy.spatial.transform import Rotation, Slerp
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.kinematics import (
+    ALL_MOTION,
     CHECK_BANDWIDTH_HZ,
     MATERIAL,
+    edge_of_band,
     fit_sensor_errors,
+    in_band,
     rate_by_differences,
 )
 from aerial_gym.sim2real.logs.recording import AT_REST, LATE_S, FlightLog, StreamTiming, sample_rate, take_rows
 from aerial_gym.sim2real.logs.rotor_delays import rotor_delay
 from aerial_gym.sim2real.logs.row_grid import SLOWEST_COMMANDS_HZ
-from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
+from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass
 
 DELAY_ROWS_HZ = 125.0  # Enough rows for the comparison, 30 a period at its largest frequency
 DELAY_SPAN_S = 600.0  # Longest part of a flight, about its middle, in which delays are searched [s]
@@ -113,18 +116,18 @@ def stream_later(log: FlightLog, name: str, seconds: float) -> Array:
     return interpolate_columns(log.time + seconds, log.time, getattr(log, name))
 
 
-def stream_delays(log: FlightLog) -> dict[str, StreamDelay]:
-    """Return the delays that the motion of a flight shows, by quantity."""
+def stream_delays(log: FlightLog, band: tuple[float, float] = ALL_MOTION) -> dict[str, StreamDelay]:
+    """Return the delays that the motion of a flight shows in a band [Hz], by quantity; those of rotors have their own band."""
     if np.ptp(log.time) < 4.0 * LARGEST_S:
         return {}
     even, results = log_at_equal_steps(log), dict[str, StreamDelay]()
     turning = _rotation_pair(even)
-    attitude = None if turning is None else _fit_delay("attitude", "gyro", *turning, sample_rate(even))
+    attitude = None if turning is None else _fit_delay("attitude", "gyro", *turning, sample_rate(even), band)
     if attitude is not None:
         results["attitude"] = attitude
         even = replace(even, attitude=_attitude_later(even, attitude.delay if attitude.is_material else 0.0))
     for name, sensor, measured, motion, change in _velocity_pairs(even, vertical=attitude is None):
-        if (one := _fit_delay(name, sensor, measured, motion, sample_rate(even), change)) is not None:
+        if (one := _fit_delay(name, sensor, measured, motion, sample_rate(even), band, change)) is not None:
             results[name] = one
     if attitude is not None and (velocity := results.get("lin_vel")) is not None:
         half_width = float(np.hypot(velocity.half_width, attitude.half_width))
@@ -194,29 +197,29 @@ def _velocity_pairs(log: FlightLog, *, vertical: bool) -> Iterator[tuple[str, st
 
 
 def _fit_delay(
-    name: str, sensor: str, measured: Array, motion: Array, rate: float, change: Array | None = None
-) -> StreamDelay | None:
+    name: str, sensor: str, measured: Array, motion: Array, rate: float, band: tuple[float, float],
+    change: Array | None = None,
+) -> StreamDelay | None:  # fmt: skip
     """Return the delay of ``motion`` behind ``measured``, (T, 3) each; None if the motion does not show it.
 
     ``change``: derivative of ``measured`` in axes whose clock it may lag, (T, 3).
     """
     level = AT_REST if sensor == "accelerometer" else np.zeros(3)
-    delay = _best_trial(measured - level, motion - level, rate)
+    delay = _best_trial(measured - level, motion - level, rate, band)
     time = np.arange(len(motion)) / rate
     for _ in range(REFINEMENTS):
         moved = interpolate_columns(time + delay, time, motion)
-        errors = fit_sensor_errors(sensor, measured, moved, level, rate, own_change=change)
+        errors = fit_sensor_errors(sensor, measured, moved, level, rate, own_change=change, band=band)
         if errors is None or not np.isfinite(errors.half_width[6]):
             return None
         delay -= errors.delay
     return StreamDelay(quantity=name, delay=float(delay), half_width=float(errors.half_width[6]))
 
 
-def _best_trial(measured: Array, motion: Array, rate: float) -> float:
+def _best_trial(measured: Array, motion: Array, rate: float, band: tuple[float, float]) -> float:
     """Return the delay of the coarse search with the least squared difference [s]."""
-    band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
-    slow, other = lowpass(measured, rate, band), lowpass(motion, rate, band)
-    edge = num_edge_rows(rate, band) + round(LARGEST_S * rate)
+    slow, other = in_band(measured, rate, band), in_band(motion, rate, band)
+    edge = edge_of_band(rate, band) + round(LARGEST_S * rate)
     if len(slow) <= 2 * edge:
         return 0.0
     shifts = np.unique(np.rint(np.linspace(-LARGEST_S, LARGEST_S, TRIALS) * rate).astype(int))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.statistics import Estimate
+from aerial_gym.sim2real.statistics import Estimate, student_quantile
 from aerial_gym.sim2real.teststand.vehicle_from_log import WIDEST
 
 MEASURED, ASSUMED, CONTRADICTED = "measured", "assumed", "contradicted"
@@ -85,10 +85,11 @@ class Constant:
         return Finding(CODES[self.state], self.name, values)
 
 
-def pool(parts: Sequence[Estimate]) -> Estimate | None:
-    """Return the mean of estimates by their precision; the interval has the larger of their own and of their scatter.
+def pool(parts: Sequence[Estimate], *, scatter: bool = True) -> Estimate | None:
+    """Return the mean of estimates by their precision. With ``scatter``, that beyond their intervals widens that of the mean.
 
-    Source: Birge (1932), The calculation of errors by the method of least squares (ratio of outer to inner consistency).
+    Source: Birge (1932), The calculation of errors by the method of least squares (ratio of outer to inner consistency), with
+    Student's quantile for the scatter of few parts.
     """
     known = [one for one in parts if np.isfinite(one.high - one.low) and one.high > one.low]
     if not known:
@@ -96,5 +97,6 @@ def pool(parts: Sequence[Estimate]) -> Estimate | None:
     value, std = (np.array(x) for x in zip(*((one.value, (one.high - one.low) / 3.92) for one in known), strict=True))
     weight = std**-2.0
     mean, freedom = float(weight @ value / weight.sum()), max(len(known) - 1, 1)
-    birge = max(float(weight @ (value - mean) ** 2) / freedom, 1.0)
-    return Estimate.from_half_width(mean, 1.96 * float(np.sqrt(birge / weight.sum())))
+    excess = scatter * max(float(weight @ (value - mean) ** 2) / freedom - 1.0, 0.0)
+    quantiles = 1.96**2 + float(student_quantile(0.975, freedom)) ** 2 * excess
+    return Estimate.from_half_width(mean, float(np.sqrt(quantiles / weight.sum())))

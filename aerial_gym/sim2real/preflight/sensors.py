@@ -1,6 +1,6 @@
 """Signs, scales and delays of the sensors of a log, by kinematics alone, and the log without these errors."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,13 +9,19 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.kinematics import SensorGain, gains_of_moving_sensors, gains_on_gravity
+from aerial_gym.sim2real.logs.checks.kinematics import (
+    SLOW_AND_FAST,
+    SensorGain,
+    gains_of_moving_sensors,
+    gains_on_gravity,
+)
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.stream_delays import stream_delays, stream_later
+from aerial_gym.sim2real.logs.stream_delays import StreamDelay, stream_delays, stream_later
 from aerial_gym.sim2real.preflight.constants import CONTRADICTED, TOLERANCES, Constant, pool
 from aerial_gym.sim2real.statistics import Estimate
 
-SLOWEST_ATTITUDE_HZ = 50.0  # Straight lines between slower samples lose 2 % of a turning at 4 Hz
+SLOWEST_HZ = 50.0  # Straight lines between slower samples of gyro or attitude lose 2 % of a turning at 4 Hz
+Delays = Mapping[str, StreamDelay]
 STATE = ("attitude", "lin_vel", "position")  # Streams that a policy takes as its state
 
 
@@ -32,17 +38,20 @@ def check_sensors(logs: Sequence[FlightLog]) -> SensorStage:
     """Return the sensor errors of logs at equal steps of one vehicle, each corrected before the next ones are measured."""
     even, findings = _with_gyro_signs(logs)
     even, delays = _without_delays(even)
-    gains = [gain for log in even for gain in gains_of_moving_sensors(log, by_axis=True)]
-    slow = any("attitude" in log.streams and log.streams["attitude"].rate < SLOWEST_ATTITUDE_HZ for log in even)
-    scales = [_gyro_scale(axis, [] if slow else gains, slow) for axis in "xyz"]
-    scales.append(_accelerometer_scale(even, gains))
+    slow = any(not log.torques or _slowest_rate(log) < SLOWEST_HZ for log in even)
+    scales = [_gyro_scale(axis, [] if slow else even, slow) for axis in "xyz"]
+    scales.append(_accelerometer_scale(even))
     corrected = [_with_gravity(_without_scales(log, scales)) for log in even]
     return SensorStage(logs=tuple(corrected), constants=(*scales, *delays), findings=tuple(findings))
 
 
-def _gain_of_axis(gains: Sequence[SensorGain], sensor: str, axis: str) -> Estimate | None:
+def _slowest_rate(log: FlightLog) -> float:
+    return min(log.streams[name].rate if name in log.streams else np.inf for name in ("attitude", "ang_vel"))
+
+
+def _gain_of_axis(gains: Sequence[SensorGain], sensor: str, axis: str, *, scatter: bool = True) -> Estimate | None:
     own = [one for one in gains if (one.sensor, one.axis) == (sensor, axis)]
-    return pool([Estimate.from_half_width(one.gain, one.half_width(0.975)) for one in own])
+    return pool([Estimate.from_half_width(one.gain, one.half_width(0.975)) for one in own], scatter=scatter)
 
 
 def _with_gyro_signs(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[Finding]]:
@@ -64,23 +73,58 @@ def _with_gyro_signs(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[F
 
 def _without_delays(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[Constant]]:
     """Return the logs with attitude, velocity and position on the clock of the inertial sensors, and their delays."""
-    each = [stream_delays(log) for log in logs]
+    each = [[stream_delays(log, band) for log in logs] for band in SLOW_AND_FAST]
     constants, moves = list[Constant](), dict[str, float]()
     for name in STATE:
         if all(getattr(log, name) is None for log in logs):
             continue
-        delay = pool([Estimate.from_half_width(d[name].delay, d[name].half_width) for d in each if name in d])
+        delay = _delay_of_position(each) if name == "position" else _delay_of_stream(each, name)
         moves[name] = 0.0 if delay is None else delay.value
         constants.append(Constant(
             name=f"{name}_latency", kind="state_latency", declared=0.0, unit="s", estimate=delay, reason="delay_not_shown",
-            setting="the observation delay_steps of the task", new=moves[name],
+            setting="the observation delay_steps of the task", new=moves[name], tied=("clock_offset",), remedy="one_clock",
         ))  # fmt: skip
     moved = [replace(log, **{n: stream_later(log, n, s) for n, s in moves.items() if s}) for log in logs]
     return moved, constants
 
 
-def _gyro_scale(axis: str, gains: Sequence[SensorGain], slow: bool) -> Constant:
-    gain = _gain_of_axis(gains, "gyro", axis)
+def _delay_of_stream(bands: Sequence[Sequence[Delays]], name: str) -> Estimate | None:
+    """Return the delay of a stream by slow and fast motion, which an attitude's errors delay differently; None without both."""
+    parts = [
+        [Estimate.from_half_width(one[name].delay, one[name].half_width) for one in part if name in one]
+        for part in bands
+    ]
+    return pool([one for part in parts for one in part]) if all(parts) else None
+
+
+def _delay_of_position(bands: Sequence[Sequence[Delays]]) -> Estimate | None:
+    """Return the delay of the position: its delay behind the velocity, and that of the velocity."""
+    velocity = _delay_of_stream(bands, "lin_vel")
+    pairs = [(one["position"], one["lin_vel"]) for part in bands for one in part if "position" in one]
+    if velocity is None or not pairs:
+        return None
+    behind = pool(
+        [Estimate.from_half_width(p.delay - v.delay, np.sqrt(p.half_width**2 - v.half_width**2)) for p, v in pairs]
+    )
+    if behind is None:  # both of one topic
+        return velocity
+    half_widths = [0.5 * (one.high - one.low) for one in (velocity, behind)]
+    return Estimate.from_half_width(velocity.value + behind.value, float(np.hypot(*half_widths)))
+
+
+def _gyro_scale(axis: str, logs: Sequence[FlightLog], slow: bool) -> Constant:
+    """Return the scale of the gyro; about x and y its interval has those by slow and by fast motion.
+
+    A scale is the same in both. A filtered attitude follows the gyro in fast motion, and errs by accelerations in slow motion.
+    """
+    bands = [
+        [one for log in logs for one in gains_of_moving_sensors(log, by_axis=True, band=band)] for band in SLOW_AND_FAST
+    ]
+    gain = _gain_of_axis([one for part in bands for one in part], "gyro", axis)
+    parts = [_gain_of_axis(part, "gyro", axis, scatter=False) for part in bands]
+    if gain is not None and axis != "z":
+        ends = [end for one in (gain, *parts) if one is not None for end in (one.low, one.high)]
+        gain = None if None in parts else replace(gain, low=min(ends), high=max(ends))
     return Constant(
         name=f"gyro_scale_{axis}", kind="gyro_scale", declared=1.0, estimate=gain,
         reason="slow_attitude" if slow else "little_turning",
@@ -89,8 +133,9 @@ def _gyro_scale(axis: str, gains: Sequence[SensorGain], slow: bool) -> Constant:
     )  # fmt: skip
 
 
-def _accelerometer_scale(logs: Sequence[FlightLog], gains: Sequence[SensorGain]) -> Constant:
+def _accelerometer_scale(logs: Sequence[FlightLog]) -> Constant:
     """Return the scale along z by climbs; without climbs by gravity, where a bias looks the same."""
+    gains = [gain for log in logs for gain in gains_of_moving_sensors(log, by_axis=True)]
     gain, tied = _gain_of_axis(gains, "accelerometer", "z"), tuple[str, ...]()
     if gain is None or gain.high - gain.low > 2.0 * TOLERANCES["accelerometer_scale"]:
         still = [one for log in logs for one in gains_on_gravity(log)]

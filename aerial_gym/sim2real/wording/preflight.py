@@ -27,6 +27,7 @@ LABELS = {
     "command_latency": "latency of commands",
     "rate_gain": "flown per commanded body rate",
     "mass": "mass",
+    "clock_offset": "clock of the stream",
     "attitude_scale": "scale of the attitude",
     "arms": "arms of the rotors",
 }
@@ -36,12 +37,13 @@ REASONS = {
     "interval": "its interval in this log is wider than its tolerance",
     "delay_not_shown": "the log moves too little, or has no sensor to compare it with",
     "little_turning": "the log turns too little about this axis",
-    "slow_attitude": "the attitude is logged at less than 50 Hz",
+    "slow_attitude": "gyro or attitude are logged at less than 50 Hz",
     "no_velocity": "the log has no velocity",
     "little_thrust": "the log changes the thrust too little",
     "no_rotor_speeds": "the log has no rotor speeds beside the commands",
     "commands_scaled": "the log has commands as shares without rotor speeds, and their scale follows from the thrust",
     "slow_commands": "the rotor data of the log are too slow for torques",
+    "commands_of_firmware": "the log of a firmware samples its commands, and does not stamp their arrival on a link",
     "no_rate_setpoint": "the log has no commanded body rates (sp_omega_x, sp_omega_y, sp_omega_z)",
     "few_commands": "the log has too few commanded body rates, or rotor commands slower than 150 Hz",
 }
@@ -51,6 +53,7 @@ REMEDIES = {
     "weigh": "Weigh the vehicle with its battery; if its mass is right, the thrust is wrong",
     "turn_accelerometer": "Log the accelerometer at rest on both sides; a scale changes sign with gravity, a bias does not",
     "turn_by_known_angle": "Turn the vehicle by a known angle, and integrate the gyro",
+    "one_clock": "Stamp all streams by one clock",
     "swing_test": "Measure the inertia by a swing test",
     "measure_voltage": "Measure the battery with a voltmeter while the log runs",
 }

@@ -22,6 +22,10 @@ CHECK_BANDWIDTH_HZ = 4.0  # Low-pass frequency of the comparison [Hz], below the
 WORST_AGREEMENT = 0.7  # Largest relative difference between two measurements of the same quantity
 BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
+ALL_MOTION = (0.0, CHECK_BANDWIDTH_HZ)
+SLOW_AND_FAST = ((0.0, 1.0), (1.0, CHECK_BANDWIDTH_HZ))
+"""Bands [Hz] in which an error of a sensor is the same; errors of a filtered attitude and of stamps are not."""
+
 FEWEST_BLOCKS = 8
 BETTER = 0.4  # Other axes are probable if their residual (rms) is less than this share of that of the logged ones
 
@@ -93,22 +97,25 @@ class SensorGain:
         return float(student_quantile(probability, self.freedom)) * self.std
 
 
-def gains_of_moving_sensors(log: FlightLog, *, by_axis: bool = False) -> list[SensorGain]:
-    """Return the gains ``<m a> / <a a'>`` of sensors, or of their axes, that a flight moves enough, for readings m.
+def gains_of_moving_sensors(
+    log: FlightLog, *, by_axis: bool = False, band: tuple[float, float] = ALL_MOTION
+) -> list[SensorGain]:
+    """Return the gains ``<m a> / <a a'>`` of sensors, or of their axes, that move enough in a band [Hz], for readings m.
 
     The motions a and a' are of even and odd rows, whose noise is independent (instrumental variables: Carroll et al. 2006,
     Measurement Error in Nonlinear Models, chapter 6).
     """
     even_rows, odd_rows = (take_rows(log, slice(k, log.time.size // 2 * 2, 2)) for k in (0, 1))
     rate, results = sample_rate(even_rows), list[SensorGain]()
-    band, size = min(CHECK_BANDWIDTH_HZ, 0.2 * rate), max(1, round(BLOCK_S * rate))
-    inner = slice(num_edge_rows(rate, band), -num_edge_rows(rate, band))
+    edge, size = edge_of_band(rate, band), block_rows(rate, band)
+    inner = slice(edge, -edge)
     for pair in zip(
         _readings_and_motions_by_other_sensors(even_rows), _readings_and_motions_by_other_sensors(odd_rows), strict=True
     ):
         (sensor, other, measured, motion, level), (*_, next_motion, _) = pair
-        shown, even, odd = (lowpass(one - level, rate, band) for one in (measured, motion, next_motion))
-        odd = 0.5 * (odd + np.roll(odd, 1, axis=0))  # at the even rows
+        shown, even, odd = (in_band(one - level, rate, band) for one in (measured, motion, next_motion))
+        near, far = odd + np.roll(odd, 1, axis=0), np.roll(odd, -1, axis=0) + np.roll(odd, 2, axis=0)
+        odd = (9.0 * near - far) / 16.0  # at the even rows, by a cubic
         starts = np.arange(0, len(shown[inner]), size)
         if starts.size <= FEWEST_BLOCKS:
             continue
@@ -140,6 +147,26 @@ def gains_on_gravity(log: FlightLog) -> list[SensorGain]:
     gain, std = gain_of_blocks(means, gained + AT_REST[2] * times)
     about = {"sensor": "accelerometer", "axis": "z", "other": "velocity", "motion": float(AT_REST[2])}
     return [SensorGain(**about, gain=gain, std=std, freedom=times.size - 1)]
+
+
+def _upper_end(rate: float, band: tuple[float, float]) -> float:
+    return min(band[1], 0.2 * rate)
+
+
+def in_band(values: Array, rate: float, band: tuple[float, float], *, derivative: bool = False) -> Array:
+    """Return values (T, any), or their derivative, in a band [Hz] that begins at 0 or above."""
+    upper = lowpass(values, rate, _upper_end(rate, band), derivative=derivative)
+    return upper - lowpass(values, rate, band[0], derivative=derivative) if band[0] else upper
+
+
+def edge_of_band(rate: float, band: tuple[float, float]) -> int:
+    """Return the number of rows at each end that a filter of ``in_band`` spoils."""
+    return num_edge_rows(rate, min(filter(None, (band[0], _upper_end(rate, band)))))
+
+
+def block_rows(rate: float, band: tuple[float, float]) -> int:
+    """Return the number of rows of a block, ``BLOCK_S`` for the whole band of the checks and longer for slower motion."""
+    return max(1, round(BLOCK_S * rate * CHECK_BANDWIDTH_HZ / band[1]))
 
 
 def gain_of_blocks(along: Array, square: Array) -> tuple[float, float]:
@@ -214,7 +241,9 @@ def _readings_and_motions_by_other_sensors(log: FlightLog) -> Iterator[tuple[str
     """Yield sensor, other sensor, values of the sensor, the motion that the other one shows, and the motion at hover."""
     rate, turn = sample_rate(log), Rotation.from_quat(log.attitude)
     if log.ang_vel is not None:
-        yield "gyro", "attitude", log.ang_vel, rate_by_differences(turn, rate), np.zeros(3)
+        mean = np.concatenate((log.ang_vel[:1], log.ang_vel, log.ang_vel[-1:]))
+        mean = (mean[:-2] + 4.0 * mean[1:-1] + mean[2:]) / 6.0  # over the span of the differences, by Simpson's rule
+        yield "gyro", "attitude", mean, rate_by_differences(turn, rate), np.zeros(3)
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = turn.apply(change + AT_REST, inverse=True)
@@ -222,8 +251,9 @@ def _readings_and_motions_by_other_sensors(log: FlightLog) -> Iterator[tuple[str
 
 
 def fit_sensor_errors(
-    sensor: str, measured: Array, motion: Array, level: Array, rate: float, *, own_change: Array | None = None
-) -> ImuErrors | None:
+    sensor: str, measured: Array, motion: Array, level: Array, rate: float, *, own_change: Array | None = None,
+    band: tuple[float, float] = ALL_MOTION,
+) -> ImuErrors | None:  # fmt: skip
     """Return the fitted errors of a sensor; None if the log is too short.
 
     Args:
@@ -233,14 +263,14 @@ def fit_sensor_errors(
         level: The motion at hover, (3,).
         rate: Rows per second [Hz].
         own_change: Derivative of the readings in axes whose clock they may lag by some ``LATE_S``, (T, 3); None: no lag.
+        band: Lowest and highest frequency of the comparison [Hz].
     """
-    band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
-    slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
-    edge = num_edge_rows(rate, band)
+    slow, rise = in_band(motion, rate, band), in_band(motion, rate, band, derivative=True)
+    edge = edge_of_band(rate, band)
     inner = slice(edge, -edge)
-    left = (lowpass(measured, rate, band) - slow)[inner]
+    left = (in_band(measured, rate, band) - slow)[inner]
     slow, rise = slow[inner], rise[inner]
-    blocks = np.arange(len(left)) // max(1, round(BLOCK_S * rate))
+    blocks = np.arange(len(left)) // block_rows(rate, band)
     if len(left) < 1 or blocks[-1] + 1 < FEWEST_BLOCKS:
         return None
     # -[angle]x m = m x angle, so that row i of the regressor is d(m x angle)_i / d angle.
@@ -256,11 +286,11 @@ def fit_sensor_errors(
     shown = np.flatnonzero(np.concatenate((np.ones(3), (across > QUIET[sensor]) & moving, [moving])))
     causes = causes[:, :, shown]
     if own_change is not None:
-        causes = np.concatenate((causes, -lowpass(own_change, rate, band)[inner, :, None]), axis=2)
+        causes = np.concatenate((causes, -in_band(own_change, rate, band)[inner, :, None]), axis=2)
     product = np.einsum("tik,til->kl", causes, causes)
-    if own_change is not None:  # prior of the lag, against noise with ``rate / 2 band`` rows per independent sample
+    if own_change is not None:  # prior of the lag, against noise with ``rate / 2 f`` rows per independent sample
         noise = np.mean((left - causes @ (np.linalg.pinv(product) @ np.einsum("tik,ti->k", causes, left))) ** 2)
-        product[-1, -1] += noise * rate / (2.0 * band) / (2.0 * LATE_S**2)
+        product[-1, -1] += noise * rate / (2.0 * _upper_end(rate, band)) / (2.0 * LATE_S**2)
     bread = np.linalg.pinv(product)
     gains = bread @ np.einsum("tik,ti->k", causes, left)
     scores = np.einsum("tik,ti->tk", causes, left - causes @ gains)

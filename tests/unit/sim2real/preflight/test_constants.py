@@ -45,8 +45,12 @@ def test_pool_of_equal_values_has_the_standard_error_of_their_number() -> None:
 
 
 def test_pool_of_values_that_scatter_is_wider() -> None:
-    """By Birge's ratio: values of 0 and 2 with deviations of 0.1 have the deviation 1 of their scatter."""
-    mean = pool([Estimate.from_half_width(value, 0.196) for value in (0.0, 2.0)])
+    """Values of 0 and 2 with deviations of 0.1 scatter by 199 times their variance beyond it, by one degree of freedom."""
+    parts = [Estimate.from_half_width(value, 0.196) for value in (0.0, 2.0)]
+    mean, own = pool(parts), pool(parts, scatter=False)
     assert mean is not None
-    assert (mean.value, mean.high - mean.value) == pytest.approx((1.0, 1.96))
+    assert own is not None
+    student = 12.7062  # Quantile of 97.5 % of Student's distribution with one degree of freedom
+    assert (mean.value, mean.high - mean.value) == pytest.approx((1.0, (0.005 * (1.96**2 + 199.0 * student**2)) ** 0.5))
+    assert own.high - own.value == pytest.approx(1.96 * 0.005**0.5)
     assert pool([]) is None
