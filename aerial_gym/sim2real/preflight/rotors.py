@@ -12,6 +12,7 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.clock_offset import with_rotors_on_sensor_clock
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate, take_rows
 from aerial_gym.sim2real.logs.rotor_model import (
     LineBehindLag,
@@ -35,10 +36,11 @@ from aerial_gym.sim2real.teststand.effectiveness import (
     rows_of_flight,
 )
 from aerial_gym.sim2real.teststand.log_geometry import layout_of_robot
-from aerial_gym.sim2real.teststand.vehicle_from_log import quotient_by_estimate, scale_estimate
+from aerial_gym.sim2real.teststand.vehicle_from_log import flights_in_air, quotient_by_estimate, scale_estimate
 
 AXES = ("roll", "pitch", "yaw")
 ROWS_HZ = 125.0  # Rows of the regressions, whose band ends at 20 Hz
+CLOCK_HZ = 10.0  # Band in which forces show the clock of the rotor columns, as in ``close_loop``
 LARGEST_READING_ERROR = (
     0.02  # Relative error of a logged voltage: dividers of 1 % resistors; a nominal voltage is chosen
 )
@@ -55,14 +57,17 @@ class RotorStage:
 
 def check_rotors(logs: Sequence[FlightLog], robot: RobotCfg) -> RotorStage:
     """Return the constants of the rotors by logs with correct sensors."""
+    logs = with_rotors_on_sensor_clock(logs, robot, CLOCK_HZ, len(logs))
     lag_and_gain, scaled_commands = _lag_and_gain(logs, robot), are_scaled_by_thrust(logs)
-    fast = all(log.torques for log in logs)
+    fast, has_speeds = (
+        all(each) for each in zip(*((log.torques, log.rotor_speed is not None) for log in logs), strict=True)
+    )
     logs = [_with_fewer_rows(replace(log, rotor_speed=_rotor_speeds(log, robot))) for log in logs]
     flights = [rows_of_flight(log, lambda log: rotor_thrusts(robot, _speed(log))) for log in logs]
-    flights = [rows for rows in flights if rows.seconds > 0.0]
+    flights = flights_in_air(logs[0].path, flights)
     robot, findings = _with_layout_of_log(flights, robot) if fast else (robot, [Finding("rotor_layout_assumed")])
     hover = np.concatenate([_speed(log) for log in logs]).mean(axis=0)
-    thrust = _thrust_per_weight(flights, robot)
+    thrust = _thrust_per_weight(flights, robot, has_speeds=has_speeds)
     effect = fit_effectiveness(flights, layout_of_robot(robot).weights) if fast else None
     turning = _inertia_and_torque(effect, robot, thrust, hover)
     forces = [thrust, _thrust_exponent(logs, robot, hover)]
@@ -143,13 +148,14 @@ def _with_layout_of_log(flights: Sequence[FlightRows], robot: RobotCfg) -> tuple
     return robot, findings or [Finding("rotor_layout_measured")]
 
 
-def _thrust_per_weight(flights: Sequence[FlightRows], robot: RobotCfg) -> Constant:
-    """Return the thrust of the log over that of the file, for the declared mass."""
+def _thrust_per_weight(flights: Sequence[FlightRows], robot: RobotCfg, *, has_speeds: bool) -> Constant:
+    """Return the thrust of the log over that of the file, for the declared mass; speeds may follow from commands."""
     ratio = scale_estimate(mean_force_per_input(flights).mean, robot.body.mass)
     scale = effect_parameter(robot, "thrust_coefficient", "scale", 1.0)
     return Constant(
         name="thrust_per_weight", kind="thrust_per_weight", declared=scale, estimate=ratio,
-        setting="effects.thrust_coefficient.scale", new=ratio.value, tied=("mass",), remedy="weigh",
+        setting="effects.thrust_coefficient.scale", new=ratio.value, remedy="weigh",
+        tied=("mass",) if has_speeds else ("mass", "speed_per_command"),
     )  # fmt: skip
 
 

@@ -3,19 +3,21 @@
 Effectiveness is the angular acceleration and specific force of a rotor per unit of its input: the squared speed, or without
 measured speeds the command on the firmware's thrust curve. Both sides are smoothed to ``BAND_HZ``, above which frame and
 sensors vibrate, less their mean over ``MEAN_S``. Slower torques of the air would bias the result towards 0, since the flight's
-own controller answers them with the rotors. So each interval includes the results with half and with twice that time.
+own controller answers them with the rotors. Jitter of the stamps and noise of the inputs weaken the result too. So each
+interval includes the results with half and with twice that time, with half the band, and of the reverse regression.
 
 Rotors of one flight move together. So the sign of each rotor is taken from all inputs at once, but the size about an axis from
 the sum of the inputs with these signs. Letters: T rows, R rotors.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_erosion, gaussian_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
@@ -60,9 +62,10 @@ class FlightRows:
         """Time in the air [s]."""
         return float(self.flies.sum() / self.rate)
 
-    def rows_in_air_less_mean(self, name: str, window: float) -> Array:
-        """Return the rows in the air of a field, less their mean over a window [s]."""
+    def rows_in_air_less_mean(self, name: str, window: float, smoothing: float = 0.0) -> Array:
+        """Return the rows in the air of a field, less their mean over a window [s], behind a further smoothing window [s]."""
         values = getattr(self, name)
+        values = gaussian_filter1d(values, self.rate * smoothing, axis=0) if smoothing else values
         return (values - gaussian_filter1d(values, self.rate * window, axis=0, truncate=3.0))[self.flies]
 
 
@@ -146,9 +149,9 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
     """
     kept = rows_without_each_part([int(flight.flies.sum()) for flight in flights])
 
-    def columns(window: float) -> list[Array]:
+    def columns(window: float, smoothing: float = 0.0) -> list[Array]:
         names = ("inputs", "swings", "products", "motion")
-        return [np.concatenate([flight.rows_in_air_less_mean(name, window) for flight in flights]) for name in names]
+        return [np.concatenate([f.rows_in_air_less_mean(name, window, smoothing) for f in flights]) for name in names]
 
     parts = columns(MEAN_S)
     inputs, swings, products, motion = parts
@@ -166,14 +169,18 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
         measured = clear & even & opposite & (logged != 0.0).all(axis=1)
         weights = np.where(measured[:, None], weights, logged)
 
-    def sizes(parts: Sequence[Array], rows: Flags | slice = slice(None)) -> Array:
-        inputs, swings, products, motion = (part[rows] for part in parts)
+    def table_of_sums(parts: Sequence[Array]) -> Array:
+        inputs, swings, products, _ = parts
         sums = inputs @ np.concatenate((weights, np.ones((1, inputs.shape[1])))).T
-        table = np.concatenate((sums, (swings @ weights[2])[:, None], products), axis=1)
-        return np.diag(_least_squares(table, motion)[:4])
+        return np.concatenate((sums, (swings @ weights[2])[:, None], products), axis=1)
 
-    value, half = fit_with_jackknife_interval(lambda rows: sizes(parts, rows), kept)
+    def sizes(parts: Sequence[Array]) -> Array:
+        return np.diag(_least_squares(table_of_sums(parts), parts[-1])[:4])
+
+    value, half = fit_with_jackknife_interval(lambda rows: sizes([part[rows] for part in parts]), kept)
     variants = [sizes(columns(factor * MEAN_S)) for factor in (0.5, 2.0)]
+    variants.append(sizes(columns(MEAN_S, np.sqrt(3.0) * BAND_STD_S)))  # windows add by squares
+    variants.append(_sizes_of_reverse_regression(table_of_sums(parts), motion, value))
     turned = np.append(np.sign(value[:3]), 1.0)  # the log states the opposite sign
     ends = turned * np.stack((value - half, value + half, *variants))
     return Effectiveness(
@@ -182,6 +189,19 @@ def fit_effectiveness(flights: Sequence[FlightRows], logged: Array | None) -> Ef
         measured=measured | ((turned[:3] < 0.0) & (np.abs(value[:3]) > half[:3])),
         sizes=tuple(Estimate(value=v, low=min(e), high=max(e)) for v, e in zip(turned * value, ends.T, strict=True)),
     )
+
+
+def _sizes_of_reverse_regression(table: Array, motion: Array, sizes: Array) -> Array:
+    """Return the sizes by which motion (T, 4) explains the first columns of ``table``; infinite if it does not.
+
+    Noise of the inputs biases the usual regression towards 0, and noise of the motion this one away from it.
+    Source: Frisch (1934), Statistical confluence analysis by means of complete regression systems.
+    """
+    shares = np.empty_like(sizes)
+    for k in range(sizes.size):
+        columns = np.column_stack((motion[:, k], np.delete(table, k, axis=1)))
+        shares[k] = _least_squares(columns, table[:, k : k + 1])[0, 0]
+    return np.where(shares * sizes > 0.0, 1.0 / np.where(shares == 0.0, 1.0, shares), np.copysign(np.inf, sizes))
 
 
 def _weights_of_flight(whole: Array, half: Array) -> tuple[Array, Flags, Flags]:
@@ -239,9 +259,9 @@ def _ratio_of_means(table: Array) -> Array:
 
 
 def rows_without_each_part(sizes: Sequence[int]) -> list[Flags]:
-    """Return the rows that remain without each flight, or without each of ``PARTS`` parts of few flights."""
+    """Return the rows that remain without each flight, or without each of ``PARTS`` parts of fewer flights."""
     part = np.repeat(np.arange(len(sizes)), sizes)
-    part = part if len(sizes) >= FEWEST_FLIGHTS else np.arange(part.size) * PARTS // part.size
+    part = part if len(sizes) >= PARTS else np.arange(part.size) * PARTS // part.size
     return [part != k for k in np.unique(part)]
 
 
@@ -266,7 +286,8 @@ def _jackknife_half_width(fits: Sequence[Array]) -> Array:
 def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | None:
     """Return exponent p and lag [s] of a specific force ``c sum u^p`` of commands u; None if these are too slow.
 
-    Both sides are smoothed to ``BAND_HZ``, less their mean over ``THRUST_MEAN_S``. The mean force fixes c.
+    Both sides are smoothed to ``BAND_HZ``, less their mean over ``THRUST_MEAN_S``. The mean force fixes c. A force by the
+    velocity along z, of drag and inflow, is fitted too. The interval of p has the results with half and with twice that time.
     """
     flights = []
     for log in logs:
@@ -274,27 +295,34 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
             return None
         rate, command = sample_rate(log), np.clip(log.rotor_command, 1e-6, None)
         rows = _without_edges(rows_under_power(command**2), rate)
+        climb = np.zeros_like(log.time)
+        if log.lin_vel is not None:
+            climb = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2]
+        force, climb = (gaussian_filter1d(one, rate * BAND_STD_S) for one in (log.specific_force[:, 2], climb))
         if rows.any():
-            flights.append((rate, command, gaussian_filter1d(log.specific_force[:, 2], rate * BAND_STD_S), rows))
+            flights.append((rate, command, force, climb, rows))
     if not flights:
         return None
     kept = rows_without_each_part([int(rows.sum()) for *_, rows in flights])
 
-    def residual(params: Array, chosen: Flags) -> Array:
-        errors = []
-        for rate, command, force, rows in flights:
+    def residual(params: Array, chosen: Flags, window: float) -> Array:
+        parts = []
+        for rate, command, force, climb, rows in flights:
             thrust = _values_with_lag((command ** params[0]).sum(axis=1), 0.02 * params[1], rate)
             thrust = gaussian_filter1d(thrust, rate * BAND_STD_S)
-            error = force - force[rows].mean() / thrust[rows].mean() * thrust
-            errors.append((error - gaussian_filter1d(error, rate * THRUST_MEAN_S, truncate=3.0))[rows])
-        return np.concatenate(errors)[chosen]
+            both = np.stack((force - force[rows].mean() / thrust[rows].mean() * thrust, climb))
+            parts.append((both - gaussian_filter1d(both, rate * window, axis=1, truncate=3.0))[:, rows])
+        error, climb = np.concatenate(parts, axis=1)[:, chosen]
+        return error - climb * (climb @ error) / max(climb @ climb, 1e-300)
 
-    def fit(chosen: Flags) -> Array:
-        return np.asarray(least_squares(residual, (1.5, 1.5), bounds=((0.2, 0.05), (4.0, 15.0)), args=(chosen,)).x)
+    def fit(chosen: Flags, window: float = THRUST_MEAN_S) -> Array:
+        args, bounds = (chosen, window), ((0.2, 0.05), (4.0, 15.0))
+        return np.asarray(least_squares(residual, (1.5, 1.5), bounds=bounds, args=args).x)
 
     value, half = fit_with_jackknife_interval(fit, kept)
     power, lag = map(Estimate.from_half_width, value * (1.0, 0.02), half * (1.0, 0.02))
-    return power, lag
+    others = [float(fit(np.ones(kept[0].size, dtype=bool), factor * THRUST_MEAN_S)[0]) for factor in (0.5, 2.0)]
+    return replace(power, low=min(power.low, *others), high=max(power.high, *others)), lag
 
 
 def _values_with_lag(values: Array, lag: float, rate: float) -> Array:

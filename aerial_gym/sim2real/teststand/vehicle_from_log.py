@@ -76,13 +76,7 @@ def draft_vehicle(
     flights = [rows_of_flight(log, thrust_input) for log in logs]
     for log, rows in zip(logs, flights, strict=True):
         _check_mean_force_in_flight(log, rows)
-    flights = [rows for rows in flights if rows.seconds > 0.0]
-    seconds = sum(rows.seconds for rows in flights)
-    if seconds < FEWEST_S:
-        raise DataError(
-            f"{logs[0].path}: {seconds:.1f} s with all rotors turning; {FEWEST_S:g} s are needed. "
-            "If the body was thrown by hand, take aerial-gym identify inertia"
-        )
+    flights = flights_in_air(logs[0].path, flights)
     effect = _fit_to_layout(flights, layout) if fast else None
     curve = fit_command_curve(logs) if has_speeds and fast else None
     lag = curve.lag if curve is not None else power[1] if power is not None else None
@@ -132,6 +126,17 @@ def _complete_log(log: FlightLog) -> FlightLog:
     if command is None or log.rotor_speed is not None or command.max() <= LARGEST_FORCE:
         return log
     return replace(log, rotor_speed=command, rotor_command=None)
+
+
+def flights_in_air(path: str, flights: Sequence[FlightRows]) -> list[FlightRows]:
+    """Return the flights with time in the air; raise ``DataError`` if all together have less than ``FEWEST_S``."""
+    seconds = sum(rows.seconds for rows in flights)
+    if seconds < FEWEST_S:
+        raise DataError(
+            f"{path}: {seconds:.1f} s with all rotors turning; {FEWEST_S:g} s are needed. "
+            "If the body was thrown by hand, take aerial-gym identify inertia"
+        )
+    return [rows for rows in flights if rows.seconds > 0.0]
 
 
 def _check_mean_force_in_flight(log: FlightLog, rows: FlightRows) -> None:
