@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import rotor_thrusts
 from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
 from aerial_gym.sim2real.preflight.constants import Constant
-from aerial_gym.sim2real.statistics import Estimate
+from aerial_gym.sim2real.statistics import Estimate, chi_square_tail
 from aerial_gym.sim2real.teststand.effectiveness import fit_with_jackknife_interval, rows_without_each_part
 from aerial_gym.sim2real.teststand.log_geometry import layout_of_robot
 
@@ -41,15 +41,17 @@ class TrainingLink:
 
 def check_link(logs: Sequence[FlightLog], robot: RobotCfg, training: TrainingLink) -> list[Constant]:
     """Return the constants of the link by logs at equal steps, with correct sensors and rotors."""
-    rate, jitter, loss = arrival_statistics(logs)
+    own = [log for log in logs if log.log_format == "csv"]
+    rate, jitter, loss = arrival_statistics(own)
     latency, gains = rate_loop_constants(logs, robot)
     shown = "no_rate_setpoint" if not any("rate_setpoint" in log.setpoints for log in logs) else "few_commands"
+    arrived = shown if own else "commands_of_firmware"
     constants = [
-        Constant(name="link_rate", kind="link_rate", declared=training.rate or 0.0, unit="Hz", reason=shown,
+        Constant(name="link_rate", kind="link_rate", declared=training.rate or 0.0, unit="Hz", reason=arrived,
                  estimate=rate, setting="the rate of the policy in training", new=rate and rate.value),
-        Constant(name="link_jitter", kind="link_jitter", declared=training.jitter, unit="s", reason=shown,
+        Constant(name="link_jitter", kind="link_jitter", declared=training.jitter, unit="s", reason=arrived,
                  estimate=jitter, setting="the jitter of commands in training", new=jitter and jitter.value),
-        Constant(name="packet_loss", kind="packet_loss", declared=training.loss, reason=shown, estimate=loss,
+        Constant(name="packet_loss", kind="packet_loss", declared=training.loss, reason=arrived, estimate=loss,
                  setting="the dropout of commands in training", new=loss and loss.value),
         Constant(name="command_latency", kind="command_latency", declared=training.latency, unit="s", reason=shown,
                  estimate=latency, setting="the action delay_steps of the task", new=latency and latency.value),
@@ -66,8 +68,8 @@ def arrival_statistics(logs: Sequence[FlightLog]) -> tuple[Estimate | None, Esti
     """Return rate [Hz], jitter [s] and loss of commands, by the variance of the time between commands.
 
     Commands of period h arrive with a delay of variance s², and a share p never. Over m arrivals the time has the mean
-    ``m h / (1 - p)`` and the variance ``2 s² + m h² p / (1 - p)²``: lost commands add up, delays do not. Spans end where the
-    logger lost rows.
+    ``m h / (1 - p)`` and the variance ``2 s² + m h² p / (1 - p)²``: lost commands add up, delays do not. A steady clock of the
+    sender shows h more precisely. Spans end where the logger lost rows.
     """
     chains = [chain for log in logs for chain in _spans_of_arrivals(log) if chain.size > 2 * LAGS[-1]]
     if len(chains) < FEWEST_SPANS:
@@ -83,9 +85,32 @@ def arrival_statistics(logs: Sequence[FlightLog]) -> tuple[Estimate | None, Esti
         loss = slope / step**2
         return np.array((1.0 / (step * (1.0 - loss)), max(0.5 * twice, 0.0) ** 0.5, loss))
 
-    value, half = fit_with_jackknife_interval(moments, rows_without_each_part([len(chains)]))
-    rate, jitter, loss = map(Estimate.from_half_width, value, half)
-    return rate, jitter, loss
+    kept = rows_without_each_part([len(chains)])
+    rate, jitter, loss = map(Estimate.from_half_width, *fit_with_jackknife_interval(moments, kept))
+    if (clock := _rate_of_clock(chains, rate)) is None:
+        return rate, jitter, loss
+    counts, spans = (np.array([f(chain) for chain in chains]) for f in (lambda one: one.size - 1.0, np.ptp))
+
+    def missing(rows: Flags) -> Array:
+        return np.atleast_1d(1.0 - counts[rows].sum() / (clock.value * spans[rows].sum()))
+
+    (value,), (half,) = fit_with_jackknife_interval(missing, kept)
+    return clock, jitter, Estimate.from_half_width(value, float(np.hypot(half, clock.high / clock.value - 1.0)))
+
+
+def _rate_of_clock(chains: Sequence[Array], near: Estimate) -> Estimate | None:
+    """Return the rate of a steady clock [Hz] that sends the commands of all chains; None if Rayleigh's test shows none.
+
+    At the rate f of the clock the phases ``2 pi f t`` of arrivals agree, even beside lost commands and with jitter. Without a
+    clock ``2 |sum exp(2 pi i f t)|² / n`` of each chain follows a chi-squared distribution with two degrees of freedom.
+    """
+    width, longest = max(near.high - near.value, 0.02 * near.value), max(float(np.ptp(chain)) for chain in chains)
+    trials = np.arange(near.value - width, near.value + width, 0.2 / longest)
+    phases = (np.exp(2j * np.pi * trials[:, None] * (chain - chain[0])) for chain in chains)
+    power = sum((2.0 * np.abs(one.sum(axis=1)) ** 2 / one.shape[1] for one in phases), np.zeros(trials.size))
+    if chi_square_tail(float(power.max()), 2.0 * len(chains)) * trials.size > 0.01:
+        return None
+    return Estimate.from_half_width(float(trials[int(np.argmax(power))]), 0.5 / longest)
 
 
 def _spans_of_arrivals(log: FlightLog) -> list[Array]:
