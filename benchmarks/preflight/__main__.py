@@ -131,6 +131,8 @@ def score_text(rows: list[dict], scores: dict[str, list[int]]) -> str:
         )
     times = [f"{name} {sum(row[f'{name}_s'] for row in rows) / len(rows):.1f} s" for name in ("fly", "judge")]
     heads = ("fault", "right", "largest error per limit", "named where wrong")
+    parts = [row["intervals"] for row in rows if "intervals" in row]
+    scores = scores | {"true values in their intervals": [sum(part[k] for part in parts) for k in (0, 1)]}
     share = [f"{name}: {hits} of {count}" for name, (hits, count) in scores.items()]
     return "\n\n".join((table(heads, lines), "; ".join((*share, *times))))
 

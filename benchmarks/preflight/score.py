@@ -68,12 +68,13 @@ def name_of_finding(finding: Finding) -> str:
 
 
 def judge(result: Preflight, truth: Mapping) -> dict:
-    """Return whether a result is right, the names of its contradictions, and the largest error over its limit."""
+    """Return whether a result is right, its contradictions, the largest error over its limit, and true values in intervals."""
     named = {name_of_finding(one): one.values for one in result.contradictions}
     expected = EXPECTED[truth["kind"]](truth["values"]) if truth["kind"] else ()
-    errors = [
-        (named[name]["value"] - value) / limit for name, (value, limit) in true_values(truth).items() if name in named
-    ]
+    known = [(named[name], *pair) for name, pair in true_values(truth).items() if name in named]
+    errors = [(values["value"] - value) / limit for values, value, limit in known]
+    inside = sum(values["low"] <= value <= values["high"] for values, value, _ in known)
     worst = max(errors, key=abs, default=None)
     right = set(named) == set(expected) and all(abs(error) <= 1.0 for error in errors)
-    return {"right": right, "named": sorted(named), "error_share": worst, "expected": list(expected)}
+    row = {"right": right, "named": sorted(named), "error_share": worst, "expected": list(expected)}
+    return row | {"intervals": [inside, len(known)]}

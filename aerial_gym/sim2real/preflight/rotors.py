@@ -128,7 +128,8 @@ def _with_layout_of_log(flights: Sequence[FlightRows], robot: RobotCfg) -> tuple
     """Return the robot with the mounts and spins that the flights show, and findings on the differences."""
     declared = layout_of_robot(robot).weights
     shown = fit_effectiveness(flights, None)
-    if declared is None or not shown.known.all() or not (declared != 0.0).all():
+    every_sign = (np.abs(shown.weights) == 1.0).all()  # of each rotor about each axis
+    if declared is None or not every_sign or not (declared != 0.0).all():
         return robot, [Finding("rotor_layout_assumed")]
     signs, own = np.sign(shown.weights), np.sign(declared)
     places = [[j for j in range(robot.num_rotors) if (own[:2, j] == signs[:2, i]).all()] for i in range(signs.shape[1])]

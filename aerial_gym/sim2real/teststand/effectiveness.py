@@ -310,18 +310,22 @@ def fit_thrust_power(logs: Sequence[FlightLog]) -> tuple[Estimate, Estimate] | N
         for rate, command, force, climb, rows in flights:
             thrust = _values_with_lag((command ** params[0]).sum(axis=1), 0.02 * params[1], rate)
             thrust = gaussian_filter1d(thrust, rate * BAND_STD_S)
-            both = np.stack((force - force[rows].mean() / thrust[rows].mean() * thrust, climb))
+            both = np.stack((force, climb))  # less the thrusts with the same means
+            both = both - both[:, rows].mean(axis=1, keepdims=True) / thrust[rows].mean() * thrust
             parts.append((both - gaussian_filter1d(both, rate * window, axis=1, truncate=3.0))[:, rows])
         error, climb = np.concatenate(parts, axis=1)[:, chosen]
         return error - climb * (climb @ error) / max(climb @ climb, 1e-300)
 
+    whole, start = np.ones(kept[0].size, dtype=bool), np.array((1.5, 1.5))
+
     def fit(chosen: Flags, window: float = THRUST_MEAN_S) -> Array:
         args, bounds = (chosen, window), ((0.2, 0.05), (4.0, 15.0))
-        return np.asarray(least_squares(residual, (1.5, 1.5), bounds=bounds, args=args).x)
+        return np.asarray(least_squares(residual, start, bounds=bounds, args=args, xtol=1e-5).x)
 
+    start = np.clip(fit(whole), (0.21, 0.051), (3.99, 14.9))  # within the bounds, for the fits to parts
     value, half = fit_with_jackknife_interval(fit, kept)
     power, lag = map(Estimate.from_half_width, value * (1.0, 0.02), half * (1.0, 0.02))
-    others = [float(fit(np.ones(kept[0].size, dtype=bool), factor * THRUST_MEAN_S)[0]) for factor in (0.5, 2.0)]
+    others = [float(fit(whole, factor * THRUST_MEAN_S)[0]) for factor in (0.5, 2.0)]
     return replace(power, low=min(power.low, *others), high=max(power.high, *others)), lag
 
 
