@@ -31,25 +31,25 @@ DELAY_STEPS = "the action delay_steps of the task"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vehicle:
+class TaskVehicle:
     """A robot file, and settings of the task for what a robot file does not hold."""
 
     robot: Path
     settings: tuple[str, ...] = ()
 
-    def with_effect(self, path: Path, name: str, parameters: Mapping[str, float]) -> "Vehicle":
+    def with_effect(self, path: Path, name: str, parameters: Mapping[str, float]) -> "TaskVehicle":
         """Return the vehicle with an effect in its file, written to ``path``."""
         document = yaml.safe_load(self.robot.read_text(encoding="utf-8"))
         document["effects"] = document.get("effects", {}) | {name: dict(parameters)}
         path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
         return replace(self, robot=path)
 
-    def with_latency(self, seconds: float) -> "Vehicle":
+    def with_latency(self, seconds: float) -> "TaskVehicle":
         """Return the vehicle with commands so late, in whole steps of the policy."""
         return replace(self, settings=(*self.settings, f"task.action.delay_steps={round(seconds * POLICY_HZ)}"))
 
 
-def corrected(vehicle: Vehicle, result: Preflight, path: Path) -> Vehicle:
+def correct_vehicle(vehicle: TaskVehicle, result: Preflight, path: Path) -> TaskVehicle:
     """Return the vehicle with the numbers of all contradictions."""
     for finding in result.contradictions:
         setting, new = str(finding.values.get("setting")), float(finding.values.get("new") or 0.0)
@@ -83,13 +83,13 @@ class EffectCmd:
         for kind in self.faults:
             folder = self.out / kind
             seed = next(k for k in itertools.count(self.seed) if draw_fault(kind, k).values == FAULTS[kind])
-            log, declared = folder / "log.csv", Vehicle(robot=folder / "robot.yaml", settings=self.robot_settings)
+            log, declared = folder / "log.csv", TaskVehicle(robot=folder / "robot.yaml", settings=self.robot_settings)
             if not log.exists():
                 fly_vehicle(folder, kind, seed)
             result = preflight(declared.robot, log, training=TRAINING)
             result.write(folder / "preflight.json")
             named = ", ".join(finding.subject for finding in result.contradictions)
-            after = corrected(declared, result, folder / "corrected.yaml")
+            after = correct_vehicle(declared, result, folder / "corrected.yaml")
             true = declared
             if kind == "thrust":
                 true = declared.with_effect(folder / "true.yaml", "thrust_coefficient", FAULTS[kind])
@@ -109,7 +109,7 @@ class EffectCmd:
             print(text(rows))
         return 0
 
-    def train(self, vehicle: Vehicle, run: Path) -> None:
+    def train(self, vehicle: TaskVehicle, run: Path) -> None:
         """Train a policy on a vehicle, or continue."""
         cfg = load_settings(settings_for("ppo", self.task, device=self.device))
         cfg = replace(
@@ -119,7 +119,7 @@ class EffectCmd:
         if not (run / "result.json").exists():
             train(cfg, run, resume=run.exists())
 
-    def fly(self, run: Path, vehicle: Vehicle) -> dict[str, object]:
+    def fly(self, run: Path, vehicle: TaskVehicle) -> dict[str, object]:
         """Return success and crash rates and the error of a policy on a vehicle."""
         policy, cfg = load_policy(run, device=self.device)
         with task_registry.make_task(

@@ -91,10 +91,10 @@ def arrival_statistics(logs: Sequence[FlightLog]) -> tuple[Estimate | None, Esti
         return rate, jitter, loss
     counts, spans = (np.array([f(chain) for chain in chains]) for f in (lambda one: one.size - 1.0, np.ptp))
 
-    def missing(rows: Flags) -> Array:
+    def share_without_arrival(rows: Flags) -> Array:
         return np.atleast_1d(1.0 - counts[rows].sum() / (clock.value * spans[rows].sum()))
 
-    (value,), (half,) = fit_with_jackknife_interval(missing, kept)
+    (value,), (half,) = fit_with_jackknife_interval(share_without_arrival, kept)
     return clock, jitter, Estimate.from_half_width(value, float(np.hypot(half, clock.high / clock.value - 1.0)))
 
 

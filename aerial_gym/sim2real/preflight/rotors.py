@@ -26,12 +26,12 @@ from aerial_gym.sim2real.logs.signals import IN_BAND, lowpass
 from aerial_gym.sim2real.predict.tolerances import are_scaled_by_thrust
 from aerial_gym.sim2real.preflight.constants import CONTRADICTED, Constant
 from aerial_gym.sim2real.statistics import Estimate, student_quantile
+from aerial_gym.sim2real.teststand.command_curve import fit_thrust_power
 from aerial_gym.sim2real.teststand.effectiveness import (
     FEWEST_FLIGHTS,
     Effectiveness,
     FlightRows,
     fit_effectiveness,
-    fit_thrust_power,
     mean_force_per_input,
     rows_of_flight,
 )

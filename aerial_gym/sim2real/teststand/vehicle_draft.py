@@ -12,7 +12,8 @@ from aerial_gym.sim2real.logs.flights import POWERED
 from aerial_gym.sim2real.logs.readers.log_readers import find_reader
 from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog, split_flight_number
-from aerial_gym.sim2real.teststand.effectiveness import CommandCurve, Effectiveness
+from aerial_gym.sim2real.teststand.command_curve import CommandCurve
+from aerial_gym.sim2real.teststand.effectiveness import Effectiveness
 
 SOURCE = "aerial-gym robot from-log"
 

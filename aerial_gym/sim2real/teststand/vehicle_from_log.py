@@ -22,14 +22,12 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import Estimate
+from aerial_gym.sim2real.teststand.command_curve import CommandCurve, fit_command_curve, fit_thrust_power
 from aerial_gym.sim2real.teststand.effectiveness import (
-    CommandCurve,
     Effectiveness,
     FlightRows,
     ForcePerInput,
-    fit_command_curve,
     fit_effectiveness,
-    fit_thrust_power,
     mean_force_per_input,
     rows_of_flight,
     rows_under_power,

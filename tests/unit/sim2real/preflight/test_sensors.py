@@ -13,7 +13,7 @@ from aerial_gym.sim2real.preflight.sensors import check_sensors
 RATE, SPAN_S = 200.0, 60.0
 
 
-def log_of_rolls(*, scale: float = 1.0, slow_share: float = 1.0, delay: float = 0.0) -> FlightLog:
+def log_with_rolls(*, scale: float = 1.0, slow_share: float = 1.0, delay: float = 0.0) -> FlightLog:
     """Return a log of rolls at 0.3 to 3.1 Hz: gyro with a scale, attitude with a share of the slow roll and a delay."""
     time, rng = np.arange(round(SPAN_S * RATE)) / RATE, np.random.default_rng(0)
     frequencies, sizes = 2.0 * np.pi * np.array((0.3, 1.7, 2.3, 3.1)), np.array((0.3, 0.02, 0.02, 0.02))
@@ -31,13 +31,13 @@ def log_of_rolls(*, scale: float = 1.0, slow_share: float = 1.0, delay: float = 
     )  # fmt: skip
 
 
-def constant_of(log: FlightLog, name: str) -> Constant:
+def constant_by_log(log: FlightLog, name: str) -> Constant:
     return next(one for one in check_sensors([log]).constants if one.name == name)
 
 
 @pytest.mark.parametrize(("scale", "state"), [(1.0, "measured"), (1.03, "contradicted"), (0.97, "contradicted")])
 def test_a_scale_of_the_gyro_is_the_same_in_slow_and_fast_motion(scale: float, state: str) -> None:
-    constant = constant_of(log_of_rolls(scale=scale), "gyro_scale_x")
+    constant = constant_by_log(log_with_rolls(scale=scale), "gyro_scale_x")
     assert constant.state == state
     assert constant.estimate is not None
     assert constant.estimate.value == pytest.approx(scale, abs=0.003)
@@ -46,16 +46,16 @@ def test_a_scale_of_the_gyro_is_the_same_in_slow_and_fast_motion(scale: float, s
 
 @pytest.mark.parametrize("slow_share", [0.9, 1.1])
 def test_an_attitude_that_errs_in_slow_motion_shows_no_scale_of_the_gyro(slow_share: float) -> None:
-    assert constant_of(log_of_rolls(slow_share=slow_share), "gyro_scale_x").state == "assumed"
+    assert constant_by_log(log_with_rolls(slow_share=slow_share), "gyro_scale_x").state == "assumed"
 
 
 def test_slow_rotor_columns_show_no_scale_of_the_gyro() -> None:
-    log = replace(log_of_rolls(scale=1.03), torques=False)
-    assert constant_of(log, "gyro_scale_x").reason == "slow_attitude"
+    log = replace(log_with_rolls(scale=1.03), torques=False)
+    assert constant_by_log(log, "gyro_scale_x").reason == "slow_attitude"
 
 
 def test_a_delay_of_the_attitude_is_that_of_slow_and_fast_motion() -> None:
-    constant = constant_of(log_of_rolls(delay=0.04), "attitude_latency")
+    constant = constant_by_log(log_with_rolls(delay=0.04), "attitude_latency")
     assert constant.state == "contradicted"
     assert constant.estimate is not None
     assert constant.estimate.value == pytest.approx(0.04, abs=0.001)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.teststand.effectiveness import _least_squares, _sizes_of_reverse_regression, fit_thrust_power
+from aerial_gym.sim2real.teststand.command_curve import fit_thrust_power
+from aerial_gym.sim2real.teststand.effectiveness import _least_squares, _sizes_of_reverse_regression
 
 
 @pytest.mark.parametrize("noise_in", [0.0, 0.5])
