@@ -77,13 +77,14 @@ def steady_speeds(paths: list[Path]) -> Array:
 
 
 def errors(draft: LogDraft, paths: list[Path]) -> dict[str, tuple[float, bool]]:
-    """Return relative differences to the independent fit, and whether the product calls the number assumed."""
+    """Return relative differences to the independent fit of what a flight shows, and whether the number is called assumed."""
     rotors = effectiveness(paths)
     np.testing.assert_array_equal(np.sign(rotors), SIGNS)
     truth = np.abs((rotors * SIGNS).mean(axis=1))
     return {
         name: (draft.values[name].value / value - 1.0, draft.values[name].is_assumed)
         for name, value in zip(("roll", "pitch", "yaw"), truth, strict=True)
+        if name in draft.values
     }
 
 

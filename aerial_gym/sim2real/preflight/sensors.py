@@ -20,8 +20,9 @@ from aerial_gym.sim2real.logs.stream_delays import StreamDelay, stream_delays, s
 from aerial_gym.sim2real.preflight.constants import CONTRADICTED, TOLERANCES, Constant, pool
 from aerial_gym.sim2real.statistics import Estimate
 
-SLOWEST_HZ = 50.0  # Straight lines between slower samples of gyro or attitude lose 2 % of a turning at 4 Hz
 Delays = Mapping[str, StreamDelay]
+
+SLOWEST_HZ = 50.0  # Straight lines between slower samples of gyro or attitude lose 2 % of a turning at 4 Hz
 STATE = ("attitude", "lin_vel", "position")  # Streams that a policy takes as its state
 
 
@@ -39,7 +40,11 @@ def check_sensors(logs: Sequence[FlightLog]) -> SensorStage:
     even, findings = _with_gyro_signs(logs)
     even, delays = _without_delays(even)
     slow = any(not log.torques or _slowest_rate(log) < SLOWEST_HZ for log in even)
-    scales = [_gyro_scale(axis, [] if slow else even, slow) for axis in "xyz"]
+    bands = [
+        [gain for log in even for gain in gains_of_moving_sensors(log, by_axis=True, band=band)]
+        for band in SLOW_AND_FAST
+    ]
+    scales = [_gyro_scale(axis, [[], []] if slow else bands, slow) for axis in "xyz"]
     scales.append(_accelerometer_scale(even))
     corrected = [_with_gravity(_without_scales(log, scales)) for log in even]
     return SensorStage(logs=tuple(corrected), constants=(*scales, *delays), findings=tuple(findings))
@@ -104,7 +109,10 @@ def _delay_of_position(bands: Sequence[Sequence[Delays]]) -> Estimate | None:
     if velocity is None or not pairs:
         return None
     behind = pool(
-        [Estimate.from_half_width(p.delay - v.delay, np.sqrt(p.half_width**2 - v.half_width**2)) for p, v in pairs]
+        [
+            Estimate.from_half_width(p.delay - v.delay, np.sqrt(max(p.half_width**2 - v.half_width**2, 0.0)))
+            for p, v in pairs
+        ]
     )
     if behind is None:  # both of one topic
         return velocity
@@ -112,14 +120,11 @@ def _delay_of_position(bands: Sequence[Sequence[Delays]]) -> Estimate | None:
     return Estimate.from_half_width(velocity.value + behind.value, float(np.hypot(*half_widths)))
 
 
-def _gyro_scale(axis: str, logs: Sequence[FlightLog], slow: bool) -> Constant:
+def _gyro_scale(axis: str, bands: Sequence[Sequence[SensorGain]], slow: bool) -> Constant:
     """Return the scale of the gyro; about x and y its interval has those by slow and by fast motion.
 
     A scale is the same in both. A filtered attitude follows the gyro in fast motion, and errs by accelerations in slow motion.
     """
-    bands = [
-        [one for log in logs for one in gains_of_moving_sensors(log, by_axis=True, band=band)] for band in SLOW_AND_FAST
-    ]
     gain = _gain_of_axis([one for part in bands for one in part], "gyro", axis)
     parts = [_gain_of_axis(part, "gyro", axis, scatter=False) for part in bands]
     if gain is not None and axis != "z":
