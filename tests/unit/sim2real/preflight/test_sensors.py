@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.sim2real.logs.checks.kinematics import SLOW_AND_FAST, gains_of_moving_sensors
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.preflight.constants import Constant
 from aerial_gym.sim2real.preflight.sensors import check_sensors
@@ -13,10 +14,10 @@ from aerial_gym.sim2real.preflight.sensors import check_sensors
 RATE, SPAN_S = 200.0, 60.0
 
 
-def log_with_rolls(*, scale: float = 1.0, slow_share: float = 1.0, delay: float = 0.0) -> FlightLog:
+def log_with_rolls(*, scale: float = 1.0, slow_share: float = 1.0, delay: float = 0.0, fast: float = 0.02) -> FlightLog:
     """Return a log of rolls at 0.3 to 3.1 Hz: gyro with a scale, attitude with a share of the slow roll and a delay."""
     time, rng = np.arange(round(SPAN_S * RATE)) / RATE, np.random.default_rng(0)
-    frequencies, sizes = 2.0 * np.pi * np.array((0.3, 1.7, 2.3, 3.1)), np.array((0.3, 0.02, 0.02, 0.02))
+    frequencies, sizes = 2.0 * np.pi * np.array((0.3, 1.7, 2.3, 3.1)), np.array((0.3, fast, fast, fast))
 
     def sum_of_waves(wave: object, at: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
         return np.sum(amplitudes * wave(np.outer(at, frequencies)), axis=1)  # type: ignore[operator]
@@ -47,6 +48,14 @@ def test_a_scale_of_the_gyro_is_the_same_in_slow_and_fast_motion(scale: float, s
 @pytest.mark.parametrize("slow_share", [0.9, 1.1])
 def test_an_attitude_that_errs_in_slow_motion_shows_no_scale_of_the_gyro(slow_share: float) -> None:
     assert constant_by_log(log_with_rolls(slow_share=slow_share), "gyro_scale_x").state == "assumed"
+
+
+def test_slow_motion_alone_shows_no_scale_of_the_gyro() -> None:
+    log = log_with_rolls(slow_share=1.06, fast=0.003)
+    slow, fast = (gains_of_moving_sensors(log, by_axis=True, band=band) for band in SLOW_AND_FAST)
+    assert slow[0].gain + slow[0].half_width(0.975) < 0.98
+    assert not fast
+    assert constant_by_log(log, "gyro_scale_x").reason == "little_turning"
 
 
 def test_slow_rotor_columns_show_no_scale_of_the_gyro() -> None:
