@@ -116,8 +116,8 @@ def _delay_of_position(bands: Sequence[Sequence[Delays]]) -> Estimate | None:
     )
     if behind is None:  # both of one topic
         return velocity
-    half_widths = [0.5 * (one.high - one.low) for one in (velocity, behind)]
-    return Estimate.from_half_width(velocity.value + behind.value, float(np.hypot(*half_widths)))
+    width = float(np.hypot(velocity.high - velocity.low, behind.high - behind.low))
+    return Estimate.from_half_width(velocity.value + behind.value, 0.5 * width)
 
 
 def _gyro_scale(axis: str, bands: Sequence[Sequence[SensorGain]], slow: bool) -> Constant:
