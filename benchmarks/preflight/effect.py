@@ -95,7 +95,7 @@ class EffectCmd:
                 true = declared.with_effect(folder / "true.yaml", "thrust_coefficient", FAULTS[kind])
             else:
                 true = declared.with_latency(FAULTS[kind]["delay"])
-            trainings = (("original", declared, self.out / "original"), ("corrected", after, folder / "corrected"))
+            trainings = (("original", declared, folder / "original"), ("corrected", after, folder / "corrected"))
             for name, trained, run in trainings:
                 self.train(trained, run)
                 flights = (("its own", trained), ("true", true)) if name == "original" else (("true", true),)
