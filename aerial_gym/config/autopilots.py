@@ -181,11 +181,12 @@ class BetaflightCfg(AutopilotTuning):
     dterm_lpf1_static_hz: float = 75.0  # Of the first low-pass on the derivative [Hz]
     dterm_lpf2_type: str = "PT1"
     dterm_lpf2_static_hz: float = 150.0  # Of the second [Hz]
-    iterm_limit: float = 400.0  # Largest integral, in thousandths of the motors' range
+    version: str = "4.6"  # Betaflight whose integrals it has: 4.6, or 4.5, as also 4.2 to 4.4
+    iterm_limit: float = 400.0  # Largest integral of 4.5, in thousandths of the motors' range
 
-    iterm_windup: float = 85.0
-    """Range of the corrections from which the integral of yaw slows down [% of the motors' range]; it stops at 100 %.
-    100 switches this off. Roll and pitch are not affected, as in Betaflight 4.2 to 4.5."""
+    iterm_windup: float = 80.0
+    """In 4.6 the largest integral [% of ``pidsum_limit`` and ``pidsum_limit_yaw``]. In 4.5 the range of the corrections from
+    which the integral of yaw slows down [% of the motors' range]; it stops at 100 %. Betaflight's default is 80, in 4.5 85."""
 
     iterm_relax: str = "RP"  # Axes whose integral rests while the wanted rate changes: OFF, RP (roll and pitch), RPY
     iterm_relax_cutoff: float = 15.0  # Cut-off of the low-pass that detects a change [Hz]
@@ -205,6 +206,7 @@ class BetaflightCfg(AutopilotTuning):
         super().__post_init__()
         kinds = dict.fromkeys(_TYPES, ("PT1", "BIQUAD"))
         kinds |= {"rates_type": ("NONE", "ACTUAL"), "iterm_relax": ("OFF", "RP", "RPY"), "tpa_mode": ("D", "PD")}
+        kinds["version"] = ("4.5", "4.6")
         for name, allowed in kinds.items():
             require_choice(self, name, allowed)
         most = {"iterm_windup": 100.0, "tpa_rate": 100.0, "roll_expo": 1.0, "pitch_expo": 1.0, "yaw_expo": 1.0}

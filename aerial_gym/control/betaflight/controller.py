@@ -59,7 +59,7 @@ def anti_windup_factor(change: Tensor, used: Tensor, windup: float) -> Tensor:
         windup: Range from which the integral of yaw slows down; 1 for never.
 
     Source:
-        Betaflight 4.3 to 4.5, ``pid.c``: I-term relax by the setpoint; ``iterm_windup`` acts on yaw alone (pull request 9597).
+        Betaflight, ``pid.c``: I-term relax by the setpoint; ``iterm_windup`` of 4.2 to 4.5 acts on yaw (pull request 9597).
     """
     rest = (1.0 - change.abs() / RELAXED_FROM).clamp_min(0.0)
     if windup >= 1.0:
@@ -156,7 +156,8 @@ class BetaflightController(StatefulController):
         eased = torch.where(begins, wanted, eased + self.filters.relax * (wanted - eased))
         change = torch.where(begins, 0.0, (wanted - before) / span)
         relaxed = {"OFF": (0.0, 0.0, 0.0), "RP": (1.0, 1.0, 0.0), "RPY": (1.0, 1.0, 1.0)}[own.iterm_relax]
-        share = anti_windup_factor((wanted - eased) * wanted.new_tensor(relaxed), used, own.iterm_windup / 100.0)
+        windup = own.iterm_windup / 100.0 if own.version == "4.5" else 1.0
+        share = anti_windup_factor((wanted - eased) * wanted.new_tensor(relaxed), used, windup)
         integral = integral + share * gains.integral * error * span
         integral = integral.clamp(-gains.integral_limit, gains.integral_limit)
         throttle = self.throttle(setpoint[:, :1])

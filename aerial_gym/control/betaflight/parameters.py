@@ -102,14 +102,15 @@ def derive_parameters(
     def axis_row(name: str, unit: float = 1.0) -> Tensor:
         return row([unit * getattr(own, f"{axis}_{name}") for axis in AXES])
 
-    yaw = own.pidsum_limit_yaw
+    limit = mix.new_tensor([own.pidsum_limit, own.pidsum_limit, own.pidsum_limit_yaw]) / 1000.0
+    most = own.iterm_windup / 100.0 * limit if own.version == "4.6" else own.iterm_limit / 1000.0
     return BetaflightGains(
         rate=gain("p"),
         integral=gain("i"),
         derivative=gain("d"),
         forward=gain("f"),
-        limit=row([own.pidsum_limit / 1000.0, own.pidsum_limit / 1000.0, yaw / 1000.0]),
-        integral_limit=row(own.iterm_limit / 1000.0 * (unit > 0.0)),
+        limit=row(limit),
+        integral_limit=row(most * (unit > 0.0)),
         mix=row(mix),
         weight=row([weight]),
         center=axis_row("center_sensitivity", radians(1.0)),

@@ -16,6 +16,7 @@ from aerial_gym.control.betaflight.parameters import AXES, BetaflightGains
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.firmware.betaflight.build import FirmwareBuild
 
+VERSION = "4.6"  # Of the source package
 GYRO_HZ = 8000  # Rate at which the firmware reads the gyro [1/s]
 LARGEST_GAIN = 250  # Of P, I and D; F may be larger
 STICK_RATE = 670.0  # Rate at full stick [deg/s] where actions are body rates
@@ -47,12 +48,14 @@ def firmware_settings(
         yaw_reversed: Whether the rotors spin against Betaflight's default.
 
     Raises:
-        ConfigError: If the rate does not divide that of the gyro, or a gain is beyond the firmware's range.
+        ConfigError: If the rate does not divide that of the gyro, a gain is beyond the firmware's range, or the
+            configuration is that of another version.
     """
+    if cfg.version != VERSION:
+        raise ConfigError(f"version {cfg.version}: the firmware is Betaflight {VERSION}. Take version: {VERSION!r}")
     values: dict[str, object] = {
         "pid_process_denom": _divisor(period), "yaw_motors_reversed": _switch(yaw_reversed), **_gain_values(gains),
-        **{name: getattr(cfg, name) for name in ("iterm_relax", "tpa_mode")},
-        "iterm_windup": round(100.0 * cfg.iterm_limit / cfg.pidsum_limit),
+        **{name: getattr(cfg, name) for name in ("iterm_relax", "iterm_windup", "tpa_mode")},
     }  # fmt: skip
     for name in ("gyro_lpf1", "gyro_lpf2", "dterm_lpf1", "dterm_lpf2"):
         values |= {key: getattr(cfg, key) for key in (f"{name}_type", f"{name}_static_hz")}

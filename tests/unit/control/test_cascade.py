@@ -219,7 +219,7 @@ def fly(
 TUNED = BetaflightCfg(
     rate_hz=250.0, rates_type="ACTUAL", roll_expo=0.5, p_roll=45.0, i_roll=80.0, d_roll=40.0, f_roll=120.0, d_pitch=30.0,
     gyro_lpf1_type="BIQUAD", gyro_lpf1_static_hz=60.0, gyro_lpf2_static_hz=90.0, dterm_lpf1_type="BIQUAD", iterm_relax="RPY",
-    tpa_mode="PD", tpa_breakpoint=1200.0,
+    tpa_mode="PD", tpa_breakpoint=1200.0, version="4.5",
 )  # fmt: skip
 """Every part of Betaflight's rate loop."""
 

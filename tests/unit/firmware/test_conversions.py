@@ -55,6 +55,8 @@ def test_settings_beyond_the_firmware_are_refused_together() -> None:
     gains = make(cfg)[0].gains
     with pytest.raises(ConfigError, match=r"(?s)2 faults.*p_roll = 300.*at most 250.*i_pitch = 400"):
         firmware_settings(cfg, gains, period=0.001)
+    with pytest.raises(ConfigError, match="version 4.5: the firmware is Betaflight 4.6"):
+        firmware_settings(replace(cfg, version="4.5"), gains, period=0.001)
     with pytest.raises(ConfigError, match="time step of 0.0003 s"):
         firmware_settings(cfg, gains, period=0.0003)
 

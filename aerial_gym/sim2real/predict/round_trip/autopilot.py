@@ -1,5 +1,6 @@
 """The control law behind a log: firmware, parameters from the log, and actions from its setpoints. Letters: T rows."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import isfinite
@@ -173,6 +174,8 @@ def betaflight_parameters(parameters: Mapping[str, float | str]) -> dict[str, An
         known |= {cutoff: 0.0} if known.get(cutoff, 0.0) >= 0.5 / STEPS_S["betaflight"] else {}
     for name, texts in (("iterm_relax", ("OFF", "RP", "RPY", "RP", "RPY")), ("tpa_mode", ("PD", "D"))):
         known |= {name: texts[int(known[name]) % len(texts)]} if name in known else {}
+    older = re.match(r"Betaflight 4\.[0-5]\b", str(parameters.get("Firmware revision", "")))  # 4.6 is 2025.12
+    known["version"] = "4.5" if older else "4.6"
     features = _number(parameters, "features")
     return known | ({} if features is None else {"airmode": bool(int(features) >> AIRMODE_BIT & 1)})
 

@@ -175,9 +175,22 @@ def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> 
         result = anti_windup_factor(empty, torch.full((1, 1), used, dtype=F64), 0.85)
         torch.testing.assert_close(result, torch.tensor([[1.0, 1.0, share]], dtype=F64))
         assert bool((anti_windup_factor(empty, torch.full((1, 1), used, dtype=F64), 1.0) == 1.0).all())
-    law = make_law(replace(PLAIN, i_roll=8000.0, iterm_limit=100.0))
-    _, memory = run(law, [[0.0, 1.0, 0.0, 0.0]] * 200)
-    assert float(memory.numbers[0, 0]) == pytest.approx(0.1)
+    own = replace(PLAIN, i_roll=8000.0, i_yaw=8000.0)
+    for change, limits in (
+        ({"version": "4.5", "iterm_limit": 100.0}, (0.1, 0.1)),
+        ({"iterm_windup": 50.0}, (0.25, 0.2)),
+    ):
+        _, memory = run(make_law(replace(own, **change)), [[0.0, 1.0, 0.0, 1.0]] * 200)
+        assert memory.numbers[0, (0, 2)].tolist() == pytest.approx(limits), change
+
+
+def test_windup_of_older_versions_slows_the_yaw_integral_in_the_loop() -> None:
+    """Corrections of P beyond 85 % of the range: the integral of yaw stands still in 4.5, and grows in 4.6."""
+    own = replace(PLAIN, p_roll=2000.0, i_yaw=80.0, pidsum_limit=1000.0, iterm_windup=85.0)
+    for version, grows in (("4.5", False), ("4.6", True)):
+        _, memory = run(make_law(replace(own, version=version)), [[0.0, 2.0, 0.0, 0.1]] * 50)
+        before = run(make_law(replace(own, version=version)), [[0.0, 2.0, 0.0, 0.1]] * 2)[1]
+        assert bool(memory.numbers[0, 2] > before.numbers[0, 2]) is grows
 
 
 def legacy_mixer(throttle: float, mix: list[float], airmode: bool) -> list[float]:
