@@ -52,7 +52,7 @@ class EvaluateCmd(PolicyOptions):
     """Measure success and crash rates of a policy, its returns by term, the ends of its episodes, and position errors."""
 
     num_envs: int = 512  # Random starts
-    firmware: str | None = None  # Firmware that flies the vehicle in place of the controller: betaflight (extra sitl)
+    firmware: str | None = None  # Firmware that flies the vehicle in place of the controller: betaflight or crazyflie
     watch: Path | None = None  # CSV file for the last 64 steps of rows with NaN or infinity; play --replay shows it
     json: bool = False  # Print one JSON object
 

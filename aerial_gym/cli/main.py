@@ -43,6 +43,7 @@ COMMANDS: dict[str, ImportPath] = {
     "close-loop": ImportPath("aerial_gym.cli.close_loop:CloseLoopCmd"),
     "identify": ImportPath("aerial_gym.cli.identify:IdentifyCmd"),
     "sitl betaflight": ImportPath("aerial_gym.cli.sitl:SitlBetaflightCmd"),
+    "sitl crazyflie": ImportPath("aerial_gym.cli.sitl:SitlCrazyflieCmd"),
     "sitl px4": ImportPath("aerial_gym.cli.sitl:SitlPx4Cmd"),
     "bench": ImportPath("aerial_gym.cli.bench:BenchCmd"),
     "render-gallery": ImportPath("aerial_gym.cli.render_gallery:RenderGalleryCmd"),

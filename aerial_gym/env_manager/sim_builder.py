@@ -93,8 +93,8 @@ class SimBuilder:
             dtype: Float type of those states; the GTD shows them in float32.
             randomize: Quantities drawn at resets, by name, in addition to those of robot and environment; the same names
                 replace it.
-            firmware: Firmware that flies the vehicles in place of the controller here, one process for each environment:
-                ``betaflight``. The controller must take body rates.
+            firmware: Firmware that flies the vehicles in place of the controller here: ``betaflight``, where the controller
+                takes body rates, or ``crazyflie``, where it takes positions.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists the registered ones.

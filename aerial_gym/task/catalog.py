@@ -70,7 +70,7 @@ class TaskRegistry(Registry[TaskCfg]):
                 nearest distances of 8 x 8 cells, its latents are shown instead.
             settings: Changed settings ``KEY=VALUE`` of ``task``, ``robot``, ``env``, ``sim`` and ``controller``, such as
                 ``robot.body.mass=0.3``.
-            firmware: Firmware that flies the vehicles in place of the controller here, for evaluation: ``betaflight``.
+            firmware: Firmware that flies the vehicles in place of the controller here, for evaluation; see ``SimBuilder``.
 
         Raises:
             UnknownNameError: If a name is not registered.

@@ -11,7 +11,7 @@ STAND = "measure it on a test stand (aerial-gym identify motor)"
 SWING = "measure the inertia by throws or swings"
 CALM = "fly in calmer air"
 UNLOAD = "fly without the load"
-NO_CHECK = "no check before flight prevents it"
+INSPECT = "inspect motors and propellers before each flight"
 
 EFFECT_WORDS = {
     "com_offset": ("centre of mass off by", "weigh the vehicle on three supports"),
@@ -26,8 +26,8 @@ EFFECT_WORDS = {
     "inertia_error": ("moment of inertia off by", SWING), "products_of_inertia": ("product of inertia off by", SWING),
     "constant_wind": ("steady wind of", CALM), "wind_shear": ("wind at reference height of", CALM), "gusts": ("gusts of", CALM),
     "random_force": ("random force of", CALM), "slung_payload": ("slung load of", UNLOAD),
-    "slung_payload_rod": ("slung rod of", UNLOAD), "stuck_rotor": ("one rotor that sticks after 1 s", NO_CHECK),
-    "motor_failure": ("speed of one rotor reduced from 1 s on by", NO_CHECK),
+    "slung_payload_rod": ("slung rod of", UNLOAD), "stuck_rotor": ("one rotor that sticks after 1 s", INSPECT),
+    "motor_failure": ("speed of one rotor reduced from 1 s on by", INSPECT),
     "brown_out": ("speed of all rotors reduced for 0.5 s by", "check the power supply under full load"),
 }  # fmt: skip
 """Description of an effect before its size, and the check for it; others have their name, and are found in flights."""
