@@ -83,12 +83,7 @@ def export_policy(
     policy, cfg = load_policy(source)
     cfg = replace(cfg, robot=robot or cfg.robot, settings=settings_of_run(cfg.settings, robot=robot, task=None))
     with task_registry.make_task(
-        cfg.task,
-        num_envs=1,
-        robot=cfg.robot,
-        controller=cfg.controller,
-        encoder=cfg.encoder,
-        settings=cfg.settings,
+        cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller, encoder=cfg.encoder, settings=cfg.settings
     ) as task:
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem

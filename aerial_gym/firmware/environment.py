@@ -10,14 +10,26 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
+import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from aerial_gym.config.sensor import ImuCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.firmware.imu import make_flight_imu
 from aerial_gym.interop import action_tensor
+from aerial_gym.sensors import mounted_sensors
+from aerial_gym.sensors.imu import Imu
+from aerial_gym.sensors.mounts import Carrier
+
+NONE = (0.0, 0.0, 0.0)
+EXACT = ImuCfg(
+    summary="IMU without errors", accel_noise_density=NONE, gyro_noise_density=NONE,
+    accel_bias_walk=NONE, gyro_bias_walk=NONE, accel_initial_bias=NONE,
+    gyro_initial_bias=NONE, accel_range=156.9, gyro_range=34.9, source="Ranges of 16 g and 2000 deg/s",
+)  # fmt: skip
+"""The IMU of robots that have none."""
 
 TURNS = ((-1, 1), (-1, -1), (1, 1), (1, -1))
 """Signs of the roll and pitch torque of rotors: rear right, front right, rear left, front left."""
@@ -53,7 +65,21 @@ class FirmwareEnv(EnvManager):
         super().__init__(controller=CONTROLLERS.get("rotor_speed_control"), **options)
         if self.device.type != "cpu":
             raise CapabilityError(f"sitl: {self.firmware} runs on the CPU, not on {self.device}. Take device cpu")
-        self._imu, self.imu_reading = make_flight_imu(self, dt=period)  # Force [m/s²] and rate [rad/s], body, (E, 6)
+        self.imu_reading = torch.zeros(self.num_envs, 6)  # Force [m/s²] and rate [rad/s], body
+        self._imu = self._make_imu(period)
+
+    def _make_imu(self, period: float) -> Imu:
+        """Return an IMU like the robot's first one, at the body origin, for every physics step."""
+        keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
+        position, attitude, lin_vel, ang_vel = (self.gtd[key] for key in keys)
+        body = Carrier(position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel)
+        manager = self.robot_manager
+        mounted = mounted_sensors(manager.cfg.sensor_mounts)[1]
+        cfg = next((sensor.cfg for sensor in mounted.values()), EXACT)
+        return Imu(
+            replace(cfg, position=NONE, euler=NONE), body, pose=None, measurement_out=self.imu_reading, dt=period,
+            gravity=self.sim_cfg.gravity, random=self.random, number=len(mounted), errors=manager.imu_errors,
+        )  # fmt: skip
 
     @abstractmethod
     def rotor_speeds(self) -> Tensor:
