@@ -14,9 +14,7 @@ from aerial_gym.firmware.environment import FirmwareEnv
 from aerial_gym.interop import usual_settings
 from aerial_gym.physics.law_memory import fresh_law_memory
 
-START_S = (
-    0.1  # Left out [s]: the firmware's filters and differences start from zero, those here from the first measurement
-)
+START_S = 0.1  # Left out [s]: differences of the firmware start from zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +47,15 @@ class TwinObserver:
 @torch.no_grad()
 def compare_flight(env: FirmwareEnv, setting: str, actions: Iterable[Tensor]) -> Difference:
     """Return the difference over a flight with these actions (E, U), one for each environment step; closes the simulation."""
+
+    def stop_turning(
+        mask: Tensor,
+    ) -> None:  # the firmware's filters start from zero, those here from the first measurement
+        for name in ("robot_angvel", "robot_body_angvel"):
+            env.gtd[name][mask] = 0.0
+
     try:
-        env.reset()
+        env.reset(place=stop_turning)
         observer, vehicle = TwinObserver(env), env.robot_manager.declared
         for action in actions:
             env.step(action)
