@@ -27,7 +27,7 @@ from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.sim2real import close_loop
 from benchmarks.markdown import table
 
-ROW_STEPS = 1  # Physics steps of a millisecond for each row of a log; a row has all commands only with one
+ROW_STEPS = 2  # Physics steps of a millisecond for each row of a log
 SIDES = {"commands of the firmware": "firmware", "commands of the controller here": "controller"}
 
 
