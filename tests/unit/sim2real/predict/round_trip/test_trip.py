@@ -261,3 +261,11 @@ def test_replay_flies_the_setpoints_of_a_csv_file(tmp_path: Path) -> None:
     position = written["levels"]["position"]["position"]["declared"]["0.5"]
     assert position["rms"] < 0.05
     assert result.round_trip is not None
+
+
+@pytest.mark.parametrize(
+    ("release", "version"), [("4.5.1", "4.5"), ("4.2.9", "4.5"), ("4.6.0", "4.6"), ("2025.12.1", "4.6")]
+)
+def test_integrals_follow_the_release_of_betaflight(release: str, version: str) -> None:
+    revision = f"Betaflight {release} (77d01ba3b) STM32F405"
+    assert betaflight_parameters({"Firmware revision": revision})["version"] == version
