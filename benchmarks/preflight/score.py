@@ -73,7 +73,7 @@ def judge(result: Preflight, truth: Mapping) -> dict:
     expected = EXPECTED[truth["kind"]](truth["values"]) if truth["kind"] else ()
     known = [(named[name], *pair) for name, pair in true_values(truth).items() if name in named]
     errors = [(values["value"] - value) / limit for values, value, limit in known]
-    inside = sum(values["low"] <= value <= values["high"] for values, value, _ in known)
+    inside = int(sum(values["low"] <= value <= values["high"] for values, value, _ in known))
     worst = max(errors, key=abs, default=None)
     right = set(named) == set(expected) and all(abs(error) <= 1.0 for error in errors)
     row = {"right": right, "named": sorted(named), "error_share": worst, "expected": list(expected)}
