@@ -47,13 +47,18 @@ def loss_beyond_tolerances(fitter: Fitter, params: ModelParams, channels: Sequen
 
     The squares are those of each channel without deviations, summed over rows.
     """
-    residual = np.concatenate(fitter.predictor.residuals(params))[:, channels]
-    root, deviation = np.sqrt(fitter.weights.weight[list(channels)]), np.zeros(0)
-    scaled = residual * root
-    columns = [np.concatenate([own.dense_columns(channels) for own in one]) for one in fitter.tolerance_columns()]
-    if columns:
-        derivatives = np.concatenate(columns, axis=2).astype(float) * root[:, None]  # (rows, channels, N)
-        flat = derivatives.reshape(-1, len(columns))
-        deviation = np.linalg.solve(flat.T @ flat + np.eye(len(columns)), flat.T @ scaled.ravel())
-        scaled = scaled - derivatives @ deviation
+    residual, tolerances = np.concatenate(fitter.predictor.residuals(params))[:, channels], fitter.tolerance_columns()
+    root, parts = np.sqrt(fitter.weights.weight[list(channels)]), list[tuple[list[int], Array]]()
+    scaled, none = residual * root, np.empty((len(residual), 0))
+    for channel, factor in zip(channels, root, strict=True):  # without zeros, as all columns together are large
+        moving = [k for k, one in enumerate(tolerances) if channel in one[0].channels]
+        columns = (np.concatenate([own.dense_columns([channel])[:, 0] for own in tolerances[k]]) for k in moving)
+        parts.append((moving, np.concatenate([none, *columns], axis=1) * factor))
+    product, gradient = np.eye(len(tolerances)), np.zeros(len(tolerances))
+    for own, (moving, columns) in zip(scaled.T, parts, strict=True):
+        product[np.ix_(moving, moving)] += columns.T @ columns
+        gradient[moving] += columns.T @ own
+    deviation = np.linalg.solve(product, gradient)
+    for own, (moving, columns) in zip(scaled.T, parts, strict=True):
+        own -= columns @ deviation[moving]
     return 0.5 * (scaled**2).sum(axis=1), 0.5 * float(deviation @ deviation), (residual**2).sum(axis=0)
