@@ -1,6 +1,6 @@
 """Effect of a preflight check: a policy trained on a wrong file, and one trained on the corrected file, fly the true vehicle.
 
-    python -m benchmarks.preflight.effect --out DIR [--task recovery_task] [--max-env-steps 16000000] [--device cpu]
+    python -m benchmarks.preflight.effect --out DIR [--task position_setpoint_task] [--max-env-steps 5000000] [--device cpu]
 
 A vehicle of the undeclared plant has one fault: 10 % less thrust, or 50 ms of latency of its commands. Its log is compared with
 its robot file, and the numbers of the contradictions are put into the file, or into the task. Policies are trained on the
@@ -68,10 +68,10 @@ class EffectCmd:
     """Fly policies trained before and after the findings of a preflight check."""
 
     out: Path  # Folder of logs, files, trainings and results
-    task: str = "recovery_task"  # By thrust and body rates, without integral action: a wrong thrust remains
+    task: str = "position_setpoint_task"
     faults: tuple[str, ...] = tuple(FAULTS)
     seed: int = 1  # Of trainings; vehicles are the first ones from here on whose draw is the fault
-    max_env_steps: int = 16_000_000  # Of each training
+    max_env_steps: int = 5_000_000  # Of each training
     num_envs: int = 512  # Starts of each evaluation
     device: str = "cpu"
     robot_settings: tuple[str, ...] = ()  # Further settings of the vehicle, such as a smaller largest thrust
