@@ -43,7 +43,7 @@ def check_link(logs: Sequence[FlightLog], robot: RobotCfg, training: TrainingLin
     """Return the constants of the link by logs at equal steps, with correct sensors and rotors."""
     own = [log for log in logs if log.log_format == "csv"]
     rate, jitter, loss = arrival_statistics(own)
-    latency, gains = rate_loop_constants(logs, robot)
+    latency, gains = rate_loop_constants(own, robot)
     shown = "no_rate_setpoint" if not any("rate_setpoint" in log.setpoints for log in logs) else "few_commands"
     arrived = shown if own else "commands_of_firmware"
     constants = [
@@ -53,12 +53,12 @@ def check_link(logs: Sequence[FlightLog], robot: RobotCfg, training: TrainingLin
                  estimate=jitter, setting="the jitter of commands in training", new=jitter and jitter.value),
         Constant(name="packet_loss", kind="packet_loss", declared=training.loss, reason=arrived, estimate=loss,
                  setting="the dropout of commands in training", new=loss and loss.value),
-        Constant(name="command_latency", kind="command_latency", declared=training.latency, unit="s", reason=shown,
+        Constant(name="command_latency", kind="command_latency", declared=training.latency, unit="s", reason=arrived,
                  estimate=latency, setting="the action delay_steps of the task", new=latency and latency.value),
     ]  # fmt: skip
     if training.rate is None:
         constants = constants[1:]
-    gained = [Constant(name=f"rate_gain_{axis}", kind="rate_gain", declared=1.0, reason=shown, estimate=gain,
+    gained = [Constant(name=f"rate_gain_{axis}", kind="rate_gain", declared=1.0, reason=arrived, estimate=gain,
                        setting=f"the factor of the commanded rate about {axis}", new=None if gain is None else 1.0 / gain.value)
               for axis, gain in zip("xyz", gains, strict=True)]  # fmt: skip
     return [*constants, *gained]
@@ -162,7 +162,8 @@ def rate_loop_constants(logs: Sequence[FlightLog], robot: RobotCfg) -> tuple[Est
     gain, wide = fit_with_jackknife_interval(gains, kept)
     moved = np.sqrt(np.mean(np.concatenate([part.asked[..., 0] for part in parts]) ** 2, axis=0))
     estimates = [
-        Estimate.from_half_width(g, w) if m > LEAST_RATE else None for g, w, m in zip(gain, wide, moved, strict=True)
+        Estimate.from_half_width(g, w) if m > LEAST_RATE and 1.01 * GAINS[0] < g < 0.99 * GAINS[1] else None
+        for g, w, m in zip(gain, wide, moved, strict=True)
     ]
     resolution = 0.5 / min(part.rate for part in parts)
     return Estimate.from_half_width(float(value[0]), max(float(half[0]), resolution)), estimates
