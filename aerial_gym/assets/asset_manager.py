@@ -34,13 +34,14 @@ class AssetManager:
     """Obstacle states of all environments. Kept assets have the first rows; the others follow, shuffled in each environment."""
 
     _twists: "ReusableLaunch | None" = None
-    _clearance: "Clearance | None" = None
+    clearance: "Clearance | None" = None
+    """Clear space around starts and goals; None without ``cfg.clearance``."""
 
     def __init__(
         self, cfg: EnvironmentCfg, gtd: GlobalTensorDictionary, *, num_envs: int, device: torch.device,
         random: Randomness, bounds_min: Tensor, bounds_max: Tensor, asset_state: Tensor | None = None,
         robot_radius: float = 0.0, robot_parts: Sequence[PartCfg] = (), robot_state: Tensor | None = None,
-        robot_links: Sequence[str] = (BASE,),
+        robot_links: Sequence[str] = (BASE,), num_robots: int = 1,
     ) -> None:  # fmt: skip
         """Draw the obstacles of each environment, build the scene and park everything until the first reset.
 
@@ -51,6 +52,7 @@ class AssetManager:
             robot_radius: Radius of the robot about its origin [m]; ``cfg.clearance`` is added to it.
             robot_parts: Parts of the robot that sensors see, in the frames of its links.
             robot_state: States of the links, float32, (E, L, 13), or (E, 13) of one link; needed with ``robot_parts``.
+            num_robots: Number V of robots in every environment.
 
         Raises:
             ConfigError: If a mesh or URDF file cannot be used.
@@ -87,7 +89,8 @@ class AssetManager:
             self._placement = Placement(
                 obstacles, mask=random.mask, num_kept=cfg.num_kept, num_others=self._num_obstacles
             )
-        self._obstacles = obstacles
+        self.obstacles = obstacles
+        """The obstacles as kernels see them."""
         self._track: TrackPlacement | None = None
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
@@ -99,7 +102,7 @@ class AssetManager:
             from aerial_gym.assets.clearance import Clearance
 
             room = cfg.clearance + robot_radius
-            self._clearance = Clearance(self.scene, obstacles, mask=random.mask, room=room)
+            self.clearance = Clearance(self.scene, obstacles, mask=random.mask, room=room, num_robots=num_robots)
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
 
@@ -125,8 +128,8 @@ class AssetManager:
     def draw_kinds(self) -> None:
         """Draw the asset and shape of every instance from the seed."""
         self.scene.relabel(*self._draw_kinds())
-        if self._clearance is not None:
-            self._clearance.update_part_ranges()
+        if self.clearance is not None:
+            self.clearance.update_part_ranges()
 
     def set_num_obstacles(self, count: int) -> None:
         """Set the number of removable assets from the next reset on, the rest is parked; raise ``ConfigError`` for too many."""
@@ -171,7 +174,7 @@ class AssetManager:
             from aerial_gym.assets.track import TrackPlacement
 
             self._track = TrackPlacement(
-                self.cfg.track, self._obstacles, nominal=self._places[:3], places=self._places[3:], start=start,
+                self.cfg.track, self.obstacles, nominal=self._places[:3], places=self._places[3:], start=start,
                 random=self.random,
             )  # fmt: skip
 
@@ -182,27 +185,27 @@ class AssetManager:
             self._track.draw()
 
     def make_height_probe(self, position: Tensor, *, height_out: Tensor) -> "HeightProbe":
-        """Return the probe that writes the height of the surface below positions (E, 3) to ``height_out`` (E,) [m], world."""
+        """Return the probe that writes the height of the surface below positions (B, 3) to ``height_out`` (B, 1) [m], world."""
         from aerial_gym.assets.height_probe import HeightProbe
 
         return HeightProbe(self.scene, position=position, height_out=height_out)
 
     def clear_start(self, mask: Tensor, position: Tensor) -> None:
-        """Redraw, or park, obstacles too close to the robot's origin [m], (E, 3), in the environments of ``mask``, bool (E,).
+        """Redraw, or park, obstacles too close to origins of robots [m], (E, V, 3), in the environments of ``mask``, bool (E,).
 
-        Afterwards every obstacle with a drawn place is at least ``cfg.clearance`` from the robot. Call it after ``reset``.
+        Afterwards every obstacle with a drawn place is at least ``cfg.clearance`` from all robots. Call it after ``reset``.
         """
-        if self._clearance is not None:
+        if self.clearance is not None:
             from aerial_gym.assets.clearance import START
 
-            self._clearance.clear(mask, position, point_index=START)
+            self.clearance.clear(mask, position, point_index=START)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
-        """Clear the surroundings of a goal [m], world, (E, 3), likewise; those of the start stay clear."""
-        if self._clearance is not None:
+        """Clear the surroundings of goals [m], world, (E, V, 3), likewise; those of the starts stay clear."""
+        if self.clearance is not None:
             from aerial_gym.assets.clearance import GOAL
 
-            self._clearance.clear(mask, position, point_index=GOAL)
+            self.clearance.clear(mask, position, point_index=GOAL)
 
     def _declare(self, gtd: GlobalTensorDictionary, asset_state: Tensor | None) -> None:
         gtd.define_size("A", self.num_assets)

@@ -2,8 +2,8 @@
 
 Shapes on links of an articulated robot are tested link by link, each with the poses of its own frame. All substeps of a step
 are one launch for each link (``collision_kernel``).
-Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, L links, K
-substeps.
+Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, B vehicles of all
+environments, which equals E for one in each, L links, K substeps.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ class LinkGeometry:
 
     shapes: Sequence[CollisionShape]  # In the frame of the link
     number: int = 0  # Index of the link; 0 for the body
-    position: Tensor  # Origin of the frame [m], world, (E, 3); may be strided, but for the last axis
-    attitude: Tensor  # To the world, xyzw, unit, (E, 4); likewise
+    position: Tensor  # Origin of the frame [m], world, (B, 3); may be strided, but for the last axis
+    attitude: Tensor  # To the world, xyzw, unit, (B, 4); likewise
     pivot: Vec3 = (0.0, 0.0, 0.0)  # Point that moves straight between two poses [m]: the hinge of a revolute link
 
 
@@ -52,7 +52,7 @@ class _LinkShapes:
 
 
 class CollisionTest:
-    """Signed distance of one robot per environment to the scene; all views are made at construction."""
+    """Signed distances of the vehicles to the scene; all views are made at construction."""
 
     def __init__(
         self, scene: Scene, shapes: Sequence[CollisionShape], *, position: Tensor, attitude: Tensor,
@@ -62,13 +62,14 @@ class CollisionTest:
 
         Args:
             shapes: The robot's collision shapes; without any, every distance is infinite.
-            position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
-            attitude: Body to world, xyzw, unit, (E, 4); likewise.
+            position: Body origin [m], world, (B, 3); may be strided, but for the last axis.
+            attitude: Body to world, xyzw, unit, (B, 4); likewise.
             distance_out: Receives the smallest signed distance [m], negative for an overlap, inf without solid parts,
-                float32, (E,).
+                float32, (B,).
             moving: Instances of the scene that ``step`` moves; None if all are at rest.
         """
-        check_tensor("distance_out", distance_out, (scene.num_envs,), device=scene.device)
+        check_tensor("distance_out", distance_out, (position.shape[0],), device=scene.device)
+        self._vehicles = position.shape[0] // scene.num_envs
         body = LinkGeometry(shapes=tuple(shapes), position=position, attitude=attitude)
         self._links = [_LinkShapes(link, device=scene.device) for link in (body, *links) if link.shapes or link is body]
         self._scene, self._out, self._moving = scene, distance_out, moving
@@ -81,29 +82,41 @@ class CollisionTest:
             self._now = self._record_launches_of_links(poses, dt=0.0, crashes=self._nothing)
         self._step: list[list[ReusableLaunch]] | None = None
 
-    def record_launches(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
+    def record_launches(
+        self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor, moves_obstacles: bool = True
+    ) -> None:  # fmt: skip
         """Record the launches of ``step``.
 
         Args:
-            position: Body origin at the start of a step and after each substep [m], world, (K + 1, E, 3), or of all links,
-                (K + 1, E, L, 3), if there are ``links``; read at every step.
-            attitude: Body to world, xyzw, unit, (K + 1, E, 4) or (K + 1, E, L, 4); likewise.
+            position: Body origin at the start of a step and after each substep [m], world, (K + 1, B, 3), or of all links,
+                (K + 1, B, L, 3), if there are ``links``; read at every step.
+            attitude: Body to world, xyzw, unit, (K + 1, B, 4) or (K + 1, B, L, 4); likewise.
             dt: Length of a substep [s].
-            crashes_out: Set at a contact of the robot at or between these poses, bool, (E,); never cleared here.
+            crashes_out: Set at a contact of the robot at or between these poses, bool, (B,); never cleared here.
+            moves_obstacles: Whether moving obstacles end where they are after the step: with the last of several tests.
         """
-        check_tensor("crashes_out", crashes_out, (self._scene.num_envs,), device=self._out.device, dtype=torch.bool)
+        check_tensor("crashes_out", crashes_out, (len(self._out),), device=self._out.device, dtype=torch.bool)
         if len(position) < 2:
             raise ShapeError(f"position has {len(position)} rows: a step needs its start and at least one substep")
         poses = [(position, attitude)]
         if position.dim() == 4:
             poses = [(position[:, :, own.link.number], attitude[:, :, own.link.number]) for own in self._links]
-        self._step = self._record_launches_of_links(poses, dt=dt, crashes=crashes_out, is_step=True)
+        alone = moves_obstacles and self._vehicles == 1
+        flags = {"is_step": True, "moves_obstacles": alone}
+        self._step = self._record_launches_of_links(poses, dt=dt, crashes=crashes_out, **flags)
+        if (
+            self._moving is not None and moves_obstacles and not alone
+        ):  # apart: all vehicles read the poses of the start
+            from aerial_gym.assets.obstacle_motion import make_motion_launch
+
+            self._step.append([make_motion_launch(self._moving, dt, steps=len(position) - 1)])
 
     def _record_launches_of_links(
-        self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False
-    ) -> list[list[ReusableLaunch]]:
+        self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False,
+        moves_obstacles: bool = False,
+    ) -> list[list[ReusableLaunch]]:  # fmt: skip
         """Record the launches link by link."""
-        last = len(self._links) - 1
+        last = len(self._links) - 1 if moves_obstacles else -1
         return [
             self._record_link_launches(own, *pose, dt=dt, crashes=crashes, flags=(is_step, number > 0, number == last))
             for number, (own, pose) in enumerate(zip(self._links, poses, strict=True))
@@ -113,27 +126,26 @@ class CollisionTest:
         self, own: _LinkShapes, position: Tensor, attitude: Tensor, *, dt: float, crashes: Tensor,
         flags: tuple[bool, ...],
     ) -> list[ReusableLaunch]:  # fmt: skip
-        scene, rows = self._scene, (position.shape[0], self._scene.num_envs)
+        scene, rows = self._scene, (position.shape[0], len(self._out))
         inputs = [
             scene.arrays, vector_view("position", position, (*rows, 3), device=scene.device),
             vector_view("attitude", attitude, (*rows, 4), device=scene.device), own.shapes, own.hull,
-            wp.vec3(*own.link.pivot), dt, *flags,
+            wp.vec3(*own.link.pivot), dt, *flags, self._vehicles,
         ]  # fmt: skip
         moves, shared = self._moving is not None, scene.device.type == "cuda"
         outputs = [self._moving if moves else NoObstacles(), self._out, crashes]
         kernel = make_collision_kernel(moves=moves, shared=shared, cores=own.cores, meshes=scene.has_meshes)
         launch = {"outputs": outputs, "block_dim": BLOCK_DIM if shared else 1, "device": scene.device, "tiled": True}
         return [
-            ReusableLaunch(kernel, dim=[count], inputs=[*inputs, first], **launch)
-            for first, count in self._env_chunks()
+            ReusableLaunch(kernel, dim=[count], inputs=[*inputs, first], **launch) for first, count in self._chunks()
         ]
 
-    def _env_chunks(self) -> list[tuple[int, int]]:
-        """Return the first environment and the number of environments of each launch."""
-        envs = self._scene.num_envs
+    def _chunks(self) -> list[tuple[int, int]]:
+        """Return the first vehicle and the number of vehicles of each launch."""
+        count = len(self._out)
         if self._out.device.type == "cuda":
-            return [(0, envs)]
-        return split(envs, min(torch.get_num_threads(), max(1, envs * self._scene.num_solid // MIN_PARTS_PER_THREAD)))
+            return [(0, count)]
+        return split(count, min(torch.get_num_threads(), max(1, count * self._scene.num_solid // MIN_PARTS_PER_THREAD)))
 
     def measure(self) -> None:
         """Launch the measurement at the present poses on torch's current stream."""

@@ -1,15 +1,15 @@
 """The kernel of the collision test: moves the obstacles, sweeps the robot's shapes against them and measures the distance.
 
-A block of threads treats one environment, and each thread some of its parts. The thread moves the instance of a moving part
-through the substeps and sweeps the robot's shapes against it (``sweep``). It then measures the distance of each part at the
-last pose, unless a nearer part is known. On the CPU a block is one thread.
+A block of threads treats one vehicle, and each thread some parts of its environment. The thread moves the instance of a moving
+part through the substeps and sweeps the robot's shapes against it (``sweep``). It then measures the distance of each part at
+the last pose, unless a nearer part is known. On the CPU a block is one thread.
 
 Parts at rest are swept afterwards, by threads whose nearest part is within the robot's displacement in the step: a signed
 distance changes by no more than the point moves. Each thread of a block bounds the displacement from one of the poses. The
 sign of a mesh comes from a winding number and may jump, so only its bounding sphere rules a mesh out, and its sign is tested
 at every pose. Separate kernels omit boxes and capsules, meshes, or moving obstacles.
 Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, A instances, P
-parts of all instances, C shapes, K substeps.
+parts of all instances, B vehicles of all environments, C shapes, K substeps.
 """
 
 from functools import cache
@@ -74,7 +74,7 @@ def _ball_touches(
 @wp.func
 def spheres_touch_static(
     shape: Shape, x: wp.vec3, q: wp.quat, _radius: float, body: wp.array[wp.vec4], _hull: float, pivot: wp.vec3,
-    position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int,
+    position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], own: int,
 ) -> wp.bool:  # fmt: skip
     """Return whether a sphere touches the part, as ``touches_static`` does.
 
@@ -88,17 +88,17 @@ def spheres_touch_static(
         center = wp.vec3(body[c][0], body[c][1], body[c][2])
         ball = body[c][3]
         lever = wp.length(center - pivot)
-        local = wp.quat_rotate_inv(turn, position[last, env] + wp.quat_rotate(attitude[last, env], center) - origin)
+        local = wp.quat_rotate_inv(turn, position[last, own] + wp.quat_rotate(attitude[last, own], center) - origin)
         normal = primitive_normal(shape, local)
         outward = wp.quat_rotate(turn, normal)
         surface = extent_in_direction(shape, normal) + ball + NEAR
         k = wp.int32(0)
         while k < last:
-            x0 = position[k, env]
-            q0 = attitude[k, env]
+            x0 = position[k, own]
+            q0 = attitude[k, own]
             k += 1
-            x1 = position[k, env]
-            q1 = attitude[k, env]
+            x1 = position[k, own]
+            q1 = attitude[k, own]
             before = wp.dot(outward, x0 + wp.quat_rotate(q0, center) - origin)
             after = wp.dot(outward, x1 + wp.quat_rotate(q1, center) - origin)
             if wp.min(before, after) <= surface + lever * relative_sagitta(q0, q1):
@@ -177,14 +177,14 @@ def _part_pose(scene: SceneArrays, env: int, part: int):  # fmt: skip
 
 @wp.func
 def _displacement_bound(
-    position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull: float, env: int, k: int
+    position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull: float, own: int, k: int
 ) -> float:
     """Return an upper bound of the displacement of any hull point from pose k to the last pose [m]."""
     last = position.shape[0] - 1
-    ahead = attitude[last, env] - attitude[k, env]
-    behind = attitude[last, env] + attitude[k, env]  # -q is the same attitude as q
+    ahead = attitude[last, own] - attitude[k, own]
+    behind = attitude[last, own] + attitude[k, own]  # -q is the same attitude as q
     chord = 2.0 * wp.sqrt(wp.min(wp.dot(ahead, ahead), wp.dot(behind, behind)))  # 4 sin(angle / 4) >= 2 sin(angle / 2)
-    return wp.length(position[k, env] - position[last, env]) + hull * chord
+    return wp.length(position[k, own] - position[last, own]) + hull * chord
 
 
 @cache
@@ -206,8 +206,8 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
         # scene
         scene: SceneArrays,
         # state
-        position: wp.array2d[wp.vec3],  # (K + 1, E) at the start of a step and after each substep, or (1, E), world [m]
-        attitude: wp.array2d[wp.quat],  # (K + 1, E) body to world, xyzw
+        position: wp.array2d[wp.vec3],  # (K + 1, B) at the start of a step and after each substep, or (1, B), world [m]
+        attitude: wp.array2d[wp.quat],  # (K + 1, B) body to world, xyzw
         # params
         body: body_type,  # (C,) spheres (centre in the body frame, radius [m]), or ``BodyShape``
         hull: float,  # radius of a ball about the body origin that holds all shapes [m]
@@ -215,26 +215,28 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
         dt: float,  # [s] of a substep
         is_step: wp.bool,  # whether obstacles move with the poses, and contacts are crashes
         joins: wp.bool,  # whether another link was measured before this one
-        is_last: wp.bool,  # whether this link is the last
-        first: int,  # environment of the first block
+        moves_obstacles: wp.bool,  # whether obstacles end where they are after the step
+        vehicles: int,  # in an environment
+        first: int,  # vehicle of the first block
         # out
         obstacles_out: obstacles_type,
-        distance_out: wp.array[float],  # (E,) [m]
-        crashes_out: wp.array[wp.bool],  # (E,) set at a contact at or between the poses
+        distance_out: wp.array[float],  # (B,) [m]
+        crashes_out: wp.array[wp.bool],  # (B,) set at a contact at or between the poses
     ):
         """Write the least signed distance between shapes and parts at the last pose, inf without parts."""
         block, lane = wp.tid()
-        env = block + first
+        own = block + first
+        env = own // vehicles
         last = position.shape[0] - 1
         nearest = float(wp.inf)
         touches = wp.bool(False)
         reach = wp.float32(0.0)
         for k in range(lane, last, wp.block_dim()):
             ends = wp.max(
-                _displacement_bound(position, attitude, hull, env, k),
-                _displacement_bound(position, attitude, hull, env, k + 1),
+                _displacement_bound(position, attitude, hull, own, k),
+                _displacement_bound(position, attitude, hull, own, k + 1),
             )
-            bow = (hull + wp.length(pivot)) * relative_sagitta(attitude[k, env], attitude[k + 1, env])
+            bow = (hull + wp.length(pivot)) * relative_sagitta(attitude[k, own], attitude[k + 1, own])
             reach = wp.max(reach, ends + bow + MARGIN)
         for part in range(lane, scene.num_solid, wp.block_dim()):
             row, a, x, q = _part_pose(scene, env, part)
@@ -245,8 +247,8 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
                         solid = scene.shapes[row]
                         room = scene.radius[env, part]
                         for k in range(last):
-                            p = position[k, env]
-                            path = make_path(pivot, p, attitude[k, env], position[k + 1, env], attitude[k + 1, env])
+                            p = position[k, own]
+                            path = make_path(pivot, p, attitude[k, own], position[k + 1, own], attitude[k + 1, own])
                             touches = touches or meets_moving(
                                 obstacles_out, env, a, x, q, v, dt, solid, room, body, hull, path
                             )
@@ -255,13 +257,13 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
                                     origin = x + wp.quat_rotate(q, solid.position)
                                     if wp.length(p - origin) - room - hull < 0.0:
                                         turn = q * solid.attitude
-                                        touches = gap_of(solid, origin, turn, body, p, attitude[k, env], 0.0) < 0.0
+                                        touches = gap_of(solid, origin, turn, body, p, attitude[k, own], 0.0) < 0.0
                             x, q, v = advance_pose(obstacles_out, env, a, x, q, v, dt)
-                p = position[last, env]
+                p = position[last, own]
                 origin = x + wp.quat_rotate(q, scene.shapes[row].position)
                 if wp.length(p - origin) - scene.radius[env, part] - hull < nearest:
                     shape = scene.shapes[row]
-                    nearest = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, env], nearest)
+                    nearest = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, own], nearest)
         touches = touches or nearest < 0.0
         if wp.static(shared):
             reach = wp.tile_max(wp.tile(reach))[0]
@@ -278,29 +280,29 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
                     shape = scene.shapes[row]
                     radius = scene.radius[env, part]
                     origin = x + wp.quat_rotate(q, shape.position)
-                    offset = position[last, env] - origin
+                    offset = position[last, own] - origin
                     apart = wp.length(offset) - radius
                     if wp.static(cores):  # whose sweep costs more
                         apart = wp.max(apart, primitive_distance(shape, wp.quat_rotate_inv(q * shape.attitude, offset)))
                     if apart - hull < reach:
-                        touches = meets_still(shape, x, q, radius, body, hull, pivot, position, attitude, env)
+                        touches = meets_still(shape, x, q, radius, body, hull, pivot, position, attitude, own)
                         if wp.static(meshes) and shape.kind == MESH:
                             for k in range(last):
-                                p = position[k, env]
+                                p = position[k, own]
                                 if not touches and wp.length(p - origin) - radius - hull < 0.0:
-                                    at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], 0.0)
+                                    at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, own], 0.0)
                                     touches = at < 0.0
         if touches and is_step:
-            crashes_out[env] = True
+            crashes_out[own] = True
         least = nearest
         if wp.static(shared):
             least = wp.tile_min(wp.tile(nearest))[0]  # waits for all threads of the block: none reads a pose after it
         if lane == 0:
             if joins:
-                least = wp.min(least, distance_out[env])
-            distance_out[env] = least
+                least = wp.min(least, distance_out[own])
+            distance_out[own] = least
         if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
-            if is_step and is_last:
+            if moves_obstacles:
                 for a in range(lane, obstacles_out.asset.shape[1], wp.block_dim()):
                     move_instance(obstacles_out, env, a, dt, last)
 

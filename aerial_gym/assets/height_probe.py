@@ -1,6 +1,6 @@
 """Height of the surface below each robot: one vertical ray against all solid parts.
 
-Frames: world of each environment, z up. Letters: E environments, P parts of all instances.
+Frames: world of each environment, z up. Letters: B vehicles of all environments.
 """
 
 import warp as wp
@@ -40,18 +40,21 @@ def _measure_height(
     # scene
     scene: SceneArrays,
     # state
-    position: wp.array[wp.vec3],  # (E,) world [m]
+    position: wp.array[wp.vec3],  # (B,) world [m]
+    # params
+    vehicles: int,  # in an environment
     # out
-    height_out: wp.array[float],  # (E,) world [m]
+    height_out: wp.array[float],  # (B,) world [m]
 ):
     """Write the height of the first surface below each position, or of the ray's end without one."""
-    env = wp.tid()
-    start = position[env]
+    own = wp.tid()
+    env = own // vehicles
+    start = position[own]
     way = float(FARTHEST)
     for part in range(scene.num_solid):
         if part_is_present(scene, env, part):
             way = _distance_down_to_part(scene, env, part, start, way)
-    height_out[env] = start[2] - way
+    height_out[own] = start[2] - way
 
 
 class HeightProbe:
@@ -62,15 +65,20 @@ class HeightProbe:
 
         Args:
             height_out: Receives the height of the first surface below [m], world, ``FARTHEST`` below where there is none,
-                float32, (E, 1).
+                float32, (B, 1).
         """
-        check_tensor("height_out", height_out, (scene.num_envs, 1), device=scene.device)
+        count = len(position)
+        check_tensor("height_out", height_out, (count, 1), device=scene.device)
         height_out.fill_(-float(FARTHEST))
         self._kept_alive, self._out = scene, height_out
         self._launch = ReusableLaunch(
             _measure_height,
-            dim=scene.num_envs,
-            inputs=[scene.arrays, vector_view("position", position, (scene.num_envs, 3), device=scene.device)],
+            dim=count,
+            inputs=[
+                scene.arrays,
+                vector_view("position", position, (count, 3), device=scene.device),
+                count // scene.num_envs,
+            ],
             outputs=[height_out.view(-1)],
             device=scene.device,
         )

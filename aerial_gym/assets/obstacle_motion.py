@@ -111,12 +111,13 @@ def move_instance(obstacles: Obstacles, env: int, a: int, dt: float, steps: int)
 @wp.kernel(enable_backward=False)
 def _advance_instances(
     dt: float,  # [s]
+    steps: int,
     # out
     obstacles_out: Obstacles,
 ):
-    """Move the present instances of moving assets by one step."""
+    """Move the present instances of moving assets by ``steps`` of ``dt``."""
     env, a = wp.tid()
-    move_instance(obstacles_out, env, a, dt, 1)
+    move_instance(obstacles_out, env, a, dt, steps)
 
 
 @wp.kernel(enable_backward=False)
@@ -133,11 +134,11 @@ def _set_twists(
     obstacles_out.ang_vel[env, a] = wp.vec3(twist[env, a, 3], twist[env, a, 4], twist[env, a, 5])
 
 
-def make_motion_launch(obstacles: Obstacles, dt: float) -> ReusableLaunch:
-    """Record the launch that moves all obstacles by ``dt`` [s]."""
+def make_motion_launch(obstacles: Obstacles, dt: float, *, steps: int = 1) -> ReusableLaunch:
+    """Record the launch that moves all obstacles by ``steps`` of ``dt`` [s]."""
     device = wp.device_from_torch(wp.to_torch(obstacles.asset).device)
     return ReusableLaunch(
-        _advance_instances, dim=obstacles.asset.shape, inputs=[dt], outputs=[obstacles], device=device
+        _advance_instances, dim=obstacles.asset.shape, inputs=[dt, steps], outputs=[obstacles], device=device
     )
 
 

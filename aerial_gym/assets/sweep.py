@@ -256,7 +256,7 @@ def make_static_sweep(*, cores: bool, meshes: bool) -> wp.Function:
     @wp.func
     def touches_static(
         shape: Shape, x: wp.vec3, q: wp.quat, radius: float, body: body_type, hull: float, pivot: wp.vec3,
-        position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], env: int,
+        position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], own: int,
     ) -> wp.bool:  # fmt: skip
         """Return whether a shape touches the part of a carrier at pose (x, q) between any two consecutive poses.
 
@@ -266,11 +266,11 @@ def make_static_sweep(*, cores: bool, meshes: bool) -> wp.Function:
         origin = x + wp.quat_rotate(q, shape.position)
         k = wp.int32(0)
         while k + 1 < position.shape[0]:
-            p = position[k, env]
-            end = position[k + 1, env]
-            bow = wp.length(pivot) * relative_sagitta(attitude[k, env], attitude[k + 1, env])
+            p = position[k, own]
+            end = position[k + 1, own]
+            bow = wp.length(pivot) * relative_sagitta(attitude[k, own], attitude[k + 1, own])
             if wp.length(end - origin) - radius - hull < wp.length(end - p) + bow + NEAR:
-                path = make_path(pivot, p, attitude[k, env], end, attitude[k + 1, env])
+                path = make_path(pivot, p, attitude[k, own], end, attitude[k + 1, own])
                 c = wp.int32(0)
                 while c < body.shape[0]:
                     if touches(shape, other, as_body_shape(body[c]), path, 0.0, 1.0):

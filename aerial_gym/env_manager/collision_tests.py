@@ -45,12 +45,13 @@ class CollisionTests:
 
     def __init__(
         self, robot: RobotCfg, gtd: GlobalTensorDictionary, assets: AssetManager, *, links: "LinkTensors | None",
-        places: "LinkPlaces | None", trajectory: Trajectory | None, dt: float,
+        places: "LinkPlaces | None", trajectory: Trajectory | None, dt: float, is_last: bool = True,
     ) -> None:  # fmt: skip
         """Declare the distance between links on request, and take views.
 
         Args:
             trajectory: Record of each step; None where nothing is followed.
+            is_last: Whether moving obstacles move with this test: the last of several.
         """
         crashes = gtd["crashes"]
         gtd["robot_clearance"].fill_(inf)
@@ -68,7 +69,7 @@ class CollisionTests:
             followed, dt = (places.trajectory.position, places.trajectory.attitude), dt / places.trajectory.pieces
         self._follows = followed is not None
         if followed is not None and self._collision is not None:
-            self._collision.record_launches(*followed, dt=dt, crashes_out=crashes)
+            self._collision.record_launches(*followed, dt=dt, crashes_out=crashes, moves_obstacles=is_last)
         if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
             from aerial_gym.assets.self_collision import SelfCollisionTest
 
