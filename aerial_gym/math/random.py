@@ -2,7 +2,7 @@
 
 No draw changes a state. So environments do not affect each other, equal counters repeat a draw, and a captured step draws new
 numbers because the device counts the episodes.
-Letters: E environments.
+Letters: E environments, or vehicles of all environments (``of_bodies``).
 """
 
 from copy import copy
@@ -124,7 +124,24 @@ class Randomness:
         """Number of each environment's present episode, (E,); one before the first until that begins."""
         self.mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
         """The environments of the last ``begin``, (E,): what draws by a mask reads it here (``copy_mask``)."""
+        self.shared = self
+        """Random numbers of the environments that hold these rows: those that all vehicles of an environment share."""
         self.restart(seed)
+
+    def of_bodies(self, count: int, *, first: int, total: int) -> "Randomness":
+        """Return the random numbers of ``count`` vehicles in each environment, in rows ``environment x count + vehicle``.
+
+        The number of a vehicle is ``environment x total + first + vehicle``: it draws what that environment draws where each
+        environment has one vehicle. ``shared`` draws what the vehicle's environment draws.
+        """
+        rows, device = self.num_envs * count, self.seed.device
+        bodies, shared = (Randomness(rows, device=device, first_episode=self._first_episode) for _ in range(2))
+        vehicle = torch.arange(first, first + count, dtype=torch.int32, device=device)
+        shared.environment.copy_(self.environment.repeat_interleave(count))
+        bodies.environment.copy_((self.environment.unsqueeze(1) * total + vehicle).flatten())
+        bodies.seed = shared.seed = self.seed
+        bodies.shared = shared
+        return bodies
 
     @property
     def num_envs(self) -> int:
@@ -134,6 +151,10 @@ class Randomness:
     def restart(self, seed: int) -> None:
         """Restart the draws with a seed."""
         self.seed.fill_(seed % 2**31)
+        self.restart_episodes()
+
+    def restart_episodes(self) -> None:
+        """Set all rows before their first episode."""
         self.episode.fill_(self._first_episode - 1)
 
     def state_tensors(self) -> dict[str, Tensor]:

@@ -70,12 +70,20 @@ def begin_substep(
         command: Commanded rotor speeds in this substep [rad/s], (E, R); or a ramp of known speeds, on which no effect on
             commands acts.
     """
-    random = state_of_count(memory.random.stream(Purpose.EFFECTS), memory.since)
+    own, all_vehicles = memory.random, memory.random.shared
+    random = state_of_count(own.stream(Purpose.EFFECTS), memory.since)
+    shared = None
+    if all_vehicles is not own:
+        shared = state_of_count(all_vehicles.stream(Purpose.EFFECTS), memory.since)
     span = torch.tensor(dt, dtype=torch.float64)  # on the CPU: an argument of any device's operations
-    moment = SubstepStart(rotor_speed=rotor_speed, since=memory.since, random=random, dt=span, vehicle=model.vehicle)
+    moment = SubstepStart(
+        rotor_speed=rotor_speed, since=memory.since, random=random, dt=span, vehicle=model.vehicle, shared=shared
+    )
     places = model.effects.places(rotor_speed.shape[1])
     numbers = [
-        place.effect.remember(moment, torch.cat((params, memory.numbers[:, place.memory]), dim=-1))
+        place.effect.remember(
+            moment.of_effect(place.effect), torch.cat((params, memory.numbers[:, place.memory]), dim=-1)
+        )
         for place, (_, params) in zip(places, model.effects.step_effects, strict=True)
     ]
     model = replace(model, effects=model.effects.with_memory(numbers))

@@ -323,7 +323,11 @@ class WarpBackend:
             memory = make_memory(self._model, dt, random=self._random)
             rows = {"numbers": memory.numbers.T.contiguous(), "past": memory.past.flatten(1).T.contiguous()}
             self._memory = memory = replace(memory, **rows)
-        return interop.make_struct(MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(memory.random))
+        own, shared = memory.random, memory.random.shared
+        return interop.make_struct(
+            MemoryArrays, **memory.tensors(), slots=slots, random=random_arrays(own), shared=random_arrays(shared),
+            shares=shared is not own,
+        )  # fmt: skip
 
     def _law_memory_arrays(self, dt: float) -> Any:
         """Return ``LawArrays``; None for a law without memory."""

@@ -21,7 +21,7 @@ from aerial_gym.interop import start_warp
 from aerial_gym.interop.rows import KernelInput
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
-from aerial_gym.physics import Vehicle
+from aerial_gym.physics import EFFECTS, Vehicle
 
 BATTERY = ("nominal_voltage", "full_voltage", "empty_voltage", "internal_resistance", "capacity", "efficiency")
 """Columns of ``Vehicle.battery``."""
@@ -215,6 +215,7 @@ class DrawArrays:
     """Inputs of the draws of an environment."""
 
     random: RandomArrays
+    shared: RandomArrays  # of all vehicles of an environment
     draws: wp.array[DrawLimits]  # (K,)
     factor: wp.array2d[float]  # (K, K), lower Cholesky factor of the correlations of joint numbers
 
@@ -280,20 +281,33 @@ def draw_code(drawn: Sequence[RandomQuantity], random: Randomness, *, device: to
             _fill_limits(rows[each.columns.start + i], each.cfg.distribution, *numbers)
     first = {each.name: each.columns.start for each in drawn}
     together, small = correlation_factor({each.name: each.cfg for each in drawn})
+    if random.shared is not random and len({is_shared_by_vehicles(name) for name in together}) == 2:
+        raise ConfigError(
+            f"randomize: {', '.join(together)} are correlated, but the air belongs to an environment and the rest to its "
+            "vehicles. Drop the correlation between them, or take one vehicle for each environment"
+        )
     columns, factor = [first[name] for name in together], np.zeros((len(rows), len(rows)), dtype=np.float32)
     factor[np.ix_(columns, columns)] = small
     given, target = DrawArrays(), wp.device_from_torch(device)
-    given.random = random_arrays(random)
+    given.random, given.shared = random_arrays(random), random_arrays(random.shared)
     given.draws, given.factor = wp.array(rows, dtype=DrawLimits, device=target), wp.array(factor, device=target)
     names = {function.key: function for function in _CALLED}
     return KernelInput(lines=tuple(_kernel_lines(drawn, columns)), names=names, given_type=DrawArrays, given=given)
 
 
+def is_shared_by_vehicles(name: str) -> bool:
+    """Return whether a random quantity belongs to the environment: a parameter of its air."""
+    family, _, rest = name.partition(".")
+    return family == "effects" and EFFECTS.get(rest.partition(".")[0]).acts_on == "environment"
+
+
 def _kernel_lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int]) -> Iterator[str]:
     """Yield the kernel lines that draw each number; ``joint_columns`` are the columns of the joint distribution."""
-    yield f"episode = episode_stream(given.random, row, {int(Purpose.PARAMETERS)})"
+    for source in ("random", "shared"):
+        yield f"{source} = episode_stream(given.{source}, row, {int(Purpose.PARAMETERS)})"
     for i, each in enumerate(drawn):
-        yield f"quantity_{i} = substream(episode, {crc32(each.name.encode()) & 0x7FFFFFFF})"
+        source = "shared" if is_shared_by_vehicles(each.name) else "random"
+        yield f"quantity_{i} = substream({source}, {crc32(each.name.encode()) & 0x7FFFFFFF})"
         for element, k in enumerate(range(each.columns.start, each.columns.stop)):
             state = f"substream(quantity_{i}, {element})"
             if k in joint_columns:

@@ -7,7 +7,7 @@ Parameters are per environment, (E, P). Frames: body is x forward, y left, z up;
 
 from abc import ABC
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -82,6 +82,12 @@ class SubstepStart:
     random: Tensor  # Random states of this substep, for ``math.random.normal_draws``, (E,)
     dt: Tensor  # Length of the substep [s], ()
     vehicle: Vehicle  # Vehicle with the effects on its parameters applied
+    shared: Tensor | None = None  # Random states that all vehicles of an environment share, (E,); None for ``random``
+
+    def of_effect(self, effect: "Effect") -> "SubstepStart":
+        """Return the start for one effect: the air of an environment moves alike for all of its vehicles."""
+        shares = effect.acts_on == "environment" and self.shared is not None
+        return replace(self, random=self.shared) if shares else self
 
 
 class Effect(ABC):

@@ -287,7 +287,7 @@ def make_memory_update(model: Model) -> wp.Function:
     def remember(plant: SimpleNamespace, now: SimpleNamespace, values: Tensor) -> Tensor:
         moment = effects.SubstepStart(**vars(now), vehicle=vehicle_rows(model, plant))
         places = places_of_effect_values(model)
-        memory = [own.effect.remember(moment, own.rows(values)) for own in places]
+        memory = [own.effect.remember(moment.of_effect(own.effect), own.rows(values)) for own in places]
         return torch.cat((values[:, : places[-1].params.stop], *memory), dim=1)
 
     arguments = {"plant": types.vehicle, "now": types.moment, "values": kind}

@@ -24,6 +24,8 @@ class MemoryArrays:
     past: wp.array2d[float]  # (S R, E) commands [rad/s], a ring
     since: wp.array[int]  # (E,) substeps since the reset
     random: RandomArrays
+    shared: RandomArrays  # of all vehicles of an environment; read if ``shares``
+    shares: wp.bool  # whether environments have several vehicles
     slots: int  # S
 
 
@@ -72,6 +74,9 @@ def make_substep_start(model: Model) -> wp.Function:
         now.rotor_speed = speed
         now.since = since
         now.random = substream(episode_stream(arrays.random, env, wp.static(int(Purpose.EFFECTS))), since)
+        now.shared = now.random
+        if arrays.shares:
+            now.shared = substream(episode_stream(arrays.shared, env, wp.static(int(Purpose.EFFECTS))), since)
         now.dt = dt
         remembered = remember(vehicle, now, all_values)
         if wp.static(any_delay):

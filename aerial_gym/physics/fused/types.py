@@ -92,6 +92,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         rotor_speed: vector  # [rad/s]
         since: int  # substeps since the reset
         random: wp.uint32
+        shared: wp.uint32  # that of all vehicles of the environment
         dt: float  # [s]
 
     vehicle_type = _struct("VehicleParameters", vehicle)
