@@ -67,18 +67,14 @@ class HeightProbe:
             height_out: Receives the height of the first surface below [m], world, ``FARTHEST`` below where there is none,
                 float32, (B, 1).
         """
-        count = len(position)
+        count, vehicles = len(position), len(position) // scene.num_envs
         check_tensor("height_out", height_out, (count, 1), device=scene.device)
         height_out.fill_(-float(FARTHEST))
         self._kept_alive, self._out = scene, height_out
         self._launch = ReusableLaunch(
             _measure_height,
             dim=count,
-            inputs=[
-                scene.arrays,
-                vector_view("position", position, (count, 3), device=scene.device),
-                count // scene.num_envs,
-            ],
+            inputs=[scene.arrays, vector_view("position", position, (count, 3), device=scene.device), vehicles],
             outputs=[height_out.view(-1)],
             device=scene.device,
         )

@@ -25,12 +25,13 @@ from aerial_gym.config.shape import (
     require_color,
 )
 from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.config.vehicles import VehiclesCfg
 from aerial_gym.errors import ConfigError
 
 GATES, POLES = "gates", "poles"  # First two assets of a track: an instance for each gate and for each pole
 
-# Answer to a request for several vehicles in one environment
-ONE_VEHICLE = "an environment has one vehicle; take num_envs environments for as many vehicles, which never meet"
+# Answer to a request for several vehicles where there can be one
+ONE_VEHICLE = "there is one vehicle here; build_env(robots=[{name: ..., count: ...}]) puts several into an environment"
 
 Vec2 = tuple[float, float]
 
@@ -245,7 +246,7 @@ class AssetCfg:
 class EnvironmentCfg:
     """A box of space with its obstacles. Each environment draws its bounds uniformly at reset."""
 
-    ABSENT: ClassVar[Mapping[str, str]] = dict.fromkeys(("robots", "vehicles"), ONE_VEHICLE)
+    ABSENT: ClassVar[Mapping[str, str]] = {"vehicles": "it is called robots: [{name: ..., count: ...}]"}
     """Fields that files of other simulators have."""
 
     summary: str  # One line for people who choose an environment
@@ -277,6 +278,14 @@ class EnvironmentCfg:
     """Contact law of ground and obstacles, and the touches that are crashes; without it, there is no contact force and every
     touch is a crash. Contact that pushes is found at the poses after each substep alone."""
 
+    robots: tuple[VehiclesCfg, ...] = ()
+    """Vehicles of every environment (docs/concepts/several_vehicles.md); none for the one of the call, as a task has it."""
+
+    vehicle_clearance: float = 0.0
+    """Least room between two vehicles at their starts [m], >= 0, between balls that hold their collision shapes."""
+
+    reset_together: bool = False  # Whether the end of one vehicle's episode ends those of all in its environment
+
     lamps: tuple[LampCfg, ...] = ()
     """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per
     pixel that it lights where the sensor has shadows."""
@@ -297,7 +306,7 @@ class EnvironmentCfg:
         require_color(self, "ground_color")
         holds = 0 <= self.ground_semantic_id < FIRST_INSTANCE_ID
         checks.require(self, "ground_semantic_id", holds, f"must be 0 to {FIRST_INSTANCE_ID - 1}")
-        checks.require_not_negative(self, "clearance")
+        checks.require_not_negative(self, "clearance", "vehicle_clearance")
         checks.require_count(self, "physics_steps_per_env_step", most=MAX_MADE)
         checks.require_ranges(self, "bounds_lower", "bounds_upper")
         holds = all(low < high for low, high in zip(self.bounds_lower_high, self.bounds_upper_low, strict=True))
@@ -341,10 +350,14 @@ class EnvironmentCfg:
 
 
 def load_environment(path: str | Path) -> EnvironmentCfg:
-    """Return the environment in a YAML file; its mesh and URDF paths are taken relative to that file."""
+    """Return the environment in a YAML file; its mesh, URDF and robot files are taken relative to that file."""
     folder = Path(path).resolve().parent
     cfg = load(EnvironmentCfg, path)
     assets = (
         replace(asset, shapes=tuple(absolute_paths(shape, folder) for shape in asset.shapes)) for asset in cfg.assets
     )
-    return replace(cfg, assets=tuple(assets))
+    robots = (
+        replace(each, name=str(folder / each.name)) if each.name.endswith((".yaml", ".yml")) else each
+        for each in cfg.robots
+    )
+    return replace(cfg, assets=tuple(assets), robots=tuple(robots))

@@ -6,7 +6,7 @@ from math import inf
 from typing import ClassVar
 
 from aerial_gym.config.checks import NO_SOURCE, refuse, require, require_count
-from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.environment import ONE_VEHICLE, EnvironmentCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.config.task_terms import (
@@ -77,7 +77,7 @@ class TaskCfg:
     }
     """Fields that it no longer has."""
 
-    ABSENT: ClassVar[Mapping[str, str]] = EnvironmentCfg.ABSENT
+    ABSENT: ClassVar[Mapping[str, str]] = dict.fromkeys(("robots", "vehicles"), ONE_VEHICLE)
 
     summary: str  # One line for people who choose a task
     sim: str  # Registered sim

@@ -5,7 +5,7 @@
 with the collision test, which follows all K substeps. Letters: E environments, A obstacles, K substeps.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
@@ -20,15 +20,14 @@ from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, check_closed_loop
-from aerial_gym.control.upside_down import check_starts
-from aerial_gym.env_manager.collision_tests import CollisionTests, make_trajectory
-from aerial_gym.errors import ClosedError, ConfigError
+from aerial_gym.control import CONTROL_LAWS
+from aerial_gym.env_manager.collision_tests import make_trajectory
+from aerial_gym.env_manager.vehicle_group import VehicleGroup, VehicleKind
+from aerial_gym.errors import ClosedError, ConfigError, ShapeError
 from aerial_gym.interop import action_tensor, resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, ROTOR_MAPS
-from aerial_gym.physics.state import ArticulatedState
-from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import (
     add_prefix,
     check_state,
@@ -37,21 +36,13 @@ from aerial_gym.registry.state import (
     describe_own_code,
     restore_tensors,
 )
-from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.joints.link_tensors import declare_links
-from aerial_gym.robots.range_warnings import report_range_faults
-from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
-from aerial_gym.sensors.mounts import Carrier
 
 if TYPE_CHECKING:
-    from aerial_gym.assets.height_probe import HeightProbe
-    from aerial_gym.robots.joints.links import LinkPlaces
+    from aerial_gym.env_manager.vehicles import Vehicles
 
-
-def _registry_name(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
-    """Return a configuration's registered name, else its summary."""
-    return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
+CLOSED = ("asset_manager", "robot_manager", "sensor_manager", "imus", "vehicles", "_collision", "_group")
+"""Attributes that ``EnvManager.close`` drops."""
 
 
 def _description_of_user_code(robot: RobotCfg, controller: ControllerCfg, random: Randomize) -> dict[str, object]:
@@ -78,132 +69,113 @@ def _check_gradients(env: EnvironmentCfg, *, differentiable: bool, dtype: torch.
 
 @with_usual_settings
 class EnvManager:
-    """A batch of environments: obstacles, one robot each, sensors, and the Global Tensor Dictionary they share."""
+    """A batch of environments: obstacles, vehicles, sensors, and the Global Tensor Dictionary they share."""
+
+    vehicles: "Vehicles | None" = None
+    """Several vehicles in each environment; None for one."""
 
     def __init__(
-        self, *, sim: SimCfg, env: EnvironmentCfg, robot: RobotCfg, controller: ControllerCfg, num_envs: int,
-        device: torch.device, seed: int, first_env: int = 0, first_episode: int = 0, differentiable: bool = False,
-        dtype: torch.dtype = torch.float32, randomize: Randomize | None = None,
+        self, *, sim: SimCfg, env: EnvironmentCfg, robot: RobotCfg | None = None,
+        controller: ControllerCfg | None = None, num_envs: int, device: torch.device, seed: int, first_env: int = 0,
+        first_episode: int = 0, differentiable: bool = False, dtype: torch.dtype = torch.float32,
+        randomize: Randomize | None = None, kinds: Sequence[VehicleKind] = (),
     ) -> None:  # fmt: skip
-        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` documents the arguments."""
+        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` documents the arguments.
+
+        Args:
+            kinds: Kinds of vehicles, in place of one ``robot`` with its ``controller``.
+        """
         if not 1 <= num_envs <= MAX_COUNT:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1, and at most {MAX_COUNT:,}")
         _check_gradients(env, differentiable=differentiable, dtype=dtype)
+        if not kinds:
+            assert robot is not None
+            assert controller is not None
+            kinds = (VehicleKind(name="robot", robot=robot, controller=controller),)
         device = resolve_device(device)
         self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
         self.random = Randomness(num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode)
-        sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}
+        single = len(kinds) == 1 and kinds[0].count == 1
+        sizes = {"E": num_envs, "A": env.num_assets} | ({"R": kinds[0].robot.num_rotors} if single else {})
         self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
-        self._declare(env.num_assets)
-        links = None if robot.joints is None else declare_links(self.gtd, robot.joints)
-        root, bounds = self.gtd["vec_root_tensor"], (self.gtd["env_bounds_min"], self.gtd["env_bounds_max"])
+        bounds = self._declare_bounds(root=single)
         self._bounds = Bounds(env, lower=bounds[0], upper=bounds[1], random=self.random)
-        self.asset_manager = AssetManager(
-            env, self.gtd, num_envs=num_envs, device=device, random=self.random, bounds_min=bounds[0],
-            bounds_max=bounds[1], asset_state=root[:, 1:], robot_radius=body_reach(robot.collision.shapes),
-            robot_parts=robot.visible_parts, robot_state=root[:, 0] if links is None else links.state,
-            robot_links=robot.link_names,
-        )  # fmt: skip
-        random = {**robot.randomize, **env.randomize, **(randomize or {})}
-        places = {name: each for name, each in random.items() if name.startswith("sensors.")}
-        names = (_registry_name(ROBOTS, robot), _registry_name(CONTROLLERS, controller))
-        for check in (check_closed_loop, report_range_faults):
-            check(
-                robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names,
-                randomize=random,
+        self._group: VehicleGroup | None = None
+        if single:  # tensors of the vehicles are those of the environments
+            robot, batch = kinds[0].robot, {"num_envs": num_envs, "device": device}
+            self._group = VehicleGroup(
+                kinds[0], self.gtd, random=self.random, state=self.gtd["vec_root_tensor"][:, 0], bounds=bounds,
+                trajectory=make_trajectory(env, robot, **batch, differentiable=differentiable),
             )  # fmt: skip
-        check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
-        scene = self.asset_manager.scene
-        trajectory = make_trajectory(env, robot, num_envs=num_envs, device=device, differentiable=differentiable)
-        around = Surroundings(
-            bounds=bounds, crashes=self.gtd["crashes"], ground_height=env.ground_height,
-            ceiling_height=env.ceiling_height, contact=env.contact, scene=scene, moving=self.asset_manager.moving,
-            links=links, hook=trajectory,
-        )  # fmt: skip
-        self.robot_manager = RobotManager(
-            robot,
-            controller,
-            sim,
-            self.gtd,
-            around,
-            root_state=root[:, 0],
-            random=self.random,
-            gradients=dtype if differentiable else None,
-            randomize={name: each for name, each in random.items() if name not in places},
-        )
-        self._links: LinkPlaces | None = None
-        if robot.joints is not None and links is not None:
-            assert isinstance(self.robot_manager.tensors.state, ArticulatedState)
-            self._links = links.make_launches(robot.joints, self.robot_manager.tensors.state, trajectory)
-        surface = self.robot_manager.felt.surface_height
-        self._below: HeightProbe | None = None
-        if surface is not None:
-            self._below = self.asset_manager.make_height_probe(self.gtd["robot_position"], height_out=surface)
-        self.asset_manager.set_track_start(self.gtd["robot_position"])
-        keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
-        position, attitude, lin_vel, ang_vel = (self.gtd[key] for key in keys)
-        body = Carrier(position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel)
-        range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
-        carriers = {} if links is None else links.link_of_sensors({**range_sensors, **imus})
-        self.sensor_manager = SensorManager(
-            {name: mounted.cfg for name, mounted in range_sensors.items()},
-            self.gtd,
-            scene,
-            body,
-            num_envs=num_envs,
-            device=device,
-            dt=self.dt,
-            random=self.random,
-            poses={name: mounted.pose for name, mounted in range_sensors.items()},
-            carriers=carriers,
-        )
-        self.imus = ImuSet(
-            imus, self.gtd, body, dt=self.dt, gravity=sim.gravity, random=self.random,
-            errors=self.robot_manager.imu_errors, carriers=carriers,
-        )  # fmt: skip
-        self._move_links()
-        self._collision = CollisionTests(
-            robot, self.gtd, self.asset_manager, links=links, places=self._links, trajectory=trajectory, dt=sim.dt
-        )
-        self._identity = config_digests(
-            sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {}),
-            **_description_of_user_code(robot, controller, random),
-        )  # fmt: skip
+        else:
+            from aerial_gym.env_manager.vehicles import Vehicles  # local, as its Warp functions take long
+
+            self.vehicles = Vehicles(kinds, self.gtd, env, random=self.random, randomize=randomize or {})
+        self.asset_manager = self._make_assets(kinds, bounds)
+        self._build(randomize or {}, gradients=dtype if differentiable else None)
+        identity: dict[str, object] = {}
+        for kind in kinds:
+            name = "" if single else f"{kind.name} x {kind.count}: "
+            identity |= {f"{name}robot": kind.robot, f"{name}controller": kind.controller}
+            random = {**kind.robot.randomize, **env.randomize, **(randomize or {})}
+            code = _description_of_user_code(kind.robot, kind.controller, random)
+            identity |= {f"{name}{key}": value for key, value in code.items()}
+        self._identity = config_digests(sim=sim, environment=env, randomize=dict(randomize or {}), **identity)
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
-    def _declare(self, num_assets: int) -> None:
-        declare = self.gtd.declare
-        declare(TensorSpec(
-            key="vec_root_tensor", shape=("E", 1 + num_assets, 13), unit="m, -, m/s, rad/s", frame="world",
-            owner="physics, assets", meaning="position, xyzw, velocity, angular velocity; row 0 is the robot",
-        ))  # fmt: skip
+    def _make_assets(self, kinds: Sequence[VehicleKind], bounds: tuple[Tensor, Tensor]) -> AssetManager:
+        options: dict[str, Any] = {"num_robots": sum(kind.count for kind in kinds)}
+        if self._group is not None:
+            root, robot, links = self.gtd["vec_root_tensor"], self._group.kind.robot, self._group.links
+            options = {
+                "asset_state": root[:, 1:], "robot_parts": robot.visible_parts,
+                "robot_state": root[:, 0] if links is None else links.state, "robot_links": robot.link_names,
+            }  # fmt: skip
+        return AssetManager(
+            self.cfg, self.gtd, num_envs=self.num_envs, device=self.device, random=self.random, bounds_min=bounds[0],
+            bounds_max=bounds[1], robot_radius=max(body_reach(kind.robot.collision.shapes) for kind in kinds), **options,
+        )  # fmt: skip
+
+    def _build(self, randomize: Randomize, *, gradients: torch.dtype | None) -> None:
+        """Build the physics of the vehicles, and name the parts of a single kind."""
+        group = self._group
+        if self.vehicles is not None:
+            self.vehicles.build(self.sim_cfg, self.asset_manager, gradients=gradients, randomize=randomize)
+            if len(self.vehicles.groups) > 1:
+                return
+            group = self.vehicles.groups[0]
+        assert group is not None
+        if self._group is not None:
+            own = {**group.kind.robot.randomize, **self.cfg.randomize, **randomize}
+            group.build(self.sim_cfg, self.cfg, self.asset_manager, gradients=gradients, randomize=own)
+            self.asset_manager.set_track_start(self.gtd["robot_position"])
+        self.robot_manager, self.sensor_manager, self.imus = group.robot_manager, group.sensor_manager, group.imus
+        self._collision = group.collision
+
+    def _declare_bounds(self, *, root: bool) -> tuple[Tensor, Tensor]:
+        """Declare the corners of the bounds, with ``root`` the states of one robot and the obstacles before them."""
+        if root:
+            self.gtd.declare(TensorSpec(
+                key="vec_root_tensor", shape=("E", 1 + self.cfg.num_assets, 13), unit="m, -, m/s, rad/s", frame="world",
+                owner="physics, assets",
+                meaning="position, xyzw, velocity, angular velocity; row 0 is the robot",
+            ))  # fmt: skip
         for key, meaning in (("env_bounds_min", "lower corner"), ("env_bounds_max", "upper corner")):
-            declare(TensorSpec(key=key, shape=("E", 3), unit="m", frame="world", owner="env", meaning=meaning))
-        declare(TensorSpec(
-            key="robot_clearance", shape=("E",), unit="m", frame="-", owner="env",
-            meaning="signed distance of the robot's collision shapes to obstacles and ground; inf where there is nothing",
-        ))  # fmt: skip
-        declare(TensorSpec(
-            key="episodes", shape=("E",), dtype=torch.int32, unit="-", frame="-", owner="env",
-            meaning="number of the present episode, from 0 on; -1 before the first reset",
-        ), view=self.random.episode)  # fmt: skip
-        for key, dtype, meaning in (
-            (
-                "crashes",
-                torch.bool,
-                "the robot touched something in this step (see contact), or the task calls it crashed",
-            ),
-            ("truncations", torch.bool, "the task ends the episode without a crash"),
-            ("sim_steps", torch.int32, "environment steps since the last reset"),
-            (
-                "non_finite",
-                torch.int32,
-                "what was NaN or infinite in this step: 1 action, 2 state, 4 reward, 8 observation; such a row is a crash",
-            ),
-        ):
-            declare(
-                TensorSpec(key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning)
-            )
+            self.gtd.declare(TensorSpec(key=key, shape=("E", 3), unit="m", frame="world", owner="env", meaning=meaning))
+        return self.gtd["env_bounds_min"], self.gtd["env_bounds_max"]
+
+    @property
+    def _all_vehicles(self) -> "Vehicles | VehicleGroup":
+        """All vehicles."""
+        flown = self._group if self.vehicles is None else self.vehicles
+        assert flown is not None
+        return flown
+
+    @property
+    def kinds(self) -> dict[str, VehicleGroup]:
+        """The vehicles by kind; ``kinds[name].gtd`` has their tensors (E, V, ...)."""
+        groups = [self._group] if self._group is not None else [] if self.vehicles is None else self.vehicles.groups
+        return {group.kind.name: group for group in groups}
 
     @property
     def gradient_tensors(self) -> Mapping[str, Tensor]:
@@ -235,47 +207,52 @@ class EnvManager:
         """Length of an environment step [s]."""
         return self.sim_cfg.dt * self.cfg.physics_steps_per_env_step
 
-    def step(self, actions: Tensor | ArrayLike, env_actions: Tensor | ArrayLike | None = None) -> None:
+    def step(
+        self, actions: Tensor | ArrayLike | Mapping[str, Tensor | ArrayLike],
+        env_actions: Tensor | ArrayLike | None = None,
+    ) -> None:  # fmt: skip
         """Apply an action for one environment step, without resets or sensor readings.
 
         Args:
-            actions: Of the robots, (E, U), a tensor or an array.
+            actions: Of the robots, (E, U), a tensor or an array; of several vehicles (E, V, U), of several kinds a mapping
+                from their names.
             env_actions: New twists of the obstacles that move by twist: velocity [m/s] and angular velocity [rad/s],
                 world, (E, A, 6). Without them obstacles keep the twists they have.
         """
-        self.robot_manager.act(action_tensor(actions, self.device))
+        if self.vehicles is not None:
+            self.vehicles.act(actions)
+        elif isinstance(actions, Mapping):
+            raise ShapeError("actions: a mapping is for several kinds of vehicles. Give a tensor (E, U)")
+        else:
+            self.robot_manager.act(action_tensor(actions, self.device))
         if env_actions is not None:
             self.asset_manager.take_actions(action_tensor(env_actions, self.device))
         self.fly()
         self.collide()
-        self.robot_manager.refresh(self.dt)
-        self.imus.measure()
+        self._all_vehicles.refresh(self.dt)
 
     def fly(self, substeps: int | None = None) -> None:
-        """Advance the physics by an environment step, or by ``substeps``, in one launch.
+        """Advance the physics by an environment step, or by ``substeps``, in one launch for each kind of vehicle.
 
         It tests for ground contact after every substep; obstacles with ``contact`` move and exert forces between the
         substeps. Others move in ``collide``.
         """
-        if self._below is not None:
-            self._below.measure_heights()
-        self.robot_manager.advance(substeps or self.cfg.physics_steps_per_env_step)
-        self._move_links()
-        if self._links is not None and self._links.trajectory is not None:
-            self._links.trajectory.refresh()
-
-    def _move_links(self) -> None:
-        if self._links is not None:
-            self._links.refresh()
+        self._all_vehicles.fly(substeps or self.cfg.physics_steps_per_env_step)
 
     def collide(self) -> None:
         """Measure the clearance and find touches in one launch, while obstacles that do not push back move."""
-        self._collision.step()
+        self._all_vehicles.collide()
+
+    def episode_ends(self) -> Tensor:
+        """Return the mask of crashed and truncated vehicles for ``reset``; see ``reset_together`` of the environment."""
+        return self._all_vehicles.episode_ends()
 
     def restart(self, seed: int) -> None:
         """Reseed all random numbers, as if the simulation were built with this seed; call ``reset`` next."""
         self.seed = seed
         self.random.restart(seed)
+        if self.vehicles is not None:
+            self.vehicles.restart()
         self.asset_manager.restart()
 
     def reset(
@@ -283,9 +260,13 @@ class EnvManager:
     ) -> None:
         """Reset the environments in ``mask``, bool (E,), or all without a mask. Others stay bit for bit.
 
+        A mask (E, V) resets vehicles of environments that stay as they are; the columns are those of all kinds.
         With ``counted`` the mask is ``random.mask`` and ``random.episode`` already has its new episodes: a task writes both
         in the launch that detects ends. ``place`` may move robots of the mask, after the reset of robots and race track.
         """
+        if self.vehicles is not None:
+            self._reset_vehicles(self._all if mask is None else mask, place)
+            return
         all_rows = mask is None
         if not counted:
             self.random.begin(self._all if mask is None else mask)
@@ -299,11 +280,31 @@ class EnvManager:
         self.asset_manager.place_track(mask)
         if place is not None:
             place(mask)
-        self._move_links()
+        self._all_vehicles.move_links()
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
         self.imus.reset(mask)
         self._collision.measure()
+
+    def _reset_vehicles(self, mask: Tensor, place: Callable[[Tensor], None] | None) -> None:
+        """Reset environments (E,), or vehicles (E, V) of environments that stay."""
+        vehicles, whole = self.vehicles, mask.dim() == 1
+        assert vehicles is not None
+        vehicles.check_mask(mask)
+        if whole:
+            self.random.begin(mask)
+            self._bounds.draw(mask)
+            if self.cfg.num_assets:
+                self.asset_manager.reset(self.random.mask)
+        vehicles.begin(mask)
+        vehicles.reset(mask)
+        if whole:
+            self.asset_manager.place_track(self.random.mask)
+        if place is not None:
+            place(mask)
+        if whole:
+            self.asset_manager.clear_start(self.random.mask, vehicles.positions)
+        vehicles.after_scene()
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
         """Make room for a robot at a goal (E, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""
@@ -313,20 +314,18 @@ class EnvManager:
 
     def draws(self) -> dict[str, Tensor]:
         """Return the draws of the present episodes by quantity, (E, ...): factors, offsets or values."""
-        return self.robot_manager.draws() | self.sensor_manager.draws() | self.imus.draws()
+        return self._all_vehicles.draws()
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return everything on which the future depends, by name: tensors that keep their places, and digests."""
         parts = {
             "random": self.random.state_tensors(),
             "gtd": self.gtd.state_tensors(),
-            "robot": self.robot_manager.state_tensors(),
-            "sensors": self.sensor_manager.state_tensors(),
-            "imus": self.imus.state_tensors(),
         }
-        return self._identity | {
-            name: t for prefix, part in parts.items() for name, t in add_prefix(prefix, part).items()
-        }
+        if self.vehicles is not None:
+            parts["vehicles"] = self.vehicles.state_tensors()
+        tensors = {name: t for prefix, part in parts.items() for name, t in add_prefix(prefix, part).items()}
+        return self._identity | tensors | ({} if self._group is None else self._group.state_tensors())
 
     def save_state(self) -> dict[str, Tensor]:
         """Return a copy of everything on which the future depends: after ``load_state`` the flight is the same, bit for bit.
@@ -347,34 +346,34 @@ class EnvManager:
         self.seed = int(self.random.seed)
         self.asset_manager.draw_kinds()
         restore_tensors(state, self.state_tensors())
-        self.robot_manager.refresh_model()
+        for group in self.kinds.values():
+            group.robot_manager.refresh_model()
         restore_tensors(state, self.state_tensors())  # again, for tensors rebuilt above
 
     def render(self, mask: Tensor | None = None) -> None:
         """Read every sensor at the states of this instant; those of the environments in ``mask``, bool (E,), alone if given."""
-        self.sensor_manager.capture(mask)
+        if self.vehicles is None:  # several vehicles have no range sensors
+            self.sensor_manager.capture(mask)
 
     def close(self) -> None:
         """Release device memory; a second call does nothing, other methods then raise ``ClosedError``."""
-        for name in ("asset_manager", "robot_manager", "sensor_manager", "_collision"):
+        for name in CLOSED:
             vars(self).pop(name, None)
 
     def __repr__(self) -> str:
         head = f"EnvManager: {self.num_envs} environments on {self.device}"
-        if "robot_manager" not in vars(self):
+        if "asset_manager" not in vars(self):
             return f"{head}, closed"
-        action = f"action: {', '.join(self.robot_manager.action_names)}"
-        lines = (
-            f"{head}, steps of {self.dt:g} s",
-            self.cfg.summary,
-            repr(self.robot_manager.cfg),
-            action,
-            repr(self.gtd),
-        )
-        return "\n  ".join(lines)
+        lines = [f"{head}, steps of {self.dt:g} s", self.cfg.summary]
+        for group in self.kinds.values():
+            count = "" if self.vehicles is None else f"{group.kind.count} x {group.kind.name}: "
+            lines += [f"{count}{group.kind.robot!r}", f"action: {', '.join(group.robot_manager.action_names)}"]
+        return "\n  ".join([*lines, repr(self.gtd)])
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Raise ``ClosedError`` for attributes that ``close`` dropped."""
-        if name in ("asset_manager", "robot_manager", "sensor_manager", "_collision") and "gtd" in vars(self):
+        """Raise ``ClosedError`` for attributes that ``close`` dropped, and name the place of those of several kinds."""
+        if name in ("robot_manager", "sensor_manager", "imus") and vars(self).get("vehicles") is not None:
+            raise AttributeError(f"{name}: there are several kinds of vehicles. Take env.kinds[NAME].{name}")
+        if name in CLOSED and "gtd" in vars(self):
             raise ClosedError("this simulation is closed. Build a new one")
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")

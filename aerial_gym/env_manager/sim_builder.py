@@ -1,24 +1,28 @@
 """Construction of a simulation from registered names or files."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config import build
 from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
+from aerial_gym.config.vehicles import VehiclesCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import FIRMWARES, SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
+from aerial_gym.env_manager.vehicle_group import VehicleKind
 from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError, UnknownNameError, suggest_name
 from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.robots.catalog import robot_by_name
@@ -68,21 +72,62 @@ def explain_memory_errors(num_envs: int, device: torch.device) -> Iterator[None]
     raise CapabilityError(too_large.format(reason))
 
 
+def vehicle_kinds(
+    robots: Sequence[VehiclesCfg | Mapping[str, Any]], robot: str | Path | RobotCfg | None,
+    controller: str | ControllerCfg | None,
+) -> tuple[VehicleKind, ...]:  # fmt: skip
+    """Return the kinds of vehicles of ``robots``, or the one of ``robot`` without any.
+
+    Raises:
+        ConfigError: If both or neither are given, or a field is wrong.
+    """
+    if bool(robots) == (robot is not None):
+        raise ConfigError(
+            "give either robot_name, or robots: [{name: ..., count: ...}] here or in the environment file"
+        )
+    entries = [{"name": robot}] if robot is not None else robots
+    return tuple(_vehicle_kind(entry, number, controller) for number, entry in enumerate(entries, 1))
+
+
+def _vehicle_kind(
+    entry: VehiclesCfg | Mapping[str, Any], number: int, default: str | ControllerCfg | None
+) -> VehicleKind:
+    """Return the kind of vehicles of one entry."""
+    given: Mapping[str, Any] = vars(entry) if isinstance(entry, VehiclesCfg) else entry
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"robots, entry {number}: found {given!r}, expected {{name: ..., count: ...}}")
+    robot, law = given.get("name", ""), given.get("controller") or default
+    texts = {key: value for key, value in given.items() if key not in ("name", "controller")}
+    named = "robot" if isinstance(robot, RobotCfg) else str(robot)
+    cfg = build(VehiclesCfg, {"name": named} | texts, where=f"robots, entry {number}")
+    if law is None:
+        raise ConfigError(f"robots, entry {number}: give a controller, there or as controller_name")
+    name = cfg.kind or (Path(named).stem if named.endswith((".yaml", ".yml")) else named)
+    return VehicleKind(
+        name=name, robot=robot_by_name(robot), count=cfg.count,
+        controller=law if isinstance(law, ControllerCfg) else CONTROLLERS.get(str(law)),
+    )  # fmt: skip
+
+
 @with_usual_settings
 class SimBuilder:
     """Builds an ``EnvManager`` from names, or from configurations."""
 
     def build_env(
-        self, *, sim_name: str | SimCfg, env_name: str | Path | EnvironmentCfg, robot_name: str | Path | RobotCfg,
-        controller_name: str | ControllerCfg, num_envs: int, device: str | torch.device = "auto", seed: int = 0,
-        first_env: int = 0, first_episode: int = 0, backend: str | None = None, differentiable: bool = False,
-        dtype: torch.dtype = torch.float32, randomize: Randomize | None = None, firmware: str | None = None,
+        self, *, sim_name: str | SimCfg, env_name: str | Path | EnvironmentCfg,
+        robot_name: str | Path | RobotCfg | None = None, controller_name: str | ControllerCfg | None = None,
+        num_envs: int, device: str | torch.device = "auto", seed: int = 0, first_env: int = 0, first_episode: int = 0,
+        backend: str | None = None, differentiable: bool = False, dtype: torch.dtype = torch.float32,
+        randomize: Randomize | None = None, firmware: str | None = None,
+        robots: Sequence[VehiclesCfg | Mapping[str, Any]] | None = None,
     ) -> EnvManager:  # fmt: skip
         """Return a simulation, built and not yet reset. Unregistered configurations can replace names.
 
         Args:
             env_name: Registered environment, or path of an environment file; see ``EnvironmentCfg`` for its fields.
-            robot_name: Registered robot, or path of a robot file (``close-loop`` writes such files).
+            robot_name: Registered robot, or path of a robot file (``close-loop`` writes such files); one vehicle for each
+                environment.
+            controller_name: Registered controller, also of ``robots`` that name none.
             device: Torch device; ``auto`` takes the GPU if there is one.
             first_env: Number of the first environment. What is drawn for an environment depends on the seed, its number and its
                 episode alone: ``num_envs=1, first_env=17`` flies environment 17 of any larger batch with that seed.
@@ -95,6 +140,9 @@ class SimBuilder:
                 replace it.
             firmware: Firmware that flies the vehicles in place of the controller here: ``betaflight``, where the controller
                 takes body rates, or ``crazyflie``, where it takes positions.
+            robots: Vehicles of each environment in place of ``robot_name`` and of those in the environment file, such as
+                ``[{"name": "lmf2", "count": 3}]``; see ``VehiclesCfg`` for the fields. ``name`` and ``controller`` may be
+                configurations.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists the registered ones.
@@ -105,14 +153,18 @@ class SimBuilder:
         sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
         where = resolve_device(device)
         with explain_memory_errors(num_envs, where):
+            env = environment_by_name(env_name)
+            kinds = vehicle_kinds(robots if robots is not None else env.robots, robot_name, controller_name)
+            if firmware is not None and sum(kind.count for kind in kinds) > 1:
+                raise ConfigError(f"firmware = {firmware!r}: one vehicle for each environment only. Leave robots out")
             make = EnvManager if firmware is None else firmware_by_name(firmware)
+            flown: dict[str, Any] = {"kinds": kinds}
+            if firmware is not None:
+                flown = {"robot": kinds[0].robot, "controller": kinds[0].controller}
             return make(
                 sim=sim if backend is None else replace(sim, backend=backend),
-                env=environment_by_name(env_name),
-                robot=robot_by_name(robot_name),
-                controller=controller_name
-                if isinstance(controller_name, ControllerCfg)
-                else CONTROLLERS.get(controller_name),
+                env=env,
+                **flown,
                 num_envs=num_envs,
                 device=where,
                 seed=seed,

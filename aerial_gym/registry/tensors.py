@@ -9,7 +9,7 @@ plain tensors. Arrays made by ``numpy()`` refuse writes; what DLPack or a Warp k
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NoReturn
 
@@ -179,6 +179,19 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
             )
         self._specs[spec.key], self._tensors[spec.key] = spec, tensor
         return tensor
+
+    def adopt_bodies(self, bodies: "GlobalTensorDictionary") -> None:
+        """Declare views (E, V, ...) of all tensors (E V, ...) of ``bodies``, with their guards; the letter V has its size."""
+        for letter, size in bodies._sizes.items():
+            if letter != "E":
+                self.define_size(letter, size)
+        rows = self.numeric_shape(("E", "V"))
+        for key, spec in bodies._specs.items():
+            shape = ("E", "V", *spec.shape[1:])
+            self.declare(replace(spec, shape=shape), view=bodies.plain(key).unflatten(0, rows))
+            if key in bodies._guarded:
+                self._guarded[key] = bodies._guarded[key].unflatten(0, rows)
+        self._instead |= bodies._instead
 
     def refuse(self, key: str, instead: str) -> None:
         """Refuse writes to a key from now on; ``instead`` is the remedy in the error message."""

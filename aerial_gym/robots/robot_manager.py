@@ -334,7 +334,7 @@ class RobotManager:
     def refresh(self, span: float) -> None:
         """Update all quantities derived from the physics; ``span`` [s] is the length of the step."""
         self.tensors.derived.refresh()
-        self._refresh_load()
+        self.refresh_load()
         if self._joints is not None:
             self._joints.refresh()
         if self._pushing.force is not None:
@@ -349,9 +349,10 @@ class RobotManager:
         if self._joints is not None:
             self._joints.reset()
         self.backend.reset_memory(mask)  # uses the draws
-        self._refresh_load()
+        self.refresh_load()
 
-    def _refresh_load(self) -> None:
+    def refresh_load(self) -> None:
+        """Update the position of a slung load, if there is one."""
         load = None if self._load is None else self.backend.link_state_of_load()
         if self._load is not None and load is not None:
             self._load.refresh(load)

@@ -47,7 +47,7 @@ class SensorManager:
             poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
             carriers: Links that carry sensors, by the names of these; the others sit on the body.
         """
-        if num_envs != scene.num_envs:
+        if cfgs and num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
         self._num_envs, self._device, self._dt = num_envs, plain_device(device), dt
         self.casters = {}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import family_files, read_summary
 from aerial_gym.config.changes import Changes
+from aerial_gym.config.environment import ONE_VEHICLE
 from aerial_gym.config.loader import load_extended
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
@@ -97,6 +98,8 @@ class TaskRegistry(Registry[TaskCfg]):
                 f"first_episode = {first_episode}: seed, environment and episode do not say which level of its curriculum "
                 f'task {name} had then. Give level, which stood in gtd["curriculum_level"] when the episode began'
             )
+        if built_env.robots:
+            raise ConfigError(f"env of task {name}: it has robots. Leave them out of the environment: {ONE_VEHICLE}")
         built = SimBuilder().build_env(
             sim_name=built_sim, env_name=built_env, robot_name=built_robot, controller_name=law,
             num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode,

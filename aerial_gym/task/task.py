@@ -14,6 +14,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from aerial_gym.config.environment import ONE_VEHICLE
 from aerial_gym.config.task import OBSERVATIONS, POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
@@ -89,6 +90,8 @@ class Task:
             UnknownNameError: If a term, generator, action, or one of their inputs does not exist.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
+        if env.vehicles is not None:
+            raise CapabilityError(f"task: its environment has several vehicles; {ONE_VEHICLE}")
         num_commands, command = env.robot_manager.num_actions, env.robot_manager.action_names
         cfg = with_rotor_range(cfg, env.robot_manager.cfg, command)
         self.cfg, self.env = cfg, env

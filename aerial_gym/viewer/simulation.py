@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.viewer.effects import effect_forces, effect_switches
@@ -30,6 +31,8 @@ class FlightInView:
 
     def __init__(self, env: EnvManager, task: "Task | None" = None, pilot: Pilot | None = None) -> None:
         """Take a simulation, its task and the pilot of the task; without a task a controller holds where episodes begin."""
+        if env.vehicles is not None:
+            raise CapabilityError("view: shows environments with one vehicle each. Leave robots out")
         self.env, self._task, self._pilot = env, task, pilot
         names = env.robot_manager.action_names
         self._goals: Tensor | None = None

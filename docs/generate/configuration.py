@@ -14,7 +14,7 @@ from docs.generate.markdown import DocumentedField, code_marks, documented_field
 PAGES: Mapping[str, tuple[str, Sequence[str]]] = {
     "robot": ("Keys of a robot file", ("robot", "rotor", "joint", "sensor_mount", "learned_residual")),
     "control": ("Keys of controllers", ("controller", "autopilots")),
-    "environment": ("Keys of an environment file", ("environment", "shape")),
+    "environment": ("Keys of an environment file", ("environment", "vehicles", "shape")),
     "sensor": ("Keys of a sensor file", ("range_sensor", "sensor", "lidar", "images")),
     "task": ("Keys of a task file", ("task", "task_terms", "randomize", "sim")),
     "training": (

@@ -8,7 +8,7 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.assets import clearance, obstacle_motion, placement, track
+from aerial_gym.assets import clearance, obstacle_motion, placement, track, vehicle_collision
 from aerial_gym.assets.collision import make_collision_kernel
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.environment import ContactCfg
@@ -22,7 +22,7 @@ from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicl
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import robot_effects
-from aerial_gym.robots import ROBOTS, initial_state, secondary_states
+from aerial_gym.robots import ROBOTS, initial_state, secondary_states, start_separation
 from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
 from aerial_gym.sensors.images import LANES, ROWS, make_pooling_kernel
 from aerial_gym.sensors.pixels import PixelOutputs
@@ -165,7 +165,7 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
 
 
 MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, gates, track, obstacle_motion)
-MODULES += (clearance, sensor_view, flow)
+MODULES += (clearance, sensor_view, flow, vehicle_collision, start_separation)
 
 
 @pytest.mark.parametrize("module", MODULES)

@@ -11,7 +11,6 @@ import yaml
 
 from aerial_gym.cli.new import NEXT_STEPS, TEMPLATES
 from aerial_gym.config import build, read_yaml
-from aerial_gym.config.environment import ONE_VEHICLE
 from aerial_gym.config.robot import RobotCfg, load_robot
 from tests.builders import simulation
 from tests.integration.commands import run
@@ -86,7 +85,7 @@ def test_impossible_names_are_refused(kind: str, name: str, words: str, tmp_path
 
 
 def test_an_environment_states_that_it_has_one_vehicle() -> None:
-    assert ONE_VEHICLE in (TEMPLATES / "my_environment.yaml").read_text(encoding="utf-8")
+    assert "robots: [{name: lmf2, count: 3}]" in (TEMPLATES / "my_environment.yaml").read_text(encoding="utf-8")
 
 
 def test_existing_files_stay(tmp_path, capsys) -> None:

@@ -177,7 +177,7 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("robot", [["lmf2", "x500"], ("lmf2",), {"a": "lmf2"}])
 def test_several_robots_are_refused_with_the_alternative(robot: Any) -> None:
     names = ("base_sim", "empty_env", robot, "no_control", "cpu")
-    words = "robot_name = .*: an environment has one vehicle; take num_envs environments"
+    words = "robot_name = .*: there is one vehicle here; build_env"
     assert_refused(CapabilityError, words, SimBuilder().build_env, *names)
 
 

@@ -106,11 +106,16 @@ def test_a_field_of_an_earlier_version_names_the_way_out(field: str, way_out: st
         build(TaskCfg, fields | {field: 1.0}, where="my.yaml")
 
 
-@pytest.mark.parametrize("field", ["robots", "vehicles"])
-@pytest.mark.parametrize("config", [ENVIRONMENTS.get("empty_env"), task_registry.get("position_setpoint_task")])
-def test_several_vehicles_in_a_file_are_refused_with_the_alternative(config: object, field: str) -> None:
-    words = f"my.yaml: field {field!r}: an environment has one vehicle; take num_envs environments"
-    with pytest.raises(ConfigError, match=words):
+@pytest.mark.parametrize(
+    ("config", "field", "words"),
+    [
+        (task_registry.get("position_setpoint_task"), "robots", "there is one vehicle here; build_env"),
+        (task_registry.get("position_setpoint_task"), "vehicles", "there is one vehicle here; build_env"),
+        (ENVIRONMENTS.get("empty_env"), "vehicles", "it is called robots"),
+    ],
+)
+def test_several_vehicles_in_a_file_are_refused_with_the_alternative(config: object, field: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=f"my.yaml: field {field!r}: {words}"):
         build(type(config), to_mapping(config) | {field: ["x500", "lmf2"]}, where="my.yaml")
 
 

@@ -37,7 +37,7 @@ def test_every_file_is_a_registered_robot_and_every_robot_has_a_file() -> None:
 
 @pytest.mark.parametrize("robots", [["x500", "lmf2"], ("x500",), {"leader": "x500"}])
 def test_several_robots_are_refused_with_the_alternative(robots: object) -> None:
-    words = "robot_name = .*: an environment has one vehicle; take num_envs environments for as many vehicles"
+    words = "robot_name = .*: there is one vehicle here; build_env"
     assert_refused(CapabilityError, words, simulation, robots)
 
 

@@ -1,0 +1,194 @@
+"""Collisions between the vehicles of an environment: distance of their shapes, and contacts during a step.
+
+Every pair of shapes of two vehicles is measured and swept as in the collision test with obstacles. A ball about each body
+origin that holds all shapes excludes most pairs. The vehicles of a pair are taken in the order of their slots, so that both
+find the same contact.
+Frames: shapes in the body frame, poses in the environment's world frame. Letters: E environments, T vehicles of an environment
+over all kinds (*slots*), V those of one kind, N = E T rows over all kinds, C shapes, K substeps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes, shape_gap
+from aerial_gym.assets.cores import body_reach
+from aerial_gym.assets.scene_arrays import Shape, vector_view
+from aerial_gym.assets.shapes import ShapeTable
+from aerial_gym.assets.sweep import NEAR, make_path, make_touches
+from aerial_gym.config.robot import CollisionCfg
+from aerial_gym.config.shape import BASE, ShapeCfg
+from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
+
+_touches = make_touches(cores=True, meshes=False)
+
+
+@wp.struct
+class Slot:
+    """One vehicle of every environment: its rows and shapes."""
+
+    first_row: wp.int32  # of environment 0
+    row_step: wp.int32  # from an environment to the next
+    first_shape: wp.int32
+    end_shape: wp.int32
+    hull: wp.float32  # radius of a ball about the body origin that holds all shapes [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlotTable:
+    """The vehicles of an environment, kind by kind, and their collision shapes."""
+
+    collisions: Sequence[CollisionCfg]  # Of each kind
+    counts: Sequence[int]  # Vehicles of each kind in an environment
+    num_envs: int
+
+    @property
+    def hulls(self) -> list[float]:
+        """Radius about the body origin of the collision shapes of each kind [m]."""
+        return [body_reach(cfg.link_shapes(BASE)) for cfg in self.collisions]
+
+    def first_slot(self, kind: int) -> int:
+        """Return the slot of a kind's first vehicle."""
+        return sum(self.counts[:kind])
+
+    def rows(self, kind: int) -> slice:
+        """Return the rows of a kind among N."""
+        first = self.num_envs * self.first_slot(kind)
+        return slice(first, first + self.num_envs * self.counts[kind])
+
+    def array(self, device: torch.device) -> wp.array:
+        """Return the slots for a kernel, (T,) of ``Slot``."""
+        start_warp()
+        slots, shape = [], 0
+        for kind, (cfg, count, hull) in enumerate(zip(self.collisions, self.counts, self.hulls, strict=True)):
+            end = shape + len(cfg.link_shapes(BASE))
+            given = {"row_step": count, "first_shape": shape, "end_shape": end, "hull": hull}
+            slots += [make_struct(Slot, first_row=self.rows(kind).start + v, **given) for v in range(count)]
+            shape = end
+        return wp.array(slots, dtype=Slot, device=wp.device_from_torch(device))
+
+
+@wp.func
+def _hulls_meet(reach: float, before: wp.vec3, after: wp.vec3) -> wp.bool:
+    """Return whether two balls come within the sum of their radii, ``reach``; offsets of their centres at both ends."""
+    shift = after - before
+    t = wp.clamp(-wp.dot(before, shift) / wp.max(wp.dot(shift, shift), 1.0e-20), 0.0, 1.0)
+    return wp.length(before + t * shift) < reach + NEAR
+
+
+@wp.kernel(enable_backward=False)
+def _test_vehicles(
+    # params
+    shapes: wp.array[Shape],  # (C,)
+    body: wp.array[BodyShape],  # (C,) the same
+    slots: wp.array[Slot],  # (T,)
+    first_slot: int,  # of this kind
+    # state
+    position: wp.array2d[wp.vec3],  # (K + 1, N) at the start of a step and after each substep, or (1, N), world [m]
+    attitude: wp.array2d[wp.quat],  # (K + 1, N) body to world, xyzw
+    is_step: wp.bool,  # whether contacts are crashes
+    # out
+    distance_out: wp.array2d[float],  # (E, V) [m]
+    crashes_out: wp.array2d[wp.bool],  # (E, V) set at a contact at or between the poses
+):
+    """Write the least distance of each vehicle to another one at the last pose; inf without any."""
+    env, v = wp.tid()
+    i = first_slot + v
+    last = position.shape[0] - 1
+    nearest = float(wp.inf)
+    touches = wp.bool(False)
+    for j in range(slots.shape[0]):
+        one = slots[wp.min(i, j)]
+        other = slots[wp.max(i, j)]
+        a = one.first_row + env * one.row_step
+        b = other.first_row + env * other.row_step
+        reach = one.hull + other.hull
+        has_shapes = one.end_shape > one.first_shape and other.end_shape > other.first_shape
+        if j != i and has_shapes:
+            k = wp.int32(0)
+            while k < last and not touches:
+                x = position[k, a]
+                y = position[k, b]
+                end_x = position[k + 1, a]
+                end_y = position[k + 1, b]
+                if _hulls_meet(reach, y - x, end_y - end_x):
+                    path = make_path(wp.vec3(), x, attitude[k, a], end_x, attitude[k + 1, a])
+                    other_path = make_path(wp.vec3(), y, attitude[k, b], end_y, attitude[k + 1, b])
+                    for m in range(one.first_shape, one.end_shape):
+                        for n in range(other.first_shape, other.end_shape):
+                            if not touches:
+                                touches = _touches(shapes[m], path, body[n], other_path, 0.0, 1.0)
+                k += 1
+            x = position[last, a]
+            y = position[last, b]
+            if wp.length(y - x) - reach < nearest:
+                gap = float(wp.inf)
+                q = attitude[last, a]
+                for m in range(one.first_shape, one.end_shape):
+                    shape = shapes[m]
+                    for n in range(other.first_shape, other.end_shape):
+                        gap = shape_gap(
+                            shape, x + wp.quat_rotate(q, shape.position), q * shape.attitude, body[n], y,
+                            attitude[last, b], gap,
+                        )  # fmt: skip
+                nearest = wp.min(nearest, gap)
+    distance_out[env, v] = nearest
+    if is_step and (touches or nearest < 0.0):
+        crashes_out[env, v] = True
+
+
+class VehicleCollisionTest:
+    """Distances between the vehicles of each environment, one launch for each kind; all views are made at construction."""
+
+    def __init__(
+        self, slots: SlotTable, *, states: Tensor, position: Tensor, attitude: Tensor, distances_out: Sequence[Tensor],
+        crashes_out: Sequence[Tensor],
+    ) -> None:  # fmt: skip
+        """Take views of the tensors, which must stay where they are.
+
+        Args:
+            states: Position [m] and attitude, xyzw, of all vehicles first, world, (N, 13).
+            position: Body origins at the start of a step and after each substep [m], world, (K + 1, N, 3).
+            attitude: Body to world, xyzw, unit, (K + 1, N, 4).
+            distances_out: For each kind the least distance to another vehicle [m], float32, (E, V).
+            crashes_out: For each kind set at a contact, bool, (E, V); never cleared here.
+        """
+        device, self._like = states.device, states
+        parts = tuple(
+            replace(part, link=BASE) for cfg in slots.collisions for part in cfg.parts if part.link == BASE
+        )  # the shapes as parts, in the same order
+        shapes = [shape for cfg in slots.collisions for shape in cfg.link_shapes(BASE)]
+        self._table = ShapeTable([ShapeCfg(kind="compound", parts=parts)] if parts else [], device=device)
+        fixed = [self._table.array, body_shapes(shapes, device=device), slots.array(device)]
+        now = (states[:, :3].unsqueeze(0), states[:, 3:7].unsqueeze(0))
+        self._now, self._step = (
+            [
+                ReusableLaunch(
+                    _test_vehicles,
+                    dim=tuple(distance.shape),
+                    inputs=[
+                        *fixed,
+                        slots.first_slot(kind),
+                        *(vector_view("pose", each, tuple(each.shape), device=device) for each in poses),
+                        is_step,
+                    ],
+                    outputs=[distance, crashes],
+                    device=device,
+                )
+                for kind, (distance, crashes) in enumerate(zip(distances_out, crashes_out, strict=True))
+            ]
+            for poses, is_step in ((now, False), ((position, attitude), True))
+        )
+
+    def measure(self) -> None:
+        """Write the distances of the present poses."""
+        for launch in self._now:
+            launch.launch(self._like)
+
+    def step(self) -> None:
+        """Set crashes of the step that has just been flown, and write the distances at its end."""
+        for launch in self._step:
+            launch.launch(self._like)
