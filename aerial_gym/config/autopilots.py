@@ -204,9 +204,8 @@ class BetaflightCfg(AutopilotTuning):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        kinds = dict.fromkeys(_TYPES, ("PT1", "BIQUAD"))
-        kinds |= {"rates_type": ("NONE", "ACTUAL"), "iterm_relax": ("OFF", "RP", "RPY"), "tpa_mode": ("D", "PD")}
-        kinds["version"] = ("4.5", "4.6")
+        kinds = {**dict.fromkeys(_TYPES, ("PT1", "BIQUAD")), "rates_type": ("NONE", "ACTUAL"), "tpa_mode": ("D", "PD")}
+        kinds |= {"iterm_relax": ("OFF", "RP", "RPY"), "version": ("4.5", "4.6")}
         for name, allowed in kinds.items():
             require_choice(self, name, allowed)
         most = {"iterm_windup": 100.0, "tpa_rate": 100.0, "roll_expo": 1.0, "pitch_expo": 1.0, "yaw_expo": 1.0}

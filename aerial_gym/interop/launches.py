@@ -195,7 +195,8 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def map_in_threads(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
