@@ -278,13 +278,14 @@ class EnvironmentCfg:
     """Contact law of ground and obstacles, and the touches that are crashes; without it, there is no contact force and every
     touch is a crash. Contact that pushes is found at the poses after each substep alone."""
 
-    robots: tuple[VehiclesCfg, ...] = ()
+    robots: tuple[VehiclesCfg, ...] = field(default=(), repr=False)  # a state of release 0.1 has the digest of its repr
     """Vehicles of every environment (docs/concepts/several_vehicles.md); none for the one of the call, as a task has it."""
 
-    vehicle_clearance: float = 0.0
+    vehicle_clearance: float = field(default=0.0, repr=False)  # likewise
     """Least room between two vehicles at their starts [m], >= 0, between balls that hold their collision shapes."""
 
-    reset_together: bool = False  # Whether the end of one vehicle's episode ends those of all in its environment
+    reset_together: bool = field(default=False, repr=False)  # likewise
+    """Whether the end of one vehicle's episode ends those of all in its environment."""
 
     lamps: tuple[LampCfg, ...] = ()
     """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per

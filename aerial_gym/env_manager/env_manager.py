@@ -113,7 +113,7 @@ class EnvManager:
             self.vehicles = Vehicles(kinds, self.gtd, env, random=self.random, randomize=randomize or {})
         self.asset_manager = self._make_assets(kinds, bounds)
         self._build(randomize or {}, gradients=dtype if differentiable else None)
-        identity: dict[str, object] = {}
+        identity: dict[str, object] = {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together)}
         for kind in kinds:
             name = "" if single else f"{kind.name} x {kind.count}: "
             identity |= {f"{name}robot": kind.robot, f"{name}controller": kind.controller}

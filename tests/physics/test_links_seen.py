@@ -172,7 +172,7 @@ def test_the_frames_of_links_are_those_of_rotations_and_shifts_and_their_twists_
         ("robot_body_angvel", rates), ("dof_position", angle), ("dof_velocity", speed),
     ):  # fmt: skip
         gtd[key][:] = torch.as_tensor(value, dtype=torch.float32, device=device)
-    manager._move_links()
+    manager._all_vehicles.move_links()
     state, own_rates = gtd["robot_link_state_tensor"][0].cpu().double().numpy(), gtd["robot_link_body_angvel"][0].cpu()
     step = 1e-5
     for k, (before, now, after) in enumerate(zip(frames(-step), frames(0.0), frames(step), strict=True)):
