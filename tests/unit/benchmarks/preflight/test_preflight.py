@@ -64,7 +64,7 @@ def test_judge_asks_for_the_name_the_number_and_nothing_else() -> None:
 
     assert judge(preflight_result(latency(0.024)), truth)["right"]
     assert judge(preflight_result(latency(0.024)), truth)["intervals"] == [0, 1]
-    assert judge(preflight_result(latency(0.022)), truth)["intervals"] == [1, 1]
+    assert json.loads(json.dumps(judge(preflight_result(latency(np.float64(0.022))), truth)))["intervals"] == [1, 1]
     assert not judge(preflight_result(latency(0.026)), truth)["right"]
     assert not judge(preflight_result(), truth)["right"]
     assert not judge(preflight_result(latency(0.02), Finding("gyro_sign_contradicted", "x")), truth)["right"]
