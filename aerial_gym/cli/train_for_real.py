@@ -59,6 +59,8 @@ def _plan(cmd: "TrainCmd", _: Mapping[str, Any]) -> dict[str, Any]:
         encoder=None, backend=cmd.backend, level=None, settings=tuple(filter(changes_simulation, cmd.set)), device="cpu",
         seed=0,
     )  # fmt: skip
+    if cmd.preflight is not None:
+        read_result(cmd.preflight)  # before anything is written
     cmd.out.mkdir(parents=True, exist_ok=True)
     if cmd.log is not None:
         env, sim = task.configurations()[2:]

@@ -13,9 +13,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.changes import Changes
-from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.px4.controller import Px4Controller
-from aerial_gym.firmware.betaflight.environment import FirmwareEnv
+from aerial_gym.firmware.betaflight.environment import PositionPilot
+from aerial_gym.firmware.environment import FirmwareEnv
 from aerial_gym.interop import action_tensor, usual_settings
 from aerial_gym.task import Task, task_registry
 from benchmarks.undeclared.trajectories import Reference, plan_flight
@@ -139,14 +138,14 @@ def fly_log(path: Path, *, seed: int, duration: float = FLIGHT_S) -> None:
         env.on_physics_step = recorder = _Recorder(env)
         physics = round(1.0 / env.sim_cfg.dt)
         references = [_reference(name, physics, seed + k, duration) for k, name in enumerate(FAMILIES)]
-        pilot = _Pilot(env)
+        pilot = PositionPilot(env)
         steps, ratio = round((SETTLE_S + duration) / env.dt), env.cfg.physics_steps_per_env_step
         late, sent = round(LATENCY_S * physics), []
         for step in range(steps):
             row = [min(step * ratio, len(one.yaw) - 1) for one in references]
             goal = [(*one.position[k], one.yaw[k]) for one, k in zip(references, row, strict=True)]
             excite = torch.tensor(np.array([one.excite[k] for one, k in zip(references, row, strict=True)])).float()
-            command = pilot(torch.tensor(np.array(goal)).float())
+            command = pilot.action(torch.tensor(np.array(goal)).float())
             command += torch.cat((excite[:, 3:] / 9.81, excite[:, :3]), dim=-1)
             env.step(command)
             sent.append((env.last_use - late, command.clone()))
@@ -156,25 +155,6 @@ def fly_log(path: Path, *, seed: int, duration: float = FLIGHT_S) -> None:
 def _reference(family: str, rate: int, seed: int, duration: float) -> Reference:
     rng = np.random.default_rng(seed)
     return plan_flight(family, duration=duration, rate=rate, settle=SETTLE_S, rng=rng, lowest=0.0)
-
-
-class _Pilot:
-    """Position control at the rate of the link: the outer loops of ``px4_position_control``."""
-
-    def __init__(self, env: LinkFirmwareEnv) -> None:
-        manager = env.robot_manager
-        law = make_controller(
-            CONTROLLERS.get("px4_position_control"), manager.declared, env.sim_cfg.gravity, dt=env.dt,
-            control=manager.cfg.control,
-        )  # fmt: skip
-        assert isinstance(law, Px4Controller)
-        self._law, self._state = law, manager.tensors.state
-        self._memory, self._begins = torch.zeros(env.num_envs, law.needs.outer), torch.ones(env.num_envs, 1).bool()
-
-    def __call__(self, goal: Tensor) -> Tensor:
-        setpoint, self._memory = self._law.outer(self._state, goal, self._memory, self._begins)
-        self._begins.zero_()
-        return torch.cat((setpoint[:, :1] / self._law.gains.position.hover - 1.0, setpoint[:, 1:]), dim=-1)
 
 
 HEADER = ("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z",

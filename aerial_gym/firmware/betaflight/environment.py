@@ -68,7 +68,7 @@ class BetaflightEnv(FirmwareEnv):
         manager.controller.action_names = twin.action_names  # tasks name and store the firmware's actions
         own = select_autopilot(named, control)
         self.settings = firmware_settings(own, twin.gains, period=period, yaw_reversed=self.vehicle.yaw_reversed)
-        self._pilot: _PositionPilot | None = None
+        self._pilot: PositionPilot | None = None
         if make_group is None:
             build = build_firmware(progress)
             self.group = InstanceGroup.of_build(build, store_settings(build, self.settings), self.num_envs)
@@ -88,7 +88,7 @@ class BetaflightEnv(FirmwareEnv):
     def position_action(self, goal: Tensor) -> Tensor:
         """Return thrust (0 is hover) and body rates [rad/s], (E, 4), for position [m] and yaw [rad], (E, 4)."""
         if self._pilot is None:
-            self._pilot = _PositionPilot(self)
+            self._pilot = PositionPilot(self)
         return self._pilot.action(goal)
 
     def rotor_speeds(self) -> Tensor:
@@ -121,7 +121,7 @@ class BetaflightEnv(FirmwareEnv):
             self.group.close()
 
 
-class _PositionPilot:
+class PositionPilot:
     """The outer loops of ``px4_position_control``: from position to thrust and body rates."""
 
     def __init__(self, env: FirmwareEnv) -> None:
@@ -136,9 +136,11 @@ class _PositionPilot:
         self._begins = torch.ones(env.num_envs, 1, dtype=torch.bool)
 
     def reset(self, envs: list[int]) -> None:
+        """Begin anew in some environments."""
         self._memory[envs], self._begins[envs] = 0.0, True
 
     def action(self, goal: Tensor) -> Tensor:
+        """Return the action of the rate controller for a position and yaw, (E, 4)."""
         setpoint, self._memory = self._law.outer(self._state, goal, self._memory, self._begins)
         self._begins.zero_()
         return torch.cat((setpoint[:, :1] / self._law.gains.position.hover - 1.0, setpoint[:, 1:]), dim=-1)

@@ -90,3 +90,10 @@ def test_wrong_requests_name_the_remedy(options: dict[str, str], message: str, t
     with pytest.raises(ConfigError, match=message):
         aerial_gym.train(out=str(tmp_path / "run"), **options)  # type: ignore[arg-type]
     assert not (tmp_path / "run").exists()
+
+
+def test_an_unusable_preflight_result_is_refused_by_its_own_name_before_anything_is_written(tmp_path: Path) -> None:
+    (tmp_path / "mine.json").write_text("{}")
+    with pytest.raises(ConfigError, match=r"mine\.json: is no unchanged result"):
+        aerial_gym.train(out=tmp_path / "run", for_real="racing_quadrotor", preflight=tmp_path / "mine.json")
+    assert not (tmp_path / "run").exists()

@@ -71,6 +71,7 @@ def _read_text_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd
     table = pd.read_csv(
         StringIO("\n".join(row for _, row in rows if row is not None)),
         header=None,
+        names=range(len(header.names)),  # the first row may be blank
         index_col=False,
         keep_default_na=False,
         na_values=list(EMPTY),

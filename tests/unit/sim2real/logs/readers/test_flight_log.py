@@ -106,6 +106,9 @@ def test_files_that_are_no_text_or_not_there(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"none\.csv: no such file"):
         read_flight_log(tmp_path / "none.csv")
     assert_refused(DataError, r"is a folder", read_flight_log, tmp_path)
+    (tmp_path / "a.json").write_text('{\n "a": {\n  "b": 1\n }\n}\n')
+    with pytest.raises(DataError, match=r"a\.json"):
+        read_flight_log(tmp_path / "a.json")
     (tmp_path / "b.csv").write_bytes(b"\xff\xfd\x00\x01" * 50)
     with pytest.raises(DataError, match=r"cannot be read as text"):
         read_flight_log(tmp_path / "b.csv")
