@@ -5,7 +5,13 @@ from typing import Any
 
 from aerial_gym.rl_training.robustness.result import Robustness
 
-COLOURS = {"fails": "#b0413e", "degrades": "#d98e04", "holds": "#2a6f97", "no change": "#8a8a8a"}  # By outcome
+COLOURS = {
+    "fails": "#b0413e",
+    "degrades": "#d98e04",
+    "holds": "#2a6f97",
+    "no change": "#8a8a8a",
+    "not shown": "#8a8a8a",
+}  # By outcome
 ROW_HEIGHT = 0.17  # [inch]
 
 

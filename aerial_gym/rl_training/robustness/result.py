@@ -27,7 +27,9 @@ class CellResult:
     crash_rate: float
     error_mean_m: float | None  # Mean final error of the flights without a crash [m]; None without any, or a target
     p_value: float  # Exact one-sided McNemar test of a loss of success
-    outcome: str  # `fails`, `degrades`, `holds`, or `no change` of any flight
+    outcome: (
+        str  # `fails`, `degrades`, `holds`, `no change` of any flight, or `not shown` as clean flight rarely succeeds
+    )
     worst: str  # Variant with the lowest success rate; empty if all have one
     worst_success_rate: float
     advice: str  # Empty without a loss of success
@@ -69,8 +71,10 @@ def _result(each: CellFlights, clean: CellFlights, tests: int) -> CellResult:
         int((a & ~b).sum()) for a, b in ((clean.succeeded, each.succeeded), (each.succeeded, clean.succeeded))
     )
     p_value = float(binomtest(lost, lost + gained, alternative="greater").pvalue) if lost else 1.0
-    degraded = p_value < SIGNIFICANCE / max(1, tests)
-    outcome = "no change" if each.unchanged else "holds"
+    limit = SIGNIFICANCE / max(1, tests)
+    degraded = p_value < limit
+    can_show = 0.5 ** int(clean.succeeded.sum()) < limit  # The p-value of a loss of every success
+    outcome = "no change" if each.unchanged else "holds" if can_show else "not shown"
     if degraded:
         outcome = "fails" if interval.high < MAJORITY else "degrades"
     count = min(len(cell.variants), flights)

@@ -114,6 +114,8 @@ def test_statistics_of_pairs_and_shares(tmp_path: Path) -> None:
     assert (result.cells[0].outcome, result.cells[1].outcome, result.cells[1].p_value) == ("fails", "holds", 1.0)
     assert result.clean.success_low == pytest.approx(0.025**0.1)
     assert result.clean.error_mean_m == 0.25
+    never = judge([replace(each, succeeded=bad) for each in cells], Plan(groups=(CellGroup(cells=(CLEAN,)),)))
+    assert {each.outcome for each in never.cells} == {"not shown"}
     write_figure(result, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 0
 
