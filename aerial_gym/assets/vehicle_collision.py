@@ -1,14 +1,15 @@
 """Collisions between the vehicles of an environment: distance of their shapes, and contacts during a step.
 
 Every pair of shapes of two vehicles is measured and swept as in the collision test with obstacles. A ball about each body
-origin that holds all shapes excludes most pairs. The vehicles of a pair are taken in the order of their slots, so that both
-find the same contact.
+origin that holds all shapes excludes most pairs. A pair is tested once, for both of its vehicles.
 Frames: shapes in the body frame, poses in the environment's world frame. Letters: E environments, T vehicles of an environment
-over all kinds (*slots*), V those of one kind, N = E T rows over all kinds, C shapes, K substeps.
+over all kinds (*slots*), P pairs of them, N = E T rows over all kinds, C shapes, K substeps.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+from math import inf
 
 import torch
 import warp as wp
@@ -70,6 +71,13 @@ class SlotTable:
             shape = end
         return wp.array(slots, dtype=Slot, device=wp.device_from_torch(device))
 
+    def pairs(self, device: torch.device) -> wp.array:
+        """Return the slots of each pair of vehicles with shapes, the lower first, (P,)."""
+        hulls = [hull for hull, count in zip(self.hulls, self.counts, strict=True) for _ in range(count)]
+        solid = [slot for slot, hull in enumerate(hulls) if hull > 0.0]
+        found = [wp.vec2i(*pair) for pair in combinations(solid, 2)]
+        return wp.array(found, dtype=wp.vec2i, device=wp.device_from_torch(device))
+
 
 @wp.func
 def _hulls_meet(reach: float, before: wp.vec3, after: wp.vec3) -> wp.bool:
@@ -80,72 +88,68 @@ def _hulls_meet(reach: float, before: wp.vec3, after: wp.vec3) -> wp.bool:
 
 
 @wp.kernel(enable_backward=False)
-def _test_vehicles(
+def _test_pairs(
     # params
     shapes: wp.array[Shape],  # (C,)
     body: wp.array[BodyShape],  # (C,) the same
     slots: wp.array[Slot],  # (T,)
-    first_slot: int,  # of this kind
+    pairs: wp.array[wp.vec2i],  # (P,) slots of each pair, the lower first
     # state
     position: wp.array2d[wp.vec3],  # (K + 1, N) at the start of a step and after each substep, or (1, N), world [m]
     attitude: wp.array2d[wp.quat],  # (K + 1, N) body to world, xyzw
     is_step: wp.bool,  # whether contacts are crashes
     # out
-    distance_out: wp.array2d[float],  # (E, V) [m]
-    crashes_out: wp.array2d[wp.bool],  # (E, V) set at a contact at or between the poses
+    distance_out: wp.array[float],  # (N,) [m] lowered to the distance of the pair
+    crashes_out: wp.array[wp.bool],  # (N,) set at a contact at or between the poses
 ):
-    """Write the least distance of each vehicle to another one at the last pose; inf without any."""
-    env, v = wp.tid()
-    i = first_slot + v
+    """Lower the distances of two vehicles to that between them at the last pose."""
+    env, p = wp.tid()
+    one = slots[pairs[p][0]]
+    other = slots[pairs[p][1]]
+    a = one.first_row + env * one.row_step
+    b = other.first_row + env * other.row_step
+    reach = one.hull + other.hull
     last = position.shape[0] - 1
-    nearest = float(wp.inf)
+    x = position[0, a]
+    y = position[0, b]
     touches = wp.bool(False)
-    for j in range(slots.shape[0]):
-        one = slots[wp.min(i, j)]
-        other = slots[wp.max(i, j)]
-        a = one.first_row + env * one.row_step
-        b = other.first_row + env * other.row_step
-        reach = one.hull + other.hull
-        has_shapes = one.end_shape > one.first_shape and other.end_shape > other.first_shape
-        if j != i and has_shapes:
-            k = wp.int32(0)
-            while k < last and not touches:
-                x = position[k, a]
-                y = position[k, b]
-                end_x = position[k + 1, a]
-                end_y = position[k + 1, b]
-                if _hulls_meet(reach, y - x, end_y - end_x):
-                    path = make_path(wp.vec3(), x, attitude[k, a], end_x, attitude[k + 1, a])
-                    other_path = make_path(wp.vec3(), y, attitude[k, b], end_y, attitude[k + 1, b])
-                    for m in range(one.first_shape, one.end_shape):
-                        for n in range(other.first_shape, other.end_shape):
-                            if not touches:
-                                touches = _touches(shapes[m], path, body[n], other_path, 0.0, 1.0)
-                k += 1
-            x = position[last, a]
-            y = position[last, b]
-            if wp.length(y - x) - reach < nearest:
-                gap = float(wp.inf)
-                q = attitude[last, a]
-                for m in range(one.first_shape, one.end_shape):
-                    shape = shapes[m]
-                    for n in range(other.first_shape, other.end_shape):
-                        gap = shape_gap(
-                            shape, x + wp.quat_rotate(q, shape.position), q * shape.attitude, body[n], y,
-                            attitude[last, b], gap,
-                        )  # fmt: skip
-                nearest = wp.min(nearest, gap)
-    distance_out[env, v] = nearest
-    if is_step and (touches or nearest < 0.0):
-        crashes_out[env, v] = True
+    for k in range(last):
+        end_x = position[k + 1, a]
+        end_y = position[k + 1, b]
+        if not touches and _hulls_meet(reach, y - x, end_y - end_x):
+            path = make_path(wp.vec3(), x, attitude[k, a], end_x, attitude[k + 1, a])
+            other_path = make_path(wp.vec3(), y, attitude[k, b], end_y, attitude[k + 1, b])
+            for m in range(one.first_shape, one.end_shape):
+                for n in range(other.first_shape, other.end_shape):
+                    if not touches:
+                        touches = _touches(shapes[m], path, body[n], other_path, 0.0, 1.0)
+        x = end_x
+        y = end_y
+    # a pair that is farther than what both have already cannot lower the minimum, in whatever order pairs come
+    bound = wp.length(y - x) - reach
+    if bound < distance_out[a] or bound < distance_out[b]:
+        gap = float(wp.inf)
+        q = attitude[last, a]
+        for m in range(one.first_shape, one.end_shape):
+            shape = shapes[m]
+            for n in range(other.first_shape, other.end_shape):
+                gap = shape_gap(
+                    shape, x + wp.quat_rotate(q, shape.position), q * shape.attitude, body[n], y, attitude[last, b], gap
+                )
+        wp.atomic_min(distance_out, a, gap)
+        wp.atomic_min(distance_out, b, gap)
+        touches = touches or gap < 0.0
+    if is_step and touches:
+        crashes_out[a] = True
+        crashes_out[b] = True
 
 
 class VehicleCollisionTest:
-    """Distances between the vehicles of each environment, one launch for each kind; all views are made at construction."""
+    """Distances between the vehicles of each environment in one launch; all views are made at construction."""
 
     def __init__(
-        self, slots: SlotTable, *, states: Tensor, position: Tensor, attitude: Tensor, distances_out: Sequence[Tensor],
-        crashes_out: Sequence[Tensor],
+        self, slots: SlotTable, *, states: Tensor, position: Tensor, attitude: Tensor, distances_out: Tensor,
+        crashes_out: Tensor,
     ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are.
 
@@ -153,42 +157,44 @@ class VehicleCollisionTest:
             states: Position [m] and attitude, xyzw, of all vehicles first, world, (N, 13).
             position: Body origins at the start of a step and after each substep [m], world, (K + 1, N, 3).
             attitude: Body to world, xyzw, unit, (K + 1, N, 4).
-            distances_out: For each kind the least distance to another vehicle [m], float32, (E, V).
-            crashes_out: For each kind set at a contact, bool, (E, V); never cleared here.
+            distances_out: Least distance to another vehicle [m], float32, (N,); inf without any.
+            crashes_out: Set at a contact, bool, (N,); never cleared here.
         """
-        device, self._like = states.device, states
+        device, self._distances = states.device, distances_out
         parts = tuple(
             replace(part, link=BASE) for cfg in slots.collisions for part in cfg.parts if part.link == BASE
         )  # the shapes as parts, in the same order
         shapes = [shape for cfg in slots.collisions for shape in cfg.link_shapes(BASE)]
         self._table = ShapeTable([ShapeCfg(kind="compound", parts=parts)] if parts else [], device=device)
-        fixed = [self._table.array, body_shapes(shapes, device=device), slots.array(device)]
+        pairs = slots.pairs(device)
+        fixed = [self._table.array, body_shapes(shapes, device=device), slots.array(device), pairs]
         now = (states[:, :3].unsqueeze(0), states[:, 3:7].unsqueeze(0))
-        self._now, self._step = (
-            [
-                ReusableLaunch(
-                    _test_vehicles,
-                    dim=tuple(distance.shape),
-                    inputs=[
-                        *fixed,
-                        slots.first_slot(kind),
-                        *(vector_view("pose", each, tuple(each.shape), device=device) for each in poses),
-                        is_step,
-                    ],
-                    outputs=[distance, crashes],
-                    device=device,
-                )
-                for kind, (distance, crashes) in enumerate(zip(distances_out, crashes_out, strict=True))
-            ]
+        self._now, self._step = (  # a launch cannot have no threads
+            None
+            if not len(pairs)
+            else ReusableLaunch(
+                _test_pairs,
+                dim=(slots.num_envs, len(pairs)),
+                inputs=[
+                    *fixed,
+                    *(vector_view("pose", each, tuple(each.shape), device=device) for each in poses),
+                    is_step,
+                ],
+                outputs=[distances_out, crashes_out],
+                device=device,
+            )
             for poses, is_step in ((now, False), ((position, attitude), True))
         )
 
     def measure(self) -> None:
         """Write the distances of the present poses."""
-        for launch in self._now:
-            launch.launch(self._like)
+        self._test(self._now)
 
     def step(self) -> None:
         """Set crashes of the step that has just been flown, and write the distances at its end."""
-        for launch in self._step:
-            launch.launch(self._like)
+        self._test(self._step)
+
+    def _test(self, launch: ReusableLaunch | None) -> None:
+        self._distances.fill_(inf)
+        if launch is not None:
+            launch.launch(self._distances)

@@ -55,7 +55,7 @@ class VehicleGroup:
 
     def __init__(
         self, kind: VehicleKind, bodies: GlobalTensorDictionary, *, random: Randomness, state: Tensor,
-        bounds: tuple[Tensor, Tensor], trajectory: Trajectory | None,
+        bounds: tuple[Tensor, Tensor], trajectory: Trajectory | None, crashes: Tensor | None = None,
     ) -> None:  # fmt: skip
         """Declare the tensors of the bodies that the scene reads.
 
@@ -65,13 +65,14 @@ class VehicleGroup:
             state: Receives position, attitude, velocity and angular velocity, (B, 13).
             bounds: Lower and upper corner of the environment of each body [m], world, (B, 3).
             trajectory: Record of the poses of a step; None where nothing is swept.
+            crashes: Memory of the crashes, (B,), where the vehicles of an environment can touch.
         """
         self.kind, self.bodies, self.gtd, self.random = kind, bodies, bodies, random
         self.bounds, self.trajectory, self.state = bounds, trajectory, state
-        self._declare()
+        self._declare(crashes)
         self.links = None if kind.robot.joints is None else declare_links(bodies, kind.robot.joints)
 
-    def _declare(self) -> None:
+    def _declare(self, crashes: Tensor | None) -> None:
         declare = self.bodies.declare
         declare(TensorSpec(
             key="robot_clearance", shape=("E",), unit="m", frame="-", owner="env",
@@ -96,7 +97,8 @@ class VehicleGroup:
             ),
         ):
             declare(
-                TensorSpec(key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning)
+                TensorSpec(key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning),
+                view=crashes if key == "crashes" else None,
             )
 
     def build(

@@ -47,6 +47,8 @@ class Vehicles:
         total = self.slots.first_slot(len(kinds))
         self.states = torch.zeros(num_envs * total, 13, device=device)
         """Position, attitude, velocity and angular velocity of all vehicles, world, (N, 13)."""
+        self._clearances = torch.full((num_envs * total,), inf, device=device)
+        self._crashes = torch.zeros(num_envs * total, dtype=torch.bool, device=device)
         self._followed = Trajectory.zeros(env.physics_steps_per_env_step, num_envs * total, device=device)
         self._bounds = gtd["env_bounds_min"], gtd["env_bounds_max"]
         self._starts = torch.zeros(num_envs, total, dtype=torch.bool, device=device)
@@ -63,11 +65,12 @@ class Vehicles:
             kind, bodies, random=self._random.of_bodies(count, first=self.slots.first_slot(number), total=total),
             state=self.states[rows], bounds=corners,
             trajectory=Trajectory(position=self._followed.position[:, rows], attitude=self._followed.attitude[:, rows]),
+            crashes=self._crashes[rows],
         )  # fmt: skip
         bodies.declare(TensorSpec(
             key="vehicle_clearance", shape=("E",), unit="m", frame="-", owner="env",
             meaning="signed distance of the collision shapes to those of the nearest other vehicle; inf without any",
-        )).fill_(inf)  # fmt: skip
+        ), view=self._clearances[rows])  # fmt: skip
         return group
 
     @property
@@ -90,11 +93,9 @@ class Vehicles:
             gtd.define_size("V", group.kind.count)
             gtd.adopt_bodies(group.bodies)
             group.gtd = gtd
-        views = [group.gtd for group in self.groups]
         self._collision = VehicleCollisionTest(
             self.slots, states=self.states, position=self._followed.position, attitude=self._followed.attitude,
-            distances_out=[view.plain("vehicle_clearance") for view in views],
-            crashes_out=[view.plain("crashes") for view in views],
+            distances_out=self._clearances, crashes_out=self._crashes,
         )  # fmt: skip
         self._separation = VehicleStarts(
             self.slots, self.groups, self._env, assets, states=self.states, starts=self._starts,

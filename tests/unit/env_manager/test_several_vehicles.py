@@ -346,6 +346,38 @@ def test_vehicles_that_pass_through_each_other_in_one_step_crash(beside: float, 
     assert env.episode_ends().tolist() == [[crash, crash, False]] * E
 
 
+def test_the_distance_is_that_of_the_nearest_pair() -> None:
+    """Among six turned boxes as far apart as they are large, each has the least distance of its pairs, flown as pairs."""
+    many = build([{"name": "base_quadrotor", "count": 6}], num_envs=8, env_name=CLOSE)
+    many.reset()
+    torch.manual_seed(3)
+    states = torch.cat([torch.rand(8, 6, 3), torch.nn.functional.normalize(torch.randn(8, 6, 4), dim=-1)], dim=-1)
+    pair = build([{"name": "base_quadrotor", "count": 2}], num_envs=8, env_name=CLOSE)
+    pair.reset()
+
+    def distances(env: EnvManager, poses: Tensor) -> Tensor:
+        assert env.vehicles is not None
+        env.vehicles.states[:, :7] = poses.flatten(0, 1)
+        env.vehicles.after_scene()
+        return env.gtd["vehicle_clearance"].clone()
+
+    nearest = torch.full((8, 6), torch.inf)
+    for i, j in combinations(range(6), 2):
+        nearest[:, [i, j]] = torch.minimum(nearest[:, [i, j]], distances(pair, states[:, [i, j]]))
+    assert torch.equal(distances(many, states), nearest)
+    assert (nearest < 0.0).any()
+    assert (nearest > 0.0).any()
+
+
+def test_vehicles_without_shapes_pass_through_each_other() -> None:
+    bodiless = replace(ROBOTS.get("base_quadrotor"), collision=CollisionCfg())
+    env = build([{"name": bodiless, "kind": "bodiless", "count": 2}])
+    env.reset()
+    env.step(torch.zeros(E, 2, 4))
+    assert torch.isinf(env.gtd["vehicle_clearance"]).all()
+    assert not env.gtd["crashes"].any()
+
+
 def test_vehicles_of_two_kinds_collide() -> None:
     """A box of 0.2 m edge and a ball of 0.1 m are 0.05 m apart at 0.25 m; at 0.19 m they overlap by 0.01 m."""
     half = 0.1
