@@ -195,6 +195,8 @@ def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
     with pytest.raises(UntraceableError, match=reason):
         trace(function, (torch.rand(4, 3),))
 
+
+def test_tracing_does_not_load_compilers_of_torch() -> None:
     code = (
         "import sys, torch\nfrom aerial_gym.interop.rows import RowFunction\n"
         "RowFunction(lambda a: a.norm(dim=-1), (torch.zeros(2, 3),))\n"
