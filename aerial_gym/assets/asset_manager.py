@@ -12,10 +12,9 @@ from torch import Tensor
 from aerial_gym.assets.families import assets_with_family_shapes
 from aerial_gym.assets.obstacles import asset_table, view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
-from aerial_gym.assets.scene import PARKED_Z, Scene
+from aerial_gym.assets.scene import PARKED_Z, Scene, VisibleVehicle
 from aerial_gym.assets.scene_arrays import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
-from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import ReusableLaunch, plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness, copy_mask
@@ -40,8 +39,7 @@ class AssetManager:
     def __init__(
         self, cfg: EnvironmentCfg, gtd: GlobalTensorDictionary, *, num_envs: int, device: torch.device,
         random: Randomness, bounds_min: Tensor, bounds_max: Tensor, asset_state: Tensor | None = None,
-        robot_radius: float = 0.0, robot_parts: Sequence[PartCfg] = (), robot_state: Tensor | None = None,
-        robot_links: Sequence[str] = (BASE,), num_robots: int = 1,
+        robot_radius: float = 0.0, vehicles: Sequence[VisibleVehicle] = (), link_state: Tensor | None = None,
     ) -> None:  # fmt: skip
         """Draw the obstacles of each environment, build the scene and park everything until the first reset.
 
@@ -50,9 +48,9 @@ class AssetManager:
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
             robot_radius: Radius of the robot about its origin [m]; ``cfg.clearance`` is added to it.
-            robot_parts: Parts of the robot that sensors see, in the frames of its links.
-            robot_state: States of the links, float32, (E, L, 13), or (E, 13) of one link; needed with ``robot_parts``.
-            num_robots: Number V of robots in every environment.
+            vehicles: The vehicles of every environment as sensors see them, one if not given.
+            link_state: States of their links, vehicle by vehicle, float32, (E, L, 13), or (E, 13) of one link; needed for
+                visible parts.
 
         Raises:
             ConfigError: If a mesh or URDF file cannot be used.
@@ -75,9 +73,8 @@ class AssetManager:
             groups=[(a.count, len(a.shapes)) for a in self._assets],
             asset_state=self._state,
             fixed=() if cfg.ground_part is None else (cfg.ground_part,),
-            robot=robot_parts,
-            robot_state=robot_state,
-            robot_links=robot_links,
+            vehicles=vehicles,
+            link_state=link_state,
             lamps=cfg.lamps,
         )
         obstacles = view_obstacles(
@@ -102,22 +99,22 @@ class AssetManager:
             from aerial_gym.assets.clearance import Clearance
 
             room = cfg.clearance + robot_radius
-            self.clearance = Clearance(self.scene, obstacles, mask=random.mask, room=room, num_robots=num_robots)
+            count = max(1, len(vehicles))
+            self.clearance = Clearance(self.scene, obstacles, mask=random.mask, room=room, num_robots=count)
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
 
     def make_scene_for_pictures(
-        self, count: int, *, fixed: Sequence[PartCfg], robot: Sequence[PartCfg], robot_state: Tensor,
-        robot_links: Sequence[str],
-    ) -> Scene:  # fmt: skip
+        self, count: int, *, fixed: Sequence[PartCfg], vehicle: VisibleVehicle, link_state: Tensor
+    ) -> Scene:
         """Return a scene of the first ``count`` environments with other fixed parts and a visible robot.
 
         It shares the poses. Neither physics nor sensors see it.
         """
         return Scene(
             [shape for a in self._assets for shape in a.shapes], shape_index=self.scene.shape_index[:count],
-            semantic_id=self.scene.semantic_id[:count], asset_state=self._state[:count], fixed=fixed, robot=robot,
-            robot_state=robot_state[:count], robot_links=robot_links, lamps=self.cfg.lamps,
+            semantic_id=self.scene.semantic_id[:count], asset_state=self._state[:count], fixed=fixed,
+            vehicles=(vehicle,), link_state=link_state[:count], lamps=self.cfg.lamps,
         )  # fmt: skip
 
     def restart(self) -> None:

@@ -1,7 +1,7 @@
 """Rows of the shape table, and arrays and poses of a scene in kernels, as Warp code.
 
-Frames: world of each environment, z up. Letters: E environments, A instances, P parts of all instances together, L links of the
-robot that are seen.
+Frames: world of each environment, z up. Letters: E environments, A instances, P parts of all instances together, L links of all
+vehicles that are seen.
 """
 
 import torch
@@ -55,7 +55,7 @@ class Shape:
 
 
 ABSENT_BELOW = wp.constant(-500.0)  # Height of absent instances [m]: half the parking depth, against drift
-WORLD, BODY = wp.constant(-1), wp.constant(-2)  # Carriers of other parts; link k of the robot is `BODY - k`
+WORLD, BODY = wp.constant(-1), wp.constant(-2)  # Carriers of other parts; link k is `BODY - k`
 
 
 @wp.struct
@@ -70,8 +70,11 @@ class SceneArrays:
     radius: wp.array2d[float]  # (E, P) of the bounding sphere about the part's origin [m]
     position: wp.array2d[wp.vec3]  # (E, A) world [m]
     attitude: wp.array2d[wp.quat]  # (E, A) instance to world, xyzw, unit
-    link_position: wp.array2d[wp.vec3]  # (E, L) of the robot's links, world [m]
-    link_attitude: wp.array2d[wp.quat]  # (E, L) link to world, xyzw, unit; both empty where the robot is not seen
+    link_position: wp.array2d[
+        wp.vec3
+    ]  # (E, L) of the vehicles' links, world [m]; empty where none is seen, as the next two
+    link_attitude: wp.array2d[wp.quat]  # (E, L) link to world, xyzw, unit
+    link_is_base: wp.array[wp.bool]  # (L,) whether it is the base of a vehicle
 
 
 @wp.func

@@ -230,12 +230,13 @@ class RobotCfg:
     imu: str | None = None  # Additional IMU, before those of `sensors`, which writes `imu_measurement`
 
     visible: bool = False
-    """Whether sensors see it: its own, and the shadow that it throws in their colour images. It is never part of the
-    collision test nor of the placement of obstacles."""
+    """Whether its own sensors see it, and the shadow that it throws in their colour images. Those of other vehicles in its
+    environment always do. It is never part of the collision test nor of the placement of obstacles."""
 
     visual: tuple[PartCfg, ...] = ()
     """Visible shapes in the body frame, each on its link; the collision shapes if none is given. A ray that starts
-    inside a shape sees it from within, so sensors belong outside. Segmentation shows 0 unless a part has an id of its own.
+    inside a shape sees it from within, so sensors belong outside. Segmentation shows 0, or the id of the vehicle where
+    there are several, unless a part has an id of its own.
     ``load_robot`` takes mesh paths relative to the robot's own file."""
 
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -275,9 +276,14 @@ class RobotCfg:
         return first
 
     @property
+    def appearance(self) -> tuple[PartCfg, ...]:
+        """Shapes that the sensors of others see, in the frames of its links."""
+        return self.visual or self.collision.parts
+
+    @property
     def visible_parts(self) -> tuple[PartCfg, ...]:
-        """Visible shapes of the robot, in the frames of its links; none unless it is visible."""
-        parts = (self.visual or self.collision.parts) if self.visible else ()
+        """Shapes that its own sensors see, in the frames of its links; none unless it is visible."""
+        parts = self.appearance if self.visible else ()
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
     def __repr__(self) -> str:

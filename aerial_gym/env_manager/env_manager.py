@@ -14,6 +14,7 @@ from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds
 from aerial_gym.assets.cores import body_reach
+from aerial_gym.assets.scene import VisibleVehicle
 from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
@@ -113,7 +114,9 @@ class EnvManager:
             self.vehicles = Vehicles(kinds, self.gtd, env, random=self.random, randomize=randomize or {})
         self.asset_manager = self._make_assets(kinds, bounds)
         self._build(randomize or {}, gradients=dtype if differentiable else None)
-        identity: dict[str, object] = {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together)}
+        identity: dict[str, object] = (
+            {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together)}
+        )
         for kind in kinds:
             name = "" if single else f"{kind.name} x {kind.count}: "
             identity |= {f"{name}robot": kind.robot, f"{name}controller": kind.controller}
@@ -124,13 +127,16 @@ class EnvManager:
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
     def _make_assets(self, kinds: Sequence[VehicleKind], bounds: tuple[Tensor, Tensor]) -> AssetManager:
-        options: dict[str, Any] = {"num_robots": sum(kind.count for kind in kinds)}
-        if self._group is not None:
-            root, robot, links = self.gtd["vec_root_tensor"], self._group.kind.robot, self._group.links
-            options = {
-                "asset_state": root[:, 1:], "robot_parts": robot.visible_parts,
-                "robot_state": root[:, 0] if links is None else links.state, "robot_links": robot.link_names,
+        vehicles = self.vehicles
+        if vehicles is None:
+            assert self._group is not None
+            root, robot = self.gtd["vec_root_tensor"], self._group.kind.robot
+            seen = VisibleVehicle(parts=robot.visible_parts, links=robot.link_names)
+            options: dict[str, Any] = {
+                "asset_state": root[:, 1:], "vehicles": [seen], "link_state": self._group.link_state,
             }  # fmt: skip
+        else:
+            options = {"vehicles": vehicles.visible, "link_state": vehicles.link_state}
         return AssetManager(
             self.cfg, self.gtd, num_envs=self.num_envs, device=self.device, random=self.random, bounds_min=bounds[0],
             bounds_max=bounds[1], robot_radius=max(body_reach(kind.robot.collision.shapes) for kind in kinds), **options,
@@ -351,9 +357,12 @@ class EnvManager:
         restore_tensors(state, self.state_tensors())  # again, for tensors rebuilt above
 
     def render(self, mask: Tensor | None = None) -> None:
-        """Read every sensor at the states of this instant; those of the environments in ``mask``, bool (E,), alone if given."""
-        if self.vehicles is None:  # several vehicles have no range sensors
+        """Read every range sensor at the states of this instant; with ``mask`` only those of environments, bool (E,), or of
+        vehicles, bool (E, V), as in ``reset``."""
+        if self.vehicles is None:
             self.sensor_manager.capture(mask)
+        else:
+            self.vehicles.render(mask)
 
     def close(self) -> None:
         """Release device memory; a second call does nothing, other methods then raise ``ClosedError``."""

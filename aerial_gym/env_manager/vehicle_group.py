@@ -28,7 +28,7 @@ from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.joints.link_tensors import declare_links
 from aerial_gym.robots.range_warnings import report_range_faults
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
-from aerial_gym.sensors.mounts import Carrier
+from aerial_gym.sensors.mounts import Carrier, OwnLinks
 
 if TYPE_CHECKING:
     from aerial_gym.assets.height_probe import HeightProbe
@@ -71,6 +71,8 @@ class VehicleGroup:
         self.bounds, self.trajectory, self.state = bounds, trajectory, state
         self._declare(crashes)
         self.links = None if kind.robot.joints is None else declare_links(bodies, kind.robot.joints)
+        self.link_state = self.state if self.links is None else self.links.state
+        """States of the links, (B, L, 13), or (B, 13) of one: position [m], xyzw, velocities, world."""
 
     def _declare(self, crashes: Tensor | None) -> None:
         declare = self.bodies.declare
@@ -103,12 +105,13 @@ class VehicleGroup:
 
     def build(
         self, sim: SimCfg, env: EnvironmentCfg, assets: AssetManager, *, gradients: torch.dtype | None,
-        randomize: Randomize, is_last: bool = True,
+        randomize: Randomize, is_last: bool = True, own: OwnLinks | None = None,
     ) -> None:  # fmt: skip
         """Build physics, controllers, sensors and collision tests.
 
         Args:
             is_last: Whether moving obstacles move with the collision test of this kind.
+            own: Links of these vehicles, among those that the scene shows.
         """
         robot, controller, bodies, device = self.kind.robot, self.kind.controller, self.bodies, self.bodies.device
         random, count, dt = self.random, self.random.num_envs, sim.dt * env.physics_steps_per_env_step
@@ -160,6 +163,7 @@ class VehicleGroup:
             random=random,
             poses={name: mounted.pose for name, mounted in range_sensors.items()},
             carriers=carriers,
+            own=own,
         )
         self.imus = ImuSet(
             imus, bodies, body, dt=dt, gravity=sim.gravity, random=random, errors=self.robot_manager.imu_errors,

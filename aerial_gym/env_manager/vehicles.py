@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager
+from aerial_gym.assets.scene import VisibleVehicle
 from aerial_gym.assets.vehicle_collision import SlotTable, VehicleCollisionTest
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import Randomize
@@ -24,7 +25,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
-from aerial_gym.sensors import mounted_sensors
+from aerial_gym.sensors.mounts import OwnLinks
 
 Actions = Tensor | ArrayLike
 
@@ -54,6 +55,14 @@ class Vehicles:
         self._starts = torch.zeros(num_envs, total, dtype=torch.bool, device=device)
         self._environments_stay = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self.groups = [self._make_group(number, kind, total) for number, kind in enumerate(kinds)]
+        self.visible = [
+            VisibleVehicle(parts=kind.robot.appearance, links=kind.robot.link_names)
+            for kind in kinds for _ in range(kind.count)
+        ]  # fmt: skip
+        """All vehicles of an environment as sensors see them."""
+        self._link_states = [group.link_state.view(num_envs, -1, 13) for group in self.groups]
+        self.link_state = self._link_states[0] if len(kinds) == 1 else torch.cat(self._link_states, dim=1)
+        """States of their links, (E, L, 13), as ``render`` leaves them: position [m], xyzw, velocities, world."""
 
     def _make_group(self, number: int, kind: VehicleKind, total: int) -> VehicleGroup:
         gtd, rows, count = self._gtd, self.slots.rows(number), kind.count
@@ -84,9 +93,16 @@ class Vehicles:
         if gradients is not None:
             raise ConfigError("differentiable=True: one vehicle for each environment only. Leave robots out")
         self._copy_bounds()
+        first_link = 0
         for group in self.groups:
             own = {**group.kind.robot.randomize, **self._env.randomize, **randomize}
-            group.build(sim, self._env, assets, gradients=None, randomize=own, is_last=group is self.groups[-1])
+            links = len(group.kind.robot.link_names)
+            seen = OwnLinks(first=first_link, count=links, seen=group.kind.robot.visible)
+            first_link += links * group.kind.count
+            group.build(
+                sim, self._env, assets, gradients=None, randomize=own, is_last=group is self.groups[-1], own=seen
+            )
+        for group in self.groups:
             gtd = self._gtd
             if len(self.groups) > 1:
                 gtd = GlobalTensorDictionary(device=gtd.device, sizes={"E": self._num_envs})
@@ -139,6 +155,17 @@ class Vehicles:
         """Update derived states and inertial sensors after a step of ``span`` [s]."""
         for group in self.groups:
             group.refresh(span)
+
+    def render(self, mask: Tensor | None) -> None:
+        """Read all range sensors, or those of environments (E,) or of vehicles (E, T) in a bool mask."""
+        if len(self.groups) > 1:
+            torch.cat(self._link_states, dim=1, out=self.link_state)
+        for number, group in enumerate(self.groups):
+            first, count = self.slots.first_slot(number), group.kind.count
+            rows = None
+            if mask is not None:
+                rows = mask.unsqueeze(1).expand(-1, count) if mask.dim() == 1 else mask[:, first : first + count]
+            group.sensor_manager.capture(None if rows is None else rows.flatten())
 
     def begin(self, mask: Tensor) -> None:
         """Begin episodes in environments (E,), or of vehicles (E, T) in environments that stay, by a bool mask."""
@@ -224,8 +251,6 @@ def check_kinds(kinds: Sequence[VehicleKind], env: EnvironmentCfg, randomize: Ra
         faults.append("contact: obstacles push one vehicle in an environment only. Leave contact or obstacles out")
     for kind in kinds:
         robot = kind.robot
-        if sensors := mounted_sensors(robot.sensor_mounts, {})[0]:
-            faults.append(f"robot {kind.name}: range sensors are for one vehicle only. Leave out {', '.join(sensors)}")
         if robot.collides_with_links:
             faults.append(f"robot {kind.name}: collision shapes on links are for one vehicle only. Leave them out")
         drawn = {**robot.randomize, **env.randomize, **randomize}

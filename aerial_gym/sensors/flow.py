@@ -5,8 +5,8 @@ to the sensor, computed once per image. Its image moves with J dp/dt / |p|, J be
 pixel's unit direction. A miss is a point at infinity, whose flow depends on the sensor's rotation alone.
 
 Frames: a sensor looks along its own x, y left, z up; flow is right and down. World is the environment's own.
-Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels, A instances, P parts, L links of the robot
-that are seen.
+Letters: E environments, B vehicles of all of them, S sensors of one kind, M = B * S mounts, H x W = N pixels, A instances,
+P parts, L links of all vehicles that are seen.
 """
 
 from math import radians, tan
@@ -21,7 +21,7 @@ from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.sensors.rays import ray_table
-from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
+from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, first_own_link, sensor_pose
 
 LEAST_DISTANCE = wp.constant(1.0e-6)  # Lower limit of the distance [m], as flow diverges at the pupil
 
@@ -32,7 +32,7 @@ class Flow:
 
     right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
     down: wp.array[wp.vec3]  # (N,) derivative of the row
-    # of the instances, then of the robot's links, of the world and of points at infinity:
+    # of the instances, then of the links, of the world and of points at infinity:
     drift: wp.array2d[wp.vec3]  # (M, A + L + 2) a, sensor frame [m/s]
     turn: wp.array2d[wp.vec3]  # (M, A + L + 2) b, sensor frame [rad/s]
     num_instances: wp.int32  # A
@@ -60,19 +60,20 @@ def relative_twist(
 ):
     """Write the relative motion of an instance, a link or the world in the sensor's frame, velocity ``a + b x p`` at p."""
     mount, a = wp.tid()
-    env = mount // sensors.mount_position.shape[1]
-    sensor = mount - env * sensors.mount_position.shape[1]
-    body_spin = sensors.ang_vel[env]
-    turn = -wp.quat_rotate_inv(sensors.mount_attitude[env, sensor], body_spin)
+    body = mount // sensors.mount_position.shape[1]
+    env = body // sensors.vehicles
+    sensor = mount - body * sensors.mount_position.shape[1]
+    body_spin = sensors.ang_vel[body]
+    turn = -wp.quat_rotate_inv(sensors.mount_attitude[body, sensor], body_spin)
     drift = wp.vec3(0.0, 0.0, 0.0)
     count = scene.position.shape[1]
     world = count + twists.link_lin_vel.shape[1]
-    if a < world and a - count == sensors.link:  # the link moves with its sensors
+    if a < world and a - count == first_own_link(sensors, body) + sensors.link:  # the link moves with its sensors
         turn = wp.vec3(0.0, 0.0, 0.0)
     elif a <= world:
-        origin, attitude = sensor_pose(sensors, env, sensor)
-        lever = wp.cross(body_spin, sensors.mount_position[env, sensor])
-        own = sensors.lin_vel[env] + wp.quat_rotate(sensors.attitude[env], lever)
+        origin, attitude = sensor_pose(sensors, body, sensor)
+        lever = wp.cross(body_spin, sensors.mount_position[body, sensor])
+        own = sensors.lin_vel[body] + wp.quat_rotate(sensors.attitude[body], lever)
         spin = wp.vec3(0.0, 0.0, 0.0)
         there = wp.vec3(0.0, 0.0, 0.0)
         if a < count:
@@ -101,9 +102,9 @@ def ray_flow(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distanc
     return wp.vec2(wp.dot(flow.right[pixel], rate), wp.dot(flow.down[pixel], rate))
 
 
-def make_flow_inputs(cfg: RangeSensorCfg, scene: Scene) -> Flow:
+def make_flow_inputs(cfg: RangeSensorCfg, scene: Scene, mounts: int) -> Flow:
     """Return the input struct of a camera's optical-flow kernel."""
-    device, mounts = wp.device_from_torch(scene.device), scene.num_envs * cfg.count
+    device = wp.device_from_torch(scene.device)
     table = pixel_derivatives(cfg, device=scene.device).view(-1, 2, 3)
     columns = scene.num_instances + scene.num_links + 2
     return make_struct(
@@ -120,8 +121,8 @@ def record_relative_twist(flow: Flow, scene: Scene, sensors: SensorsOnCarrier) -
 
 
 def scene_twists(scene: Scene) -> SceneTwists:
-    """Return views of the velocities of a scene's instances and of the robot's links."""
-    links = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.robot_state is None else scene.robot_state
+    """Return views of the velocities of a scene's instances and of the vehicles' links."""
+    links = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.link_state is None else scene.link_state
     twists = SceneTwists()
     for prefix, state in (("", scene.asset_state), ("link_", links)):
         for name, columns in (("lin_vel", slice(7, 10)), ("ang_vel", slice(10, 13))):

@@ -54,6 +54,15 @@ class Carrier:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OwnLinks:
+    """Links of the vehicles that carry sensors, among those of all vehicles of a scene."""
+
+    first: int = 0  # Of the first such vehicle of an environment
+    count: int = 1  # Of one vehicle
+    seen: bool = True  # Whether the sensors of a vehicle see it
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotSensor(Generic[Cfg]):
     """A sensor on a robot."""
 

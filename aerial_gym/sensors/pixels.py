@@ -2,7 +2,8 @@
 
 The function that writes a pixel is composed for the sensor's images; others cost nothing.
 
-Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), N pixels, P parts.
+Frames: a sensor looks along its own x. Letters: E environments, B vehicles of all of them,
+M mounts (sensors of all vehicles), N pixels, P parts.
 """
 
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ class PixelOutputs:
     lamps: bool  # Whether the environment has lamps
     scan: bool  # Whether columns of a scanning lidar have poses of their own
     frames: bool = False  # Whether the ray pattern differs between images
+    shared: bool = False  # Whether several vehicles see the scene of an environment
 
 
 @wp.struct
@@ -64,7 +66,7 @@ class DistanceNoise:
     random: RandomArrays
     sensor: wp.int32  # number of the kind on its robot
     mounts: wp.int32  # sensors of the kind on a robot
-    image: wp.array[wp.int32]  # (E,) how many images were taken since the reset
+    image: wp.array[wp.int32]  # (B,) how many images were taken since the reset
 
 
 @wp.func
@@ -91,7 +93,7 @@ def second_camera_sees(view: SensorView, limits: DistanceLimits, env: int, mount
 def make_write_pixel(outputs: PixelOutputs) -> wp.Function:
     """Return the function that writes a pixel of a sensor with these outputs."""
     images_type, written, in_world = arrays_type(outputs.images), outputs.images, outputs.in_world
-    has_noise, shadows, lamps = outputs.noise, outputs.shadows, outputs.lamps
+    has_noise, shadows, lamps, shared = outputs.noise, outputs.shadows, outputs.lamps, outputs.shared
     segments, faces, stereo = "segmentation" in written, "face_ids" in written, "disparity" in written
     colors, flows = "color" in written, "optical_flow" in written
     points, points_in_world = "points" in written, "points" in in_world
@@ -107,9 +109,12 @@ def make_write_pixel(outputs: PixelOutputs) -> wp.Function:
         measured = nearest * along
         dropped = wp.bool(False)
         if wp.static(has_noise):
-            taken = substream(episode_stream(noise.random, env, wp.static(int(Purpose.IMAGE_NOISE))), noise.sensor)
-            own = (mount - env * noise.mounts) * images.distance.shape[1] + pixel
-            random = substream(substream(taken, noise.image[env]), own)
+            body = env
+            if wp.static(shared):
+                body = mount // noise.mounts
+            taken = substream(episode_stream(noise.random, body, wp.static(int(Purpose.IMAGE_NOISE))), noise.sensor)
+            own = (mount - body * noise.mounts) * images.distance.shape[1] + pixel
+            random = substream(substream(taken, noise.image[body]), own)
             dropped = wp.randf(random) < noise.dropout
             std = (noise.std_a * measured + noise.std_b) * measured + noise.std_c
             measured += std * wp.randn(random) - noise.mean_offset

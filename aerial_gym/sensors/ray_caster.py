@@ -1,10 +1,11 @@
-"""The ray caster: one kernel writes every image of a sensor in every environment.
+"""The ray caster: one kernel writes every image of a sensor on every vehicle.
 
 A sensor is a table of ray directions and a mount, so that any camera or lidar model runs through the same kernel. Mounts
 are buffers that may be written between calls, also after a CUDA graph was captured.
 
 Frames: body is x forward, y left, z up; a sensor looks along its own x. World is the environment's own, z up.
-Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels (row 0 on top), P parts.
+Letters: E environments, B vehicles of all of them (vehicle b is in environment ``b // (B / E)``), S sensors of one kind,
+M = B * S mounts, H x W = N pixels (row 0 on top), P parts.
 """
 
 from dataclasses import fields
@@ -24,7 +25,7 @@ from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow_inputs, record_relative_twist
 from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
-from aerial_gym.sensors.mounts import Carrier, Pose
+from aerial_gym.sensors.mounts import Carrier, OwnLinks, Pose
 from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
@@ -41,11 +42,11 @@ BLOCK_DIM = 64  # Threads of a block; 128 is 1 % and 256 is 7 to 24 % slower (do
 
 @interop.with_usual_settings
 class RayCaster:
-    """The sensors of one kind in every environment, with all views made at construction."""
+    """The sensors of one kind on every vehicle, with all views made at construction."""
 
     def __init__(
         self, cfg: RangeSensorCfg, scene: Scene, images: SensorImages, carrier: Carrier, *,
-        random: Randomness | None = None, number: int = 0, pose: Pose | None = None,
+        random: Randomness | None = None, number: int = 0, pose: Pose | None = None, own: OwnLinks | None = None,
     ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
@@ -54,36 +55,39 @@ class RayCaster:
             number: Of the kind on its robot: two kinds are drawn apart.
             pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
                 it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
+            own: Links of the vehicles that carry the sensors, among those that the scene shows.
         """
-        envs, device = scene.num_envs, scene.device
-        images.check(cfg, envs, device)
+        count, device = carrier.position.shape[0], scene.device
+        images.check(cfg, count, device)
         self.cfg, self.images, self.num_sensors = cfg, images, cfg.count
         self._device, self._number = device, number
-        self._random = random or Randomness(envs, device=device)
+        self._random = random or Randomness(count, device=device)
         self.direction = ray_table(cfg, device=device)
         self.places = SensorPoses(cfg, self._random, number=number, pose=pose)
-        self.due = torch.ones(envs, dtype=torch.bool, device=device)
-        """Environments whose images the next ``cast`` takes, bool, (E,)."""
-        self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
+        self.due = torch.ones(count, dtype=torch.bool, device=device)
+        """Vehicles whose images the next ``cast`` takes, bool, (B,)."""
+        self._image_number = torch.zeros(count, dtype=torch.int32, device=device)
         self._num_frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
-        self._frame = torch.full((envs,), self._num_frames - 1, dtype=torch.int32, device=device)
-        """Index of the ray pattern of the last image, int32, (E,)."""
+        self._frame = torch.full((count,), self._num_frames - 1, dtype=torch.int32, device=device)
+        """Index of the ray pattern of the last image, int32, (B,)."""
+        own = own or OwnLinks()
         sensors = interop.make_struct(
-            SensorsOnCarrier, position=vector_view("position", carrier.position, (envs, 3), device=device),
-            attitude=vector_view("attitude", carrier.attitude, (envs, 4), device=device),
+            SensorsOnCarrier, position=vector_view("position", carrier.position, (count, 3), device=device),
+            attitude=vector_view("attitude", carrier.attitude, (count, 4), device=device),
             mount_position=self.places.position, mount_attitude=self.places.attitude, link=carrier.number,
-            **_twist_views(cfg, carrier, envs, device),
+            vehicles=count // scene.num_envs, first_link=own.first, num_links=own.count, hides_own=not own.seen,
+            **_twist_views(cfg, carrier, count, device),
         )  # fmt: skip
         self._scan: ColumnScan | None = None
         if isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None:
             self._scan = ColumnScan(cfg, scene, sensors)
             sensors = self._scan.seats
         self._groups = 1 if self._scan is None else self._scan.groups
-        self._view = _make_view(scene, envs * cfg.count * self._groups)
+        self._view = _make_view(scene, count * cfg.count * self._groups, vehicles=sensors.vehicles)
         self._prepare = self._record_preparations(scene, sensors)
         self._flow = Flow()
         if images.optical_flow is not None:
-            self._flow = make_flow_inputs(cfg, scene)
+            self._flow = make_flow_inputs(cfg, scene, count * cfg.count)
             self._prepare.append(record_relative_twist(self._flow, scene, sensors))
         self._launches = self._record_rays(scene)
 
@@ -141,6 +145,7 @@ class RayCaster:
             lamps=cfg.light is not None and bool(scene.lamps),
             scan=self._scan is not None,
             frames=self._num_frames > 1,
+            shared=self._view.vehicles > 1,
         )
         images, due, light = self._make_images(scene), wp.from_torch(self.due), _light_arrays(cfg, scene)
         inputs = [self._view, rays, _distance_limits(cfg), self._make_noise(), light, self.num_sensors, due, images]
@@ -173,7 +178,7 @@ class RayCaster:
         return noise
 
     def cast(self) -> None:
-        """Write the images of the environments that are due; launched on torch's current stream, not waited for."""
+        """Write the images of the vehicles that are due; launched on torch's current stream, not waited for."""
         if self.cfg.active_noise is not None:
             self._image_number.add_(self.due)
         if self._num_frames > 1:
@@ -190,13 +195,13 @@ class RayCaster:
         return {"due": self.due, "image_number": self._image_number, **frame, **places} | dict(self.images.items())
 
     def reset(self, mask: Tensor) -> None:
-        """Reset the mounts of masked environments, bool (E,), to nominal or drawn poses; restart image and frame counts."""
+        """Reset the mounts of masked vehicles, bool (B,), to nominal or drawn poses; restart image and frame counts."""
         self.places.reset(mask)
         self._image_number.masked_fill_(mask, 0)
         self._frame.masked_fill_(mask, self._num_frames - 1)
 
 
-def _twist_views(cfg: RangeSensorCfg, carrier: Carrier, envs: int, device: torch.device) -> dict[str, wp.array]:
+def _twist_views(cfg: RangeSensorCfg, carrier: Carrier, count: int, device: torch.device) -> dict[str, wp.array]:
     """Return views of the velocities that a sensor needs, by name."""
     scan = isinstance(cfg, ScannedCfg) and cfg.column_duration_s is not None
     if not (cfg.optical_flow or scan):
@@ -205,7 +210,7 @@ def _twist_views(cfg: RangeSensorCfg, carrier: Carrier, envs: int, device: torch
         name = ("frames" if isinstance(cfg, RosetteCfg) else "scan_s") if scan else "optical_flow"
         raise ConfigError(f"{type(cfg).__name__}.{name} needs lin_vel and ang_vel, the velocities of the body")
     velocities = {"lin_vel": carrier.lin_vel, "ang_vel": carrier.ang_vel}
-    return {name: vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()}
+    return {name: vector_view(name, given, (count, 3), device=device) for name, given in velocities.items()}
 
 
 def _distance_limits(cfg: RangeSensorCfg) -> DistanceLimits:
@@ -238,10 +243,10 @@ def _light_arrays(cfg: RangeSensorCfg, scene: Scene) -> Light:
     return light
 
 
-def _make_view(scene: Scene, mounts: int) -> SensorView:
+def _make_view(scene: Scene, mounts: int, *, vehicles: int) -> SensorView:
     device, count = wp.device_from_torch(scene.device), scene.num_parts
     view = SensorView()
     view.rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
     view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
-    view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
+    view.shapes, view.part_shape, view.vehicles = scene.arrays.shapes, scene.arrays.part_shape, vehicles
     return view

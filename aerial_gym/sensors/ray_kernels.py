@@ -1,6 +1,6 @@
 """The kernels that trace the rays of a sensor in every environment, composed for the images that it has.
 
-Letters: E environments, S sensors of one kind, M = E * S mounts, K frames, T tiles, L rays of a tile, P parts.
+Letters: B vehicles of all environments, S sensors of one kind, M = B * S mounts, K frames, T tiles, L rays of a tile, P parts.
 """
 
 from functools import cache
@@ -23,7 +23,7 @@ class Rays:
     middle: wp.array[wp.vec3]  # (K * T,) of the directions of a tile
     spread: wp.array[wp.vec3]  # (K * T,) half of their spread
     num_tiles: wp.int32  # T
-    frame: wp.array[wp.int32]  # (E,) which of K frames an image has; empty where K is 1
+    frame: wp.array[wp.int32]  # (B,) which of K frames an image has; empty where K is 1
     group: wp.array[wp.int32]  # (T,) group of columns of a turning lidar
     groups: wp.int32  # number of groups G; the view has a row for each of every mount
 
@@ -48,15 +48,18 @@ def make_warp_kernel(outputs: PixelOutputs) -> wp.Kernel:
         num_tiles = rays.num_tiles
         mount = (thread >> 5) // num_tiles
         tile = (thread >> 5) - mount * num_tiles
-        env = mount // sensors
-        if not due[env]:
+        body = mount // sensors
+        if not due[body]:
             return
+        env = body
+        if wp.static(outputs.shared):
+            env = body // view.vehicles
         seat = mount
         if wp.static(outputs.scan):
             seat = mount * rays.groups + rays.group[tile]
         seen = tile
         if wp.static(outputs.frames):
-            seen = rays.frame[env] * num_tiles + tile
+            seen = rays.frame[body] * num_tiles + tile
         middle = rays.middle[seen]
         spread = rays.spread[seen]
         ray = rays.direction[seen * 32 + lane]
@@ -142,15 +145,18 @@ def make_tile_kernel(outputs: PixelOutputs, num_parts: int) -> wp.Kernel:
         num_tiles = rays.num_tiles
         mount = task // num_tiles
         tile = task - mount * num_tiles
-        env = mount // sensors
-        if not due[env]:
+        body = mount // sensors
+        if not due[body]:
             return
+        env = body
+        if wp.static(outputs.shared):
+            env = body // view.vehicles
         seat = mount
         if wp.static(outputs.scan):
             seat = mount * rays.groups + rays.group[tile]
         seen = tile
         if wp.static(outputs.frames):
-            seen = rays.frame[env] * num_tiles + tile
+            seen = rays.frame[body] * num_tiles + tile
         analytic = find_candidates(view, seat, rays.middle[seen], rays.spread[seen], False)
         meshes = find_candidates(view, seat, rays.middle[seen], rays.spread[seen], True)
         for i in range(per_tile):

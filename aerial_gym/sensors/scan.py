@@ -4,8 +4,8 @@ Columns measured at the same time form a group, and each group has a sensor pose
 complete at the instant of capture. Past poses follow from the twists at that instant: origins of body and obstacles on
 straight lines, links by screw motions, which do not depend on the choice of their origin.
 
-Frames: body is x forward, y left, z up; world is the environment's own. Letters: E environments, S sensors of one kind,
-M = E * S mounts, G groups, A instances, P parts, L links of the robot that are seen.
+Frames: body is x forward, y left, z up; world is the environment's own. Letters: E environments, B vehicles of all of them, S
+sensors of one kind, M = B * S mounts, G groups, A instances, P parts, L links of all vehicles that are seen.
 """
 
 from math import gcd
@@ -19,8 +19,8 @@ from aerial_gym.config.sensor import ScannedCfg
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.sensors.flow import SceneTwists, scene_twists
 from aerial_gym.sensors.rays import Tiles, make_tiles
-from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
-from aerial_gym.sensors.sensor_view import SensorView, write_part_in_sensor_frame
+from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, first_own_link, is_hidden, sensor_pose
+from aerial_gym.sensors.sensor_view import ABSENT, SensorView, write_part_in_sensor_frame
 
 
 @wp.func
@@ -56,25 +56,25 @@ def place_columns(
     sensors: SensorsOnCarrier,
     age: wp.array[float],  # (G,) how long ago a group was measured [s]
     # out
-    position_out: wp.array2d[wp.vec3],  # (E, S * G) present body frame [m]
-    attitude_out: wp.array2d[wp.quat],  # (E, S * G) sensor to present body
+    position_out: wp.array2d[wp.vec3],  # (B, S * G) present body frame [m]
+    attitude_out: wp.array2d[wp.quat],  # (B, S * G) sensor to present body
 ):
     """Write a sensor's past pose in the present body frame, for a constant twist."""
-    env, seat = wp.tid()
+    body, seat = wp.tid()
     sensor = seat // age.shape[0]
     ago = age[seat - sensor * age.shape[0]]
-    spin = sensors.ang_vel[env]
+    spin = sensors.ang_vel[body]
     back = rotation_over_time(spin, -ago)
-    gone = shift_over_time(wp.quat_rotate_inv(sensors.attitude[env], sensors.lin_vel[env]), spin, -ago, sensors.link)
-    position_out[env, seat] = wp.quat_rotate(back, sensors.mount_position[env, sensor]) + gone
-    attitude_out[env, seat] = back * sensors.mount_attitude[env, sensor]
+    gone = shift_over_time(wp.quat_rotate_inv(sensors.attitude[body], sensors.lin_vel[body]), spin, -ago, sensors.link)
+    position_out[body, seat] = wp.quat_rotate(back, sensors.mount_position[body, sensor]) + gone
+    attitude_out[body, seat] = back * sensors.mount_attitude[body, sensor]
 
 
 @wp.kernel(enable_backward=False)
 def view_columns(
     scene: SceneArrays,
     twists: SceneTwists,
-    seats: SensorsOnCarrier,  # of the column groups, (E, S * G)
+    seats: SensorsOnCarrier,  # of the column groups, (B, S * G)
     sensors: SensorsOnCarrier,
     age: wp.array[float],  # (G,) [s]
     reach: float,  # [m] beyond which nothing is seen
@@ -88,16 +88,21 @@ def view_columns(
     the present pose.
     """
     row, a = wp.tid()
-    env = row // seats.mount_position.shape[1]
-    seat = row - env * seats.mount_position.shape[1]
-    origin, attitude = sensor_pose(seats, env, seat)
+    body = row // seats.mount_position.shape[1]
+    env = body // sensors.vehicles
+    seat = row - body * seats.mount_position.shape[1]
     instance = scene.part_instance[env, a]
-    if instance == BODY - sensors.link:
-        origin, attitude = sensor_pose(sensors, env, seat // age.shape[0])
+    if is_hidden(sensors, body, instance):
+        kind_out[row, a] = ABSENT
+        return
+    origin, attitude = sensor_pose(seats, body, seat)
+    if instance == BODY - first_own_link(sensors, body) - sensors.link:
+        origin, attitude = sensor_pose(sensors, body, seat // age.shape[0])
     elif instance != WORLD and scene.part_shape[env, a] >= 0:
         velocity = wp.vec3()
         spin = wp.vec3()
         place = wp.vec3()
+        straight = wp.bool(True)
         if instance >= 0:
             velocity = twists.lin_vel[env, instance]
             spin = twists.ang_vel[env, instance]
@@ -106,10 +111,11 @@ def view_columns(
             velocity = twists.link_lin_vel[env, BODY - instance]
             spin = twists.link_ang_vel[env, BODY - instance]
             place = scene.link_position[env, BODY - instance]
+            straight = scene.link_is_base[BODY - instance]
         if wp.length_sq(velocity) + wp.length_sq(spin) > 0.0:
             ago = age[seat - (seat // age.shape[0]) * age.shape[0]]
             forth = rotation_over_time(spin, ago)
-            if instance >= BODY:
+            if straight:
                 origin = place + wp.quat_rotate(forth, origin + ago * velocity - place)
             else:
                 origin = place + wp.quat_rotate(forth, origin - place) + shift_over_time(velocity, spin, ago, 1)
@@ -128,10 +134,10 @@ class ColumnScan:
         self.groups = len(ages)
         """Number of groups G."""
         self._age = wp.array(ages, dtype=wp.float32, device=self._device)
-        seats = (scene.num_envs, cfg.count * self.groups)
+        seats = (sensors.mount_position.shape[0], cfg.count * self.groups)
         self.seats = SensorsOnCarrier()
-        """The column groups as sensors of their own, (E, S * G)."""
-        for name in ("position", "attitude", "lin_vel", "ang_vel", "link"):
+        """The column groups as sensors of their own, (B, S * G)."""
+        for name in SensorsOnCarrier.vars:
             setattr(self.seats, name, getattr(sensors, name))
         self.seats.mount_position = wp.zeros(seats, dtype=wp.vec3, device=self._device)
         self.seats.mount_attitude = wp.zeros(seats, dtype=wp.quat, device=self._device)

@@ -1,6 +1,6 @@
 """Range sensors of a robot: their images in the GTD and their sample times.
 
-Letters: E environments, S sensors of one kind, H x W pixels.
+Letters: E environments, B vehicles of all of them (E where each has one), S sensors of one kind, H x W pixels.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.sensors.images import CLOCK_MARGIN, DelayLine, declare_images, latency_steps, zero_images_like
-from aerial_gym.sensors.mounts import Carrier, Pose
+from aerial_gym.sensors.mounts import Carrier, OwnLinks, Pose
 
 if TYPE_CHECKING:
     from aerial_gym.sensors.ray_caster import RayCaster
@@ -36,18 +36,21 @@ class SensorManager:
         self, cfgs: Mapping[str, RangeSensorCfg], gtd: GlobalTensorDictionary, scene: Scene, body: Carrier, *,
         num_envs: int, device: torch.device, dt: float | None = None, random: Randomness | None = None,
         poses: Mapping[str, Pose | None] | None = None, carriers: Mapping[str, Carrier] | None = None,
+        own: OwnLinks | None = None,
     ) -> None:  # fmt: skip
         """Declare the images and make a ray caster for each sensor.
 
         Args:
-            gtd: Receives the keys of ``IMAGES`` that a sensor has, (E, S, H, W) or (E, S, H, W, 2 or 3); for further sensors
+            gtd: Receives the keys of ``IMAGES`` that a sensor has, (B, S, H, W) or (B, S, H, W, 2 or 3); for further sensors
                 with ``<name>_`` in front.
             body: With velocities for sensors with optical flow or a scan time.
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
             poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
             carriers: Links that carry sensors, by the names of these; the others sit on the body.
+            own: Links of the vehicles, among those that the scene shows.
+            num_envs: Number of vehicles B.
         """
-        if cfgs and num_envs != scene.num_envs:
+        if cfgs and num_envs % scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
         self._num_envs, self._device, self._dt = num_envs, plain_device(device), dt
         self.casters = {}
@@ -69,8 +72,9 @@ class SensorManager:
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
             self.casters[name] = RayCaster(
-                cfg, scene, taken, carrier, random=random, number=len(self.casters), pose=(poses or {}).get(name)
-            )
+                cfg, scene, taken, carrier, random=random, number=len(self.casters), pose=(poses or {}).get(name),
+                own=own,
+            )  # fmt: skip
             if cfg.rate_hz is not None:
                 self._clock[name] = torch.full((num_envs,), 1.0 / cfg.rate_hz, device=device)
 
@@ -87,13 +91,13 @@ class SensorManager:
     def capture(self, mask: Tensor | None = None) -> None:
         """Take the images that are due from the present poses; launched on torch's current stream, not waited for.
 
-        With a mask, bool (E,), the other environments are neither read nor advanced.
+        With a mask, bool (B,), the other vehicles are neither read nor advanced.
 
-        Images of a sensor with a latency appear that much later, rounded to whole steps; after a reset the first image of an
-        environment appears at once.
+        Images of a sensor with a latency appear that much later, rounded to whole steps; after a reset the first image of a
+        vehicle appears at once.
 
         A sensor without a rate takes an image at every call. One with a rate keeps its last image between its sample times,
-        which count from the reset of each environment.
+        which count from the reset of each vehicle.
         """
         for name, clock in self._clock.items():
             caster = self.casters[name]
@@ -129,7 +133,7 @@ class SensorManager:
         return poses
 
     def reset(self, mask: Tensor) -> None:
-        """Reset the mounts of masked environments, bool (E,); their images are due at the next capture."""
+        """Reset the mounts of masked vehicles, bool (B,); their images are due at the next capture."""
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
         for delay in self._delay.values():
             delay.reset(mask)

@@ -1,11 +1,13 @@
 """Poses of the sensors of one kind on the body, constant or drawn at every reset, and in the world.
 
-Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind, M = E * S mounts.
+Frames: body is x forward, y left, z up. Letters: B vehicles of all environments, which are the environments where each has one,
+S sensors of one kind, M = B * S mounts.
 """
 
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.assets.scene_arrays import BODY
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.config.sensor_mount import PlacementCfg
 from aerial_gym.interop import ReusableLaunch
@@ -18,21 +20,38 @@ from aerial_gym.sensors.mounts import Pose, file_pose
 class SensorsOnCarrier:
     """Sensors of one kind, with the motion of the body or link that carries them."""
 
-    position: wp.array[wp.vec3]  # (E,) origin of the carrier, world [m]
-    attitude: wp.array[wp.quat]  # (E,) carrier to world, xyzw
-    lin_vel: wp.array[wp.vec3]  # (E,) of that origin, world [m/s]; empty where no image needs it
-    ang_vel: wp.array[wp.vec3]  # (E,) carrier's axes [rad/s]; likewise
-    mount_position: wp.array2d[wp.vec3]  # (E, S) carrier's frame [m]
-    mount_attitude: wp.array2d[wp.quat]  # (E, S) sensor to carrier, xyzw
+    position: wp.array[wp.vec3]  # (B,) origin of the carrier, world [m]
+    attitude: wp.array[wp.quat]  # (B,) carrier to world, xyzw
+    lin_vel: wp.array[wp.vec3]  # (B,) of that origin, world [m/s]; empty where no image needs it
+    ang_vel: wp.array[wp.vec3]  # (B,) carrier's axes [rad/s]; likewise
+    mount_position: wp.array2d[wp.vec3]  # (B, S) carrier's frame [m]
+    mount_attitude: wp.array2d[wp.quat]  # (B, S) sensor to carrier, xyzw
     link: wp.int32  # number of the carrier; 0 of the body
+    vehicles: wp.int32  # of this kind in an environment: body b is in the scene of environment b // vehicles
+    first_link: wp.int32  # of the first of them, among all links of the scene
+    num_links: wp.int32  # of one vehicle
+    hides_own: wp.bool  # whether the sensors of a vehicle do not see it
 
 
 @wp.func
-def sensor_pose(sensors: SensorsOnCarrier, env: int, sensor: int):
+def first_own_link(sensors: SensorsOnCarrier, body: int) -> int:
+    """Return the number of a vehicle's base among all links of the scene."""
+    return sensors.first_link + (body % sensors.vehicles) * sensors.num_links
+
+
+@wp.func
+def is_hidden(sensors: SensorsOnCarrier, body: int, instance: int) -> wp.bool:
+    """Return whether a vehicle's sensors do not see the carrier of a part, as it is the vehicle itself."""
+    own = BODY - instance - first_own_link(sensors, body)
+    return sensors.hides_own and own >= 0 and own < sensors.num_links
+
+
+@wp.func
+def sensor_pose(sensors: SensorsOnCarrier, body: int, sensor: int):
     """Return position [m] and attitude (sensor to world) of a sensor in the world."""
-    carrier = sensors.attitude[env]
-    origin = sensors.position[env] + wp.quat_rotate(carrier, sensors.mount_position[env, sensor])
-    return origin, carrier * sensors.mount_attitude[env, sensor]
+    carrier = sensors.attitude[body]
+    origin = sensors.position[body] + wp.quat_rotate(carrier, sensors.mount_position[body, sensor])
+    return origin, carrier * sensors.mount_attitude[body, sensor]
 
 
 @wp.kernel(enable_backward=False)
@@ -43,8 +62,8 @@ def write_sensor_poses(
 ):
     """Write where every sensor is."""
     mount = wp.tid()
-    env = mount // sensors.mount_position.shape[1]
-    origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
+    body = mount // sensors.mount_position.shape[1]
+    origin, attitude = sensor_pose(sensors, body, mount - body * sensors.mount_position.shape[1])
     origin_out[mount] = origin
     attitude_out[mount] = attitude
 

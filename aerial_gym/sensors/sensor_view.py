@@ -4,8 +4,8 @@ For each sensor and instance, once per image, the map from the sensor's frame to
 (a cube of half edge 1) is computed; a ray then costs a matrix-vector product instead of two rotations, and reads neither
 pose nor shape.
 
-Frames: a sensor looks along its own x; world is the environment's own. Letters: E environments, S sensors of one kind,
-M = E * S mounts, P parts.
+Frames: a sensor looks along its own x; world is the environment's own. Letters: E environments, B vehicles of all of them,
+S sensors of one kind, M = B * S mounts, P parts.
 """
 
 import warp as wp
@@ -20,9 +20,9 @@ from aerial_gym.assets.scene_arrays import (
     part_is_present,
     part_position,
 )
-from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
+from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, is_hidden, sensor_pose
 
-ABSENT = wp.constant(-1)  # Kind of an instance that is parked or out of reach
+ABSENT = wp.constant(-1)  # Kind of an instance that is parked, out of reach or hidden
 
 
 @wp.struct
@@ -33,6 +33,7 @@ class SensorView:
     kind: wp.array2d[wp.int32]  # (M, P) kind of the shape, or ABSENT
     shapes: wp.array[Shape]
     part_shape: wp.array2d[wp.int32]  # (E, P)
+    vehicles: wp.int32  # B / E
 
 
 @wp.func
@@ -67,8 +68,12 @@ def write_parts_in_sensor_frames(
 ):
     """Write one part in the frame of one sensor."""
     mount, a = wp.tid()
-    env = mount // sensors.mount_position.shape[1]
-    origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
+    body = mount // sensors.mount_position.shape[1]
+    env = body // sensors.vehicles
+    if is_hidden(sensors, body, scene.part_instance[env, a]):
+        kind_out[mount, a] = ABSENT
+        return
+    origin, attitude = sensor_pose(sensors, body, mount - body * sensors.mount_position.shape[1])
     write_part_in_sensor_frame(scene, env, a, origin, attitude, reach, mount, rows_out, kind_out)
 
 

@@ -69,6 +69,7 @@ class ChaseView:
         """Build the cameras of ``count`` environments; raise ``MissingDependencyError`` without Pillow."""
         if find_spec("PIL") is None:
             raise MissingDependencyError("pictures of flights need Pillow: pip install pillow")
+        from aerial_gym.assets.scene import VisibleVehicle
         from aerial_gym.sensors import RayCaster, make_images
         from aerial_gym.sensors.mounts import Carrier
         from aerial_gym.task.commands.command import TARGET
@@ -88,8 +89,9 @@ class ChaseView:
 
         def look(cfg: "RangeSensorCfg", position: Tensor, attitude: Tensor, parts: "tuple[PartCfg, ...]") -> RayCaster:
             scene = env.asset_manager.make_scene_for_pictures(
-                count, fixed=(ground,), robot=parts, robot_state=link_states(env), robot_links=robot.link_names
-            )
+                count, fixed=(ground,), vehicle=VisibleVehicle(parts=parts, links=robot.link_names),
+                link_state=link_states(env),
+            )  # fmt: skip
             caster = RayCaster(
                 cfg, scene, make_images(cfg, count, device=device), Carrier(position=position, attitude=attitude)
             )

@@ -10,6 +10,7 @@ import yaml
 from torch import Tensor
 
 from aerial_gym.assets import ENVIRONMENTS, Scene
+from aerial_gym.assets.scene import VisibleVehicle
 from aerial_gym.config.environment import CheckerCfg, EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import CollisionCfg, RobotCfg, load_robot
@@ -52,7 +53,7 @@ def exact_view(
 def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device) -> None:
     scene = Scene(
         [], shape_index=torch.zeros(0), semantic_id=torch.zeros(0), asset_state=torch.zeros(2, 0, 13, device=device),
-        robot=SEEN.visible_parts, robot_state=(state := torch.zeros(2, 13, device=device)),
+        vehicles=[VisibleVehicle(parts=SEEN.visible_parts)], link_state=(state := torch.zeros(2, 13, device=device)),
     )  # fmt: skip
     eye = torch.zeros(2, 3, device=device), quat_from_euler(torch.tensor([[0.1, 0.05, -0.1]] * 2)).to(device)
     generator = torch.Generator().manual_seed(4)
@@ -150,8 +151,8 @@ def test_what_cannot_be_seen_is_refused(device) -> None:
     state = torch.zeros(1, 0, 13, device=device)
     with pytest.raises(ConfigError, match=r"box outside the instances: needs a semantic_id"):
         Scene([], **empty, asset_state=state, fixed=(ARM,))
-    with pytest.raises(ShapeError, match=r"robot_state: \(E, L, 13\) is needed"):
-        Scene([], **empty, asset_state=state, robot=(POD,))
+    with pytest.raises(ShapeError, match=r"link_state: \(E, L, 13\) is needed"):
+        Scene([], **empty, asset_state=state, vehicles=[VisibleVehicle(parts=(POD,))])
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_color = \(2.0, 0.0, 0.0\)"):
         replace(OPEN_AIR, ground_color=(2.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_semantic_id = 100: must be 0 to 99"):

@@ -476,10 +476,6 @@ def test_an_environment_file_can_hold_the_vehicles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (
-            {"robots": [{"name": "base_quadrotor_with_camera", "count": 2}]},
-            "range sensors are for one vehicle only. Leave out",
-        ),
         ({"robots": [{"name": "snakey", "count": 2}]}, "collision shapes on links"),
         ({"robots": ONE_KIND, "differentiable": True, "backend": "torch"}, "differentiable=True: one vehicle"),
         ({"robots": ONE_KIND, "firmware": "betaflight"}, "firmware = 'betaflight': one vehicle"),
