@@ -6,33 +6,12 @@ Frames: world of each environment, z up. Letters: B vehicles of all environments
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.geometry import ray_distance_to_other_shape, ray_distance_to_unit_shape
+from aerial_gym.assets.part_rays import ray_distance_to_part
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import (
-    CYLINDER,
-    SceneArrays,
-    check_tensor,
-    part_attitude,
-    part_is_present,
-    part_position,
-    vector_view,
-)
+from aerial_gym.assets.scene_arrays import SceneArrays, check_tensor, part_is_present, vector_view
 from aerial_gym.interop import ReusableLaunch
 
 FARTHEST = wp.constant(1.0e4)  # Length of the ray [m]; surfaces beyond it are ignored
-
-
-@wp.func
-def _distance_down_to_part(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: float) -> float:
-    """Return the vertical distance down to a part [m], at most ``limit``."""
-    shape = scene.shapes[scene.part_shape[env, part]]
-    turn = part_attitude(scene, env, part)
-    origin = wp.quat_rotate_inv(turn, start - part_position(scene, env, part)) - shape.center
-    down = wp.quat_rotate_inv(turn, wp.vec3(0.0, 0.0, -1.0))
-    origin, down = wp.cw_div(origin, shape.half), wp.cw_div(down, shape.half)
-    if shape.kind <= CYLINDER:
-        return ray_distance_to_unit_shape(shape.kind, origin, down, limit)
-    return ray_distance_to_other_shape(shape, origin, down, limit)
 
 
 @wp.kernel(enable_backward=False)
@@ -53,7 +32,7 @@ def _measure_height(
     way = float(FARTHEST)
     for part in range(scene.num_solid):
         if part_is_present(scene, env, part):
-            way = _distance_down_to_part(scene, env, part, start, way)
+            way = ray_distance_to_part(scene, env, part, start, wp.vec3(0.0, 0.0, -1.0), way)
     height_out[own] = start[2] - way
 
 

@@ -25,7 +25,7 @@ from aerial_gym.config.shape import (
     require_color,
 )
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.config.vehicles import VehiclesCfg
+from aerial_gym.config.vehicles import NetworkCfg, VehiclesCfg
 from aerial_gym.errors import ConfigError
 
 GATES, POLES = "gates", "poles"  # First two assets of a track: an instance for each gate and for each pole
@@ -286,6 +286,9 @@ class EnvironmentCfg:
 
     reset_together: bool = field(default=False, repr=False)  # likewise
     """Whether the end of one vehicle's episode ends those of all in its environment."""
+
+    network: NetworkCfg | None = field(default=None, repr=False)  # likewise
+    """Network by which several vehicles know each other's place and velocity (keys ``neighbour_...``); none by default."""
 
     lamps: tuple[LampCfg, ...] = ()
     """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per

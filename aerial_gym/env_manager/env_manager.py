@@ -115,7 +115,7 @@ class EnvManager:
         self.asset_manager = self._make_assets(kinds, bounds)
         self._build(randomize or {}, gradients=dtype if differentiable else None)
         identity: dict[str, object] = (
-            {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together)}
+            {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together, env.network)}
         )
         for kind in kinds:
             name = "" if single else f"{kind.name} x {kind.count}: "

@@ -26,6 +26,7 @@ from aerial_gym.physics import EFFECTS, Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.sensors.mounts import OwnLinks
+from aerial_gym.sensors.vehicle_network import VehicleNetwork
 
 Actions = Tensor | ArrayLike
 
@@ -102,6 +103,12 @@ class Vehicles:
             group.build(
                 sim, self._env, assets, gradients=None, randomize=own, is_last=group is self.groups[-1], own=seen
             )
+        self._network = None
+        if self._env.network is not None:
+            self._network = VehicleNetwork(
+                self._env.network, self.slots, [(group.bodies, group.random) for group in self.groups], assets.scene,
+                states=self.states, starts=self._starts, dt=sim.dt * self._env.physics_steps_per_env_step,
+            )  # fmt: skip
         for group in self.groups:
             gtd = self._gtd
             if len(self.groups) > 1:
@@ -155,6 +162,8 @@ class Vehicles:
         """Update derived states and inertial sensors after a step of ``span`` [s]."""
         for group in self.groups:
             group.refresh(span)
+        if self._network is not None:
+            self._network.step()
 
     def render(self, mask: Tensor | None) -> None:
         """Read all range sensors, or those of environments (E,) or of vehicles (E, T) in a bool mask."""
@@ -196,6 +205,8 @@ class Vehicles:
             group.imus.reset(group.random.mask)
             group.collision.measure()
         self._collision.measure()
+        if self._network is not None:
+            self._network.begin()
 
     def check_mask(self, mask: Tensor) -> None:
         """Raise an error for a mask that is neither (E,) nor (E, T), and for single vehicles in shared gusts."""
@@ -227,6 +238,8 @@ class Vehicles:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state beside the GTD of the environments, by name."""
         tensors = {"states": self.states}
+        if self._network is not None:
+            tensors |= add_prefix("network", self._network.state_tensors())
         for group in self.groups:
             own = {"lower": group.bounds[0], "upper": group.bounds[1], "shared": group.random.shared.episode}
             own |= group.state_tensors() | add_prefix("random", group.random.state_tensors())

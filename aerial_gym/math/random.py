@@ -43,6 +43,7 @@ class Purpose(IntEnum):
     FAULT = 23  # Occurrence of faults in an episode, and size of jumps; index: fault
     ACTION_NOISE = 24  # Noise of commands; indices: step, entry
     PACKETS = 25  # Loss of observation packets; index: step
+    NETWORK = 26  # Loss of messages between vehicles; indices: message, other vehicle
 
 
 def _next_state(state: Word) -> Word:
