@@ -2,7 +2,6 @@
 radio network."""
 
 from dataclasses import dataclass
-from math import inf
 
 from aerial_gym.config import checks
 
@@ -30,10 +29,8 @@ class NetworkCfg:
 
     latency_s: float = 0.0  # Time from a state to its reception [s], >= 0, rounded to whole environment steps
     dropout: float = 0.0  # Probability that a message is lost, of each pair and step by itself, 0 <= dropout < 1
-    max_range: float = inf  # Distance beyond which all messages are lost [m], > 0
     needs_line_of_sight: bool = False  # Whether obstacles and ground between two vehicles block their messages
 
     def __post_init__(self) -> None:
         checks.require_not_negative(self, "latency_s")
         checks.require(self, "dropout", 0.0 <= self.dropout < 1.0, "must be a probability, 0 <= dropout < 1")
-        checks.require(self, "max_range", self.max_range > 0.0, "must be > 0")

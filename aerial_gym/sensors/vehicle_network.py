@@ -13,7 +13,7 @@ from torch import Tensor
 
 from aerial_gym.assets.part_rays import ray_distance_to_part
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import SceneArrays, part_is_present
+from aerial_gym.assets.scene_arrays import SceneArrays, part_is_present, part_position
 from aerial_gym.assets.vehicle_collision import Slot, SlotTable
 from aerial_gym.config.vehicles import NetworkCfg
 from aerial_gym.interop import ReusableLaunch, make_struct
@@ -47,7 +47,6 @@ class _Network:
     sent_velocity: wp.array2d[wp.vec3]  # (K, N)
     dt: wp.float32  # time between two messages [s]
     dropout: wp.float32
-    max_range: wp.float32  # [m]
     needs_sight: wp.bool
 
 
@@ -90,8 +89,12 @@ def _sees(scene: SceneArrays, env: int, start: wp.vec3, end: wp.vec3) -> wp.bool
     limit = wp.length(end - start)
     ray = wp.normalize(end - start)
     for part in range(scene.num_solid):
-        if part_is_present(scene, env, part) and ray_distance_to_part(scene, env, part, start, ray, limit) < limit:
-            return False
+        if part_is_present(scene, env, part):
+            to = part_position(scene, env, part) - start
+            aside = wp.length(to - wp.clamp(wp.dot(to, ray), 0.0, limit) * ray)
+            near = aside <= scene.radius[env, part]  # within the bounding sphere
+            if near and ray_distance_to_part(scene, env, part, start, ray, limit) < limit:
+                return False
     return True
 
 
@@ -115,7 +118,7 @@ def _receive(scene: SceneArrays, network: _Network, heard: _Reception, first_slo
         heard.age[body, n] = heard.age[body, n] + 1
         stream = episode_stream(heard.random, body, wp.static(int(Purpose.NETWORK)))
         lost = wp.randf(substream(substream(stream, network.sent[own]), j)) < network.dropout
-        if lost or wp.length(end - start) > network.max_range or (network.needs_sight and not in_sight):
+        if lost or (network.needs_sight and not in_sight):
             late = wp.int32(-1)
     if late >= 0:
         k = (network.sent[other] + past - late) % past
@@ -156,7 +159,7 @@ class VehicleNetwork:
         self._kept |= {f"sent_{name}": torch.zeros(past, len(states), 3, device=device) for name in MESSAGE}
         network = make_struct(
             _Network, slots=slots.array(device), starts=starts, position=states[:, :3], attitude=states[:, 3:7],
-            velocity=states[:, 7:10], **self._kept, dt=dt, dropout=cfg.dropout, max_range=cfg.max_range,
+            velocity=states[:, 7:10], **self._kept, dt=dt, dropout=cfg.dropout,
             needs_sight=cfg.needs_line_of_sight,
         )  # fmt: skip
         heard = [self._declare(number, *kind, total - 1) for number, kind in enumerate(kinds)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from aerial_gym.config.set_option import SetOption
-from aerial_gym.sensors.mounts import Carrier
+from aerial_gym.sensors.mounts import Carrier, OwnLinks
 
 if TYPE_CHECKING:
     import torch
@@ -23,7 +23,8 @@ class RenderBench:
     """boxes (floor and 20 boxes, each turned), boxes_aligned, boxes_100, boxes_1000 (all around), clutter (a room
     with 40 obstacles, 8 of them trees), or a registered environment."""
 
-    num_envs: int = 64  # Environments side by side, one camera in each
+    num_envs: int = 64  # Environments side by side
+    vehicles: int = 1  # Vehicles in each of a registered environment's copies: each has a camera that sees the others
     width: int = 64  # Pixels in a row
     height: int = 64  # Pixels in a column
     segmentation: bool = False  # Whether the camera also writes segmentation ids
@@ -63,7 +64,7 @@ class RenderBench:
         from aerial_gym.workloads.measure import require_at_least, torch_threads
         from aerial_gym.workloads.peers import renderer_names
 
-        require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
+        require_at_least(1, num_envs=self.num_envs, vehicles=self.vehicles, width=self.width, height=self.height)
         device, names, threads = resolve_device(self.device), renderer_names(self.against), self.threads
         if names and self.lidar:
             raise ConfigError("--against: the others draw with a camera, not with --lidar")
@@ -84,15 +85,16 @@ class RenderBench:
         from aerial_gym.workloads.peers import PeerComparison
         from aerial_gym.workloads.scenes import make_scene
 
-        provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
-        sensor = self._sensor_cfg(scene.max_range)
-        image = (self.num_envs, 1, self.height, self.width)
+        provided = provenance()
+        scene = make_scene(self.scene, self.num_envs, device=device, vehicles=self.vehicles)
+        sensor, count = self._sensor_cfg(scene.max_range), self.num_envs * self.vehicles
+        image = (count, 1, self.height, self.width)
         depth = torch.zeros(image, device=device)
         ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
         images = SensorImages(distance=depth, segmentation=ids)
-        ahead = torch.tensor([1.0, 0.0, 0.0], device=device).repeat(self.num_envs, 1)
+        ahead = torch.tensor([1.0, 0.0, 0.0], device=device).repeat(count, 1)
         body = Carrier(position=scene.position, attitude=scene.attitude, lin_vel=ahead, ang_vel=0.0 * ahead)
-        caster = RayCaster(sensor, scene.build(), images, body)
+        caster = RayCaster(sensor, scene.build(), images, body, own=OwnLinks(seen=False))
         seconds = self._call_times(caster.cast, depth)
         elsewhere = scene.state.clone()
         move = statistics.median(self._call_times(lambda: scene.state.copy_(elsewhere), depth))
@@ -111,9 +113,9 @@ class RenderBench:
             except WorkloadError as error:
                 failures.append(str(error))
             seconds += self._call_times(caster.cast, depth)
-        rates = rate_figures("frames_per_s", seconds, self.num_envs)
+        rates = rate_figures("frames_per_s", seconds, count)
         median = rates["frames_per_s"]
-        settings = ("num_envs", "width", "height", "segmentation", "lidar", "scan_columns")
+        settings = ("num_envs", "vehicles", "width", "height", "segmentation", "lidar", "scan_columns")
         own_row = {
             "case": "render", "name": "aerial_gym", "scene": self.scene, "device": device_name(device),
             **{name: getattr(self, name) for name in settings}, "settings": list(self.set), "threads": threads,

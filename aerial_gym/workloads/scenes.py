@@ -28,7 +28,7 @@ from torch import Tensor
 from aerial_gym.assets import ENVIRONMENTS, Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.env_manager import SimBuilder
-from aerial_gym.errors import UnknownNameError
+from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
 from aerial_gym.sensors.rays import make_tiles
@@ -40,8 +40,8 @@ class RenderScene:
 
     shapes: tuple[ShapeCfg, ...]  # One for each instance
     state: Tensor  # Position, attitude xyzw, velocities, (E, A, 13)
-    position: Tensor  # Of the cameras [m], (E, 3)
-    attitude: Tensor  # Camera (along its x) to world, xyzw, (E, 4)
+    position: Tensor  # Of the cameras [m], (E, 3), or (E V, 3) with V vehicles in an environment
+    attitude: Tensor  # Camera (along its x) to world, xyzw, (E, 4) or (E V, 4)
     max_range: float  # [m]
     built: Scene | None = None  # The scene, where it is there already
 
@@ -53,24 +53,28 @@ class RenderScene:
         return Scene(self.shapes, shape_index=rows, semantic_id=rows, asset_state=self.state)
 
 
-def make_scene(name: str, num_envs: int, *, device: torch.device) -> RenderScene:
-    """Return a scene by name, or a registered environment as its first reset leaves it."""
+def make_scene(name: str, num_envs: int, *, device: torch.device, vehicles: int = 1) -> RenderScene:
+    """Return a scene by name, or a registered environment with vehicles as its first reset leaves it."""
     if name in SCENES:
+        if vehicles > 1:
+            raise ConfigError(f"--vehicles {vehicles} with --scene {name}: has none. Use a registered environment")
         return SCENES[name](num_envs, device)
     if name not in ENVIRONMENTS:
         known = (*sorted(SCENES), *ENVIRONMENTS.names())
         raise UnknownNameError(f"no render scene {name!r}. Known: {', '.join(known)}")
-    return _environment_scene(name, num_envs, device)
+    return _environment_scene(name, num_envs, device, vehicles)
 
 
-def _environment_scene(name: str, num_envs: int, device: torch.device) -> RenderScene:
-    """Return a registered environment, seen by the camera of a quadrotor at its start."""
-    names: dict[str, Any] = {"sim_name": "base_sim", "robot_name": "base_quadrotor", "controller_name": "no_control"}
-    env = SimBuilder().build_env(**names, env_name=name, num_envs=num_envs, device=device)
+def _environment_scene(name: str, num_envs: int, device: torch.device, vehicles: int) -> RenderScene:
+    """Return a registered environment, seen by the cameras of quadrotors at their starts."""
+    names: dict[str, Any] = {"sim_name": "base_sim", "env_name": name, "controller_name": "no_control"}
+    robots = [{"name": "base_quadrotor", "count": vehicles}]
+    env = SimBuilder().build_env(**names, robots=robots, num_envs=num_envs, device=device)
     env.reset()
+    bodies = env.kinds["base_quadrotor"].bodies
     return RenderScene(
-        shapes=(), state=env.gtd["env_asset_state_tensor"], position=env.gtd["robot_position"],
-        attitude=env.gtd["robot_orientation"], max_range=10.0, built=env.asset_manager.scene,
+        shapes=(), state=env.gtd["env_asset_state_tensor"], position=bodies["robot_position"],
+        attitude=bodies["robot_orientation"], max_range=10.0, built=env.asset_manager.scene,
     )  # fmt: skip
 
 

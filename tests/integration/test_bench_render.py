@@ -39,6 +39,18 @@ def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) 
     assert set(rest[2]["versions"]) == {"mujoco"}
 
 
+def test_each_of_several_vehicles_takes_a_frame(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ("--scene", "env_with_obstacles", "--num-envs", "2", "--vehicles", "3", "--json")
+    status, out, err = run(capsys, "render", *QUICK, *argv)
+    assert status == 0, err
+    figures = json.loads(out)
+    assert figures["vehicles"] == 3
+    assert figures["frames_per_s"] == pytest.approx(6 / figures["image_s"])
+    status, _, err = run(capsys, "render", *QUICK, "--scene", "boxes", "--vehicles", "2")
+    assert status == 2
+    assert "--vehicles 2 with --scene boxes: has none. Use a registered environment" in err
+
+
 @pytest.mark.parametrize("scene", [pytest.param("boxes", marks=pytest.mark.slow), "clutter"])
 def test_mujoco_sees_the_same_depths_and_ids(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("--scene", scene, "--num-envs", "3", "--segmentation", "--json", "--against", "mujoco")

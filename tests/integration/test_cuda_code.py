@@ -23,7 +23,7 @@ from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.robots import ROBOTS, initial_state, secondary_states, start_separation
-from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
+from aerial_gym.sensors import flow, imu, scan, sensor_poses, sensor_view, vehicle_network
 from aerial_gym.sensors.images import LANES, ROWS, make_pooling_kernel
 from aerial_gym.sensors.pixels import PixelOutputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
@@ -56,7 +56,7 @@ def compile_for_gpu(module, *, assemble: bool = False) -> None:
 
 @pytest.mark.parametrize("rich", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ray_kernels_compile(rich: bool) -> None:
-    kind = dict.fromkeys(("noise", "shadows", "lamps", "scan"), rich)
+    kind = dict.fromkeys(("noise", "shadows", "lamps", "scan", "shared"), rich)
     images, in_world = (tuple(IMAGES), ("points", "normals")) if rich else (("distance",), ())
     outputs = PixelOutputs(images=images, in_world=in_world, **kind)
     compile_for_gpu(make_warp_kernel(outputs).module)
@@ -165,7 +165,7 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
 
 
 MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, gates, track, obstacle_motion)
-MODULES += (clearance, sensor_view, flow, vehicle_collision, start_separation)
+MODULES += (clearance, sensor_view, flow, scan, vehicle_collision, start_separation, vehicle_network)
 
 
 @pytest.mark.parametrize("module", MODULES)

@@ -186,7 +186,7 @@ def test_the_ground_blocks_the_line_of_sight_of_vehicles_below_it() -> None:
     assert not reception(env)["in_sight"].any()
 
 
-def test_messages_need_a_line_of_sight_or_a_range_where_the_network_does() -> None:
+def test_messages_need_a_line_of_sight_where_the_network_does() -> None:
     env = build(2, env=BEHIND, network=NetworkCfg(needs_line_of_sight=True))
     env.reset()
     line_up(env, [[-1.5, 1.2, 0.0], [1.5, 1.2, 0.0]])
@@ -195,12 +195,6 @@ def test_messages_need_a_line_of_sight_or_a_range_where_the_network_does() -> No
     torch.testing.assert_close(
         reception(env)["range"], torch.full((E, 2, 1), (9.0 + 1.2**2) ** 0.5), atol=2e-3, rtol=0.0
     )
-    near = build(2, network=NetworkCfg(max_range=2.5))
-    near.reset()
-    line_up(near, [[-1.2, 0.0, 0.0], [1.2, 0.0, 0.0]])
-    assert (reception(near)["age"] == 0.0).all()
-    line_up(near, [[-1.3, 0.0, 0.0], [1.3, 0.0, 0.0]])
-    assert (reception(near)["age"] > 0.0).all()
 
 
 def test_an_episode_begins_with_the_states_at_its_start() -> None:
@@ -271,7 +265,7 @@ def test_a_saved_state_goes_on_bit_for_bit() -> None:
 
 
 def test_a_network_is_checked() -> None:
-    for name, value in (("latency_s", -1.0), ("dropout", 1.0), ("max_range", 0.0)):
+    for name, value in (("latency_s", -1.0), ("dropout", 1.0)):
         with pytest.raises(ConfigError, match=rf"NetworkCfg.{name} = "):
             NetworkCfg(**{name: value})
     assert "neighbour_range" not in SimBuilder().build_env(
