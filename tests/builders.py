@@ -12,7 +12,7 @@ from aerial_gym.env_manager import EnvManager, SimBuilder
 
 
 def simulation(
-    robot: str | Path | RobotCfg, controller: str | ControllerCfg = "no_control", *, sim: str | SimCfg = "base_sim",
+    robot: str | Path | RobotCfg | None, controller: str | ControllerCfg = "no_control", *, sim: str | SimCfg = "base_sim",
     env: str | Path | EnvironmentCfg = "empty_env", num_envs: int = 2, device: str | torch.device = "cpu", **options,
 ) -> EnvManager:  # fmt: skip
     """Return a simulation, built and not yet reset; names may stand for configurations, options are those of ``build_env``."""

@@ -101,6 +101,7 @@ def _test_pairs(
     # out
     distance_out: wp.array[float],  # (N,) [m] lowered to the distance of the pair
     crashes_out: wp.array[wp.bool],  # (N,) set at a contact at or between the poses
+    touches_out: wp.array[wp.bool],  # (N,) the same
 ):
     """Lower the distances of two vehicles to that between them at the last pose."""
     env, p = wp.tid()
@@ -140,8 +141,10 @@ def _test_pairs(
         wp.atomic_min(distance_out, b, gap)
         touches = touches or gap < 0.0
     if is_step and touches:
-        crashes_out[a] = True
-        crashes_out[b] = True
+        for row in range(2):
+            own = wp.where(row == 0, a, b)
+            crashes_out[own] = True
+            touches_out[own] = True
 
 
 class VehicleCollisionTest:
@@ -149,7 +152,7 @@ class VehicleCollisionTest:
 
     def __init__(
         self, slots: SlotTable, *, states: Tensor, position: Tensor, attitude: Tensor, distances_out: Tensor,
-        crashes_out: Tensor,
+        crashes_out: Tensor, touches_out: Tensor,
     ) -> None:  # fmt: skip
         """Take views of the tensors, which must stay where they are.
 
@@ -159,8 +162,9 @@ class VehicleCollisionTest:
             attitude: Body to world, xyzw, unit, (K + 1, N, 4).
             distances_out: Least distance to another vehicle [m], float32, (N,); inf without any.
             crashes_out: Set at a contact, bool, (N,); never cleared here.
+            touches_out: Whether there was a contact in the last step, bool, (N,).
         """
-        device, self._distances = states.device, distances_out
+        device, self._distances, self._touches = states.device, distances_out, touches_out
         parts = tuple(
             replace(part, link=BASE) for cfg in slots.collisions for part in cfg.parts if part.link == BASE
         )  # the shapes as parts, in the same order
@@ -180,7 +184,7 @@ class VehicleCollisionTest:
                     *(vector_view("pose", each, tuple(each.shape), device=device) for each in poses),
                     is_step,
                 ],
-                outputs=[distances_out, crashes_out],
+                outputs=[distances_out, crashes_out, touches_out],
                 device=device,
             )
             for poses, is_step in ((now, False), ((position, attitude), True))
@@ -192,6 +196,7 @@ class VehicleCollisionTest:
 
     def step(self) -> None:
         """Set crashes of the step that has just been flown, and write the distances at its end."""
+        self._touches.fill_(False)
         self._test(self._step)
 
     def _test(self, launch: ReusableLaunch | None) -> None:

@@ -121,6 +121,7 @@ class PlayCmd:
             settings=(*settings_of_run(cfg.settings, robot=self.robot, task=None), *self.set),
         )  # fmt: skip
         with made as task, one_thread(), ExitStack() as stack:
+            task.require_one_vehicle("play")
             check_fits(policy, task, cfg.task)
             rows.append(COLUMNS)
             observers = list[Callable[["Tensor"], None]]()

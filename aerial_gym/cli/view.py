@@ -130,6 +130,7 @@ class ViewCmd:
             backend=self.backend, encoder=getattr(cfg, "encoder", None),
             settings=settings_of_run(getattr(cfg, "settings", ()), robot=self.robot, task=self.task),
         )  # fmt: skip
+        task.require_one_vehicle("view")
         if policy is not None and cfg is not None:
             check_fits(policy, task, cfg.task)
             return task, policy

@@ -6,7 +6,7 @@ from math import inf
 from typing import ClassVar
 
 from aerial_gym.config.checks import NO_SOURCE, refuse, require, require_count
-from aerial_gym.config.environment import ONE_VEHICLE, EnvironmentCfg
+from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.config.task_terms import (
@@ -77,7 +77,10 @@ class TaskCfg:
     }
     """Fields that it no longer has."""
 
-    ABSENT: ClassVar[Mapping[str, str]] = dict.fromkeys(("robots", "vehicles"), ONE_VEHICLE)
+    ABSENT: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("robots", "vehicles"), "a task has vehicles of one kind. Give robot, and their number as num_vehicles"
+    )
+    """Fields that tasks of other simulators have."""
 
     summary: str  # One line for people who choose a task
     sim: str  # Registered sim
@@ -86,6 +89,12 @@ class TaskCfg:
     controller: str  # Registered controller
     num_envs: int  # Default number of environments, >= 1
     episode_len_steps: int  # Steps after which an episode times out, >= 1
+    num_vehicles: int = field(default=1, repr=False)  # a saved state has the digest of the repr
+    """Vehicles in every environment, >= 1, all with this robot and controller; the rows of a task are its vehicles."""
+
+    share_reward: bool = field(default=False, repr=False)  # likewise
+    """Whether each vehicle gets the mean reward of its environment; needs an environment with ``reset_together``."""
+
     start: InitialStateCfg | None = None  # Initial state of episodes in place of the robot's own, used by `make_task`
     time_out_bootstraps: bool = True  # Whether the value goes on after that end (`truncated`), or is 0 (`terminated`)
 
@@ -120,7 +129,7 @@ class TaskCfg:
     source: str = NO_SOURCE  # Source of the numbers
 
     def __post_init__(self) -> None:
-        require_count(self, "num_envs", "episode_len_steps")
+        require_count(self, "num_envs", "episode_len_steps", "num_vehicles")
         if not self.rewards:
             refuse("TaskCfg.rewards: needs at least one")
         if not self.observations.get(POLICY):

@@ -154,10 +154,20 @@ class TerminationCfg:
     def __post_init__(self) -> None:
         checks.require_choice(self, "kind", KINDS)
         checks.require_choice(self, "when", WHENS)
+        checks.require_choice(self, "vehicles", ("", "all", "any"))
         now = self.when == "now"
         checks.require(self, "when", now or self.kind == "success", f"only for kind success; a {self.kind} ends now")
         rule = f"a success that {self.when} ends nothing. Leave it out"
         checks.require(self, "bootstrap", now or self.bootstrap is None, rule)
+
+    vehicles: str = field(default="", repr=False)  # a saved state has the digest of the repr
+    """Vehicles of an environment with ``reset_together`` for which it must be true: ``any`` or ``all``; empty for ``all`` of
+    a success, and ``any`` of others."""
+
+    @property
+    def needs_all(self) -> bool:
+        """Whether it must be true for all vehicles of an environment."""
+        return self.vehicles == "all" or (not self.vehicles and self.kind == "success")
 
     @property
     def bootstraps(self) -> bool:

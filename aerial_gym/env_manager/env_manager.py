@@ -24,7 +24,7 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROL_LAWS
 from aerial_gym.env_manager.collision_tests import make_trajectory
 from aerial_gym.env_manager.vehicle_group import VehicleGroup, VehicleKind
-from aerial_gym.errors import ClosedError, ConfigError, ShapeError
+from aerial_gym.errors import CapabilityError, ClosedError, ConfigError, ShapeError
 from aerial_gym.interop import action_tensor, resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, ROTOR_MAPS
@@ -184,6 +184,15 @@ class EnvManager:
         return {group.kind.name: group for group in groups}
 
     @property
+    def rows(self) -> VehicleGroup:
+        """The vehicles of the only kind, one in each row of a task; raise ``CapabilityError`` if there are several kinds."""
+        if len(self.kinds) > 1:
+            raise CapabilityError(
+                f"task: its rows are vehicles of one kind; here are {', '.join(self.kinds)}. Leave one in the environment"
+            )
+        return next(iter(self.kinds.values()))
+
+    @property
     def gradient_tensors(self) -> Mapping[str, Tensor]:
         """The robots' motion and actions of this instant by the keys of the GTD, with gradients; of a ``differentiable`` one.
 
@@ -267,11 +276,12 @@ class EnvManager:
         """Reset the environments in ``mask``, bool (E,), or all without a mask. Others stay bit for bit.
 
         A mask (E, V) resets vehicles of environments that stay as they are; the columns are those of all kinds.
-        With ``counted`` the mask is ``random.mask`` and ``random.episode`` already has its new episodes: a task writes both
-        in the launch that detects ends. ``place`` may move robots of the mask, after the reset of robots and race track.
+        With ``counted`` the mask is ``rows.random.mask`` and ``rows.random.episode`` already has its new episodes: a task
+        writes both in the launch that detects ends. ``place`` may move robots of the mask, after the reset of robots and race
+        track.
         """
         if self.vehicles is not None:
-            self._reset_vehicles(self._all if mask is None else mask, place)
+            self._reset_vehicles(self._all if mask is None else mask, place, counted=counted)
             return
         all_rows = mask is None
         if not counted:
@@ -292,7 +302,7 @@ class EnvManager:
         self.imus.reset(mask)
         self._collision.measure()
 
-    def _reset_vehicles(self, mask: Tensor, place: Callable[[Tensor], None] | None) -> None:
+    def _reset_vehicles(self, mask: Tensor, place: Callable[[Tensor], None] | None, *, counted: bool) -> None:
         """Reset environments (E,), or vehicles (E, V) of environments that stay."""
         vehicles, whole = self.vehicles, mask.dim() == 1
         assert vehicles is not None
@@ -302,7 +312,7 @@ class EnvManager:
             self._bounds.draw(mask)
             if self.cfg.num_assets:
                 self.asset_manager.reset(self.random.mask)
-        vehicles.begin(mask)
+        vehicles.begin(mask, counted=counted)
         vehicles.reset(mask)
         if whole:
             self.asset_manager.place_track(self.random.mask)
@@ -313,7 +323,7 @@ class EnvManager:
         vehicles.after_scene()
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
-        """Make room for a robot at a goal (E, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""
+        """Make room at goals (E, 3) or (E, V, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""
         self.asset_manager.clear_goal(mask, position)
         if self.cfg.num_assets:
             self._collision.measure()

@@ -50,7 +50,7 @@ class Vehicles:
         self.states = torch.zeros(num_envs * total, 13, device=device)
         """Position, attitude, velocity and angular velocity of all vehicles, world, (N, 13)."""
         self._clearances = torch.full((num_envs * total,), inf, device=device)
-        self._crashes = torch.zeros(num_envs * total, dtype=torch.bool, device=device)
+        self._crashes, self._touches = torch.zeros(2, num_envs * total, dtype=torch.bool, device=device)
         self._followed = Trajectory.zeros(env.physics_steps_per_env_step, num_envs * total, device=device)
         self._bounds = gtd["env_bounds_min"], gtd["env_bounds_max"]
         self._starts = torch.zeros(num_envs, total, dtype=torch.bool, device=device)
@@ -81,6 +81,10 @@ class Vehicles:
             key="vehicle_clearance", shape=("E",), unit="m", frame="-", owner="env",
             meaning="signed distance of the collision shapes to those of the nearest other vehicle; inf without any",
         ), view=self._clearances[rows])  # fmt: skip
+        bodies.declare(TensorSpec(
+            key="vehicle_collisions", shape=("E",), dtype=torch.bool, unit="-", frame="-", owner="env",
+            meaning="the robot touched another vehicle in this step",
+        ), view=self._touches[rows])  # fmt: skip
         return group
 
     @property
@@ -118,7 +122,7 @@ class Vehicles:
             group.gtd = gtd
         self._collision = VehicleCollisionTest(
             self.slots, states=self.states, position=self._followed.position, attitude=self._followed.attitude,
-            distances_out=self._clearances, crashes_out=self._crashes,
+            distances_out=self._clearances, crashes_out=self._crashes, touches_out=self._touches,
         )  # fmt: skip
         self._separation = VehicleStarts(
             self.slots, self.groups, self._env, assets, states=self.states, starts=self._starts,
@@ -176,8 +180,9 @@ class Vehicles:
                 rows = mask.unsqueeze(1).expand(-1, count) if mask.dim() == 1 else mask[:, first : first + count]
             group.sensor_manager.capture(None if rows is None else rows.flatten())
 
-    def begin(self, mask: Tensor) -> None:
-        """Begin episodes in environments (E,), or of vehicles (E, T) in environments that stay, by a bool mask."""
+    def begin(self, mask: Tensor, *, counted: bool = False) -> None:
+        """Begin episodes in environments (E,), or of vehicles (E, T) in environments that stay, by a bool mask; ``counted``:
+        their episodes have been counted."""
         whole = mask.dim() == 1
         self._starts.copy_(mask.unsqueeze(1) if whole else mask)
         self._environments_stay.fill_(not whole)
@@ -185,7 +190,8 @@ class Vehicles:
             first, random = self.slots.first_slot(number), group.random
             columns = slice(first, first + group.kind.count)
             random.mask.view(self._num_envs, -1).copy_(self._starts[:, columns])
-            random.begin(random.mask)
+            if not counted:
+                random.begin(random.mask)
             random.shared.episode.view(self._num_envs, -1).copy_(self._random.episode.unsqueeze(1))
 
     def reset(self, mask: Tensor) -> None:

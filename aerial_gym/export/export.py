@@ -85,6 +85,7 @@ def export_policy(
     with task_registry.make_task(
         cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller, encoder=cfg.encoder, settings=cfg.settings
     ) as task:
+        task.require_one_vehicle("export")
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem
         layout = policy_layout(policy, cfg, task, name=named, source=str(source))

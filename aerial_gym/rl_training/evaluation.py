@@ -14,7 +14,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.policy import Pilot
 from aerial_gym.task import Task
-from aerial_gym.task.step.judge import GATE_PASSED
+from aerial_gym.task.step.judge import COLLISIONS, GATE_PASSED
 
 SUCCESS_RADIUS_M = 0.1  # A flight succeeds, and has settled, within this distance of its target [m], if no task says
 
@@ -26,7 +26,7 @@ FINAL_SPAN_S = 1.0  # The final error is the mean distance over this last part o
 class Evaluation:
     """Figures over the first episode of every environment. Errors and settling are of the flights without a crash."""
 
-    num_starts: int  # Random starts E
+    num_starts: int  # Random starts E, each of one vehicle
     episode_s: float  # Length of an episode [s]
     success_rate: float  # Share of flights without a crash that end within the success radius, or the task's own
     crash_rate: float  # Share of flights that crashed
@@ -39,6 +39,7 @@ class Evaluation:
     settling_time_p95_s: float | None  # 95th percentile of it [s]
     success_time_mean_s: float | None  # Mean time at which flights succeeded [s], as of a race; None if none did
     gates_passed_mean: float | None  # Mean number of gates passed per flight; None without gates
+    collision_rate: float | None  # Share of flights in which the vehicle touched another one; None with one vehicle
     return_mean: float  # Mean sum of rewards
     success_radius_m: float  # The radius [m]
     reward_terms: dict[str, float]  # Mean return of each reward term of the task; their sum is `return_mean`
@@ -50,6 +51,7 @@ class Evaluation:
         for name, value, unit in (
             ("mean final error", self.final_error_mean_m, " m"), ("mean settling time", self.settling_time_mean_s, " s"),
             ("mean time to success", self.success_time_mean_s, " s"), ("mean gates passed", self.gates_passed_mean, ""),
+            ("collision rate", self.collision_rate, ""),
         ):  # fmt: skip
             parts += [] if value is None else [f"{name} {value:.3g}{unit}"]
         return "; ".join(parts)
@@ -65,6 +67,7 @@ class Flights:
     last_outside: Tensor  # Last step outside the success radius, int, (E,)
     ended_at: Tensor  # Step of its end, (E,)
     total: Tensor  # Sum of rewards, (E,)
+    collided: Tensor | None  # Whether it touched another vehicle, bool (E,); None with one vehicle
     gates_passed: Tensor | None  # Number of gates passed, (E,); None without gates
     tallies: Tensor  # Sums of the episode for ``Task.means_of_tallies``, (E, N)
     success_radius: float  # [m]
@@ -102,7 +105,7 @@ def fly_episodes(
     flying = torch.ones(task.num_envs, dtype=torch.bool, device=task.device)
     crashed = torch.zeros_like(flying)
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
-    succeeded = torch.zeros_like(flying)
+    succeeded, collided = torch.zeros_like(flying), torch.zeros_like(flying)
     passed, ended_at = torch.zeros_like(total), torch.full_like(total, steps)
     no_gates = True
     earlier, tallies = task.tallies.clone(), torch.zeros_like(task.tallies)
@@ -119,6 +122,8 @@ def fly_episodes(
         crashed |= flying & info["crashes"]
         if ends_count:
             succeeded |= flying & info["successes"]
+        if COLLISIONS in info:
+            collided |= flying & info[COLLISIONS]
         if GATE_PASSED in info:
             passed, no_gates = passed + (flying & info[GATE_PASSED]), False
         ended = terminated | truncated
@@ -133,7 +138,8 @@ def fly_episodes(
     error = error_sum / final_steps
     return Flights(
         succeeded=succeeded if ends_count else ~crashed & (error < radius), crashed=crashed, final_error=error,
-        last_outside=outside_until, ended_at=ended_at, total=total, gates_passed=None if no_gates else passed,
+        last_outside=outside_until, ended_at=ended_at, total=total,
+        collided=collided if task.num_vehicles > 1 else None, gates_passed=None if no_gates else passed,
         tallies=tallies, success_radius=radius,
     )  # fmt: skip
 
@@ -157,6 +163,7 @@ def evaluate(
         settled_rate=settling.numel() / count, settling_time_mean_s=_mean_or_none(settling),
         settling_time_p95_s=_percentile95_or_none(settling),
         success_time_mean_s=_mean_or_none((flown.ended_at * dt)[flown.succeeded]),
+        collision_rate=None if flown.collided is None else float(flown.collided.sum()) / count,
         gates_passed_mean=None if flown.gates_passed is None else float(flown.gates_passed.mean()),
         return_mean=float(flown.total.mean()), success_radius_m=flown.success_radius,
         reward_terms=_part(means, "reward/"), ended_by=_part(means, "ended/"),

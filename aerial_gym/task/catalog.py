@@ -8,11 +8,10 @@ from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aerial_gym.config import family_files, read_summary
 from aerial_gym.config.changes import Changes
-from aerial_gym.config.environment import ONE_VEHICLE
 from aerial_gym.config.loader import load_extended
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
@@ -52,7 +51,8 @@ class TaskRegistry(Registry[TaskCfg]):
         Args:
             name: Registered task, a task file (``.yaml``), a level of lsy_drone_racing (``.toml``), or ``module:Name`` or
                 ``file.py:Name`` of a ``TaskCfg`` or of a ``Task`` class that has one as ``cfg``.
-            num_envs: Number of environments; the task's own default if not given.
+            num_envs: Number of environments; the task's own default if not given. With several vehicles a task
+                has a row for each of them.
             device: Torch device; ``auto`` takes the GPU if there is one.
             seed: Seed of every random number of this task.
             robot: Registered robot, or a robot file, in place of the task's own.
@@ -99,9 +99,14 @@ class TaskRegistry(Registry[TaskCfg]):
                 f'task {name} had then. Give level, which stood in gtd["curriculum_level"] when the episode began'
             )
         if built_env.robots:
-            raise ConfigError(f"env of task {name}: it has robots. Leave them out of the environment: {ONE_VEHICLE}")
+            raise ConfigError(
+                f"env of task {name}: it has robots. Leave them out, and give the task robot and num_vehicles"
+            )
+        flown: dict[str, Any] = {"robot_name": built_robot}
+        if cfg.num_vehicles > 1:
+            flown = {"robots": [{"name": built_robot, "count": cfg.num_vehicles}]}
         built = SimBuilder().build_env(
-            sim_name=built_sim, env_name=built_env, robot_name=built_robot, controller_name=law,
+            sim_name=built_sim, env_name=built_env, **flown, controller_name=law,
             num_envs=cfg.num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode,
             backend=backend, randomize=cfg.randomize, differentiable=differentiable, dtype=dtype or torch.float32,
             firmware=firmware,

@@ -67,6 +67,7 @@ class ChaseView:
 
     def __init__(self, task: "Task", count: int = 1) -> None:
         """Build the cameras of ``count`` environments; raise ``MissingDependencyError`` without Pillow."""
+        task.require_one_vehicle("render")
         if find_spec("PIL") is None:
             raise MissingDependencyError("pictures of flights need Pillow: pip install pillow")
         from aerial_gym.assets.scene import VisibleVehicle

@@ -14,10 +14,9 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from aerial_gym.config.environment import ONE_VEHICLE
 from aerial_gym.config.task import OBSERVATIONS, POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.errors import CapabilityError, ConfigError, ShapeError
 from aerial_gym.interop import action_tensor, on_device, with_usual_settings
 from aerial_gym.math.random import Purpose, uniform_draw
 from aerial_gym.registry.state import add_prefix, check_state, config_digests, copy_tensors, restore_tensors
@@ -29,12 +28,13 @@ from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.images import ImageBuffers, TaskImages
 from aerial_gym.task.rotor_range import with_rotor_range
 from aerial_gym.task.step.actor import ActionConverter, declare_delay
-from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
+from aerial_gym.task.step.judge import ARRIVED, COLLISIONS, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observer import ObservationEntry, Observer
 from aerial_gym.task.step.reset_delay import WAITING, ResetDelay
 from aerial_gym.task.step.row_kernels import GradientGraph, StepKernel
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced_terms
 from aerial_gym.task.values import STEP_TIME, Values
+from aerial_gym.task.vehicles.row_inputs import NEAREST, VehicleInputs
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -61,6 +61,11 @@ class Task:
     and ``timeouts``, bool (E,): one of them is true where an episode ended. ``episode_return``, ``episode_length`` [steps],
     ``reward_terms``, (E, T), the return term by term (``reward_names``), and ``distance`` to the target [m] are those before
     the reset; where there are gates, so is ``gate_passed``, bool (E,).
+
+    With several vehicles in an environment each has a row: row b is vehicle ``b % V`` of environment ``b // V``, and
+    ``value.unflatten(0, (-1, task.num_vehicles))`` views rows as (environments, vehicles). E is then the number of rows,
+    and ``info["collisions"]``, bool (E,), marks vehicles that touched another one. Where the environment has
+    ``reset_together``, its vehicles end their episodes together (``common_ends``).
 
     A row with NaN or infinite values ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its reward is that of a
     crash (0 if the task has none), and its last observation has zeros in place of these values. It is reset like other
@@ -90,17 +95,23 @@ class Task:
             UnknownNameError: If a term, generator, action, or one of their inputs does not exist.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
-        if env.vehicles is not None:
-            raise CapabilityError(f"task: its environment has several vehicles; {ONE_VEHICLE}")
+        group = env.rows
+        if cfg.share_reward and not env.cfg.reset_together:
+            raise ConfigError(
+                "task: share_reward needs an environment with reset_together: true. Give it that, or leave it out"
+            )
         num_commands, command = env.robot_manager.num_actions, env.robot_manager.action_names
         cfg = with_rotor_range(cfg, env.robot_manager.cfg, command)
         self.cfg, self.env = cfg, env
-        self.num_envs, self.device = env.num_envs, env.device
-        self._gtd = env.gtd
+        self.num_vehicles, self.device = group.kind.count, env.device
+        self.num_envs = self.num_vehicles * env.num_envs  # Rows E: the vehicles of all environments
+        self._gtd, self._random = group.bodies, group.random
+        self._together = self.num_vehicles > 1 and env.cfg.reset_together
+        self._around = VehicleInputs(env) if self.num_vehicles > 1 else None
         resolve.check_terms(cfg)
         action, params = resolve.resolve_action(cfg, command)
         self.num_actions = num_commands if action.width is None else action.width  # Entries of an action, V
-        self._buffers = ImageBuffers(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
+        self._buffers = ImageBuffers(env.sensor_manager, self._gtd, robot=cfg.robot, encoder=cfg.encoder)
         self.values = self._make_values(num_commands)
         """Inputs of terms by name: GTD keys and the task's own buffers; ``print(task.values.own)`` shows the latter."""
         declare_delay(cfg.action, self.values)
@@ -118,14 +129,15 @@ class Task:
             observed = [term for entries in groups.values() for term, _, _ in entries]
             resolve.check_gradients([term for term, _ in rewards.values()], observed, self.values, images=cfg.images)
         terminations = resolve.resolve_terminations(cfg, self.values, command)
-        self._observer = Observer(groups, self.values, env.random, cfg.faults)
+        self._observer = Observer(groups, self.values, self._random, cfg.faults)
         self.num_observations = self._observer.width(POLICY)  # Entries of an observation of the group `policy`, O
         self._judge = Judge(
-            cfg, rewards, terminations, self.values, command=self._command, observer=self._observer, random=env.random
-        )
+            cfg, rewards, terminations, self.values, command=self._command, observer=self._observer,
+            random=self._random, num_vehicles=self.num_vehicles if self._together else 1,
+        )  # fmt: skip
         self._images = TaskImages(cfg.images, self.values, env.sensor_manager)
         counts = {"num_actions": self.num_actions, "num_commands": num_commands}
-        self._actor = ActionConverter(cfg.action, action, params, self.values, **counts, dt=env.dt, random=env.random)
+        self._actor = ActionConverter(cfg.action, action, params, self.values, **counts, dt=env.dt, random=self._random)
         self._memory = self._make_buffer_kernel()
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._watch = self._make_watch(keep=False)
@@ -178,7 +190,7 @@ class Task:
         self._capture_at_reset = False
         level = None if self.curriculum is None else self.curriculum.state()
         self._reset_environments(self._all)
-        parts = [self._judge.rows, self._observer.rows, *([self._memory] if self._memory else [])]
+        parts = [*self._judge.parts, self._observer.rows, *([self._memory] if self._memory else [])]
         with on_device(self.device):
             check_untraced_terms(parts, self.values)
             self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
@@ -268,7 +280,7 @@ class Task:
         if self._delay is None:
             meaning = "its episode ended in the last step; it is reset in the next one"
             waiting = self.values.declare(WAITING, dtype=torch.bool, meaning=meaning)
-            self._delay = ResetDelay(self._judge, self.env.random, waiting)
+            self._delay = ResetDelay(self._judge, self._random, waiting)
 
     def practise(self) -> None:
         """Start episodes at the command's places of practice, from the next resets on."""
@@ -277,7 +289,8 @@ class Task:
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
-        age.copy_(uniform_draw(self.env.random.on_host().stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
+        random = self._random.shared if self._together else self._random  # vehicles that end together have one age
+        age.copy_(uniform_draw(random.on_host().stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
     def step(self, actions: Tensor | ArrayLike) -> StepResult:
         """Advance by one action, (E, V), a tensor or an array.
@@ -302,12 +315,16 @@ class Task:
         return result
 
     def _step(self, actions: Tensor) -> StepResult:
-        self.env.step(self._actor(actions))
+        self.env.step(self._by_vehicle(self._actor(actions)))
         if self._images.frames:
             self._read_sensors()
+        if self._around is not None:
+            self._around.refresh()
         self._observer.draw_noise(final=True)  # of the episode that may end now
         judged = self._judge() if self._delay is None else self._delay()
         info = self._judge.info(judged)
+        if self._around is not None:
+            info[COLLISIONS] = self._gtd["vehicle_collisions"].clone()
         info |= {f"{FINAL}{name}": frames.clone() for name, frames in self._images.frames.items()}
         if self.curriculum is not None:
             self.curriculum.count(judged["ended"], judged["success"])
@@ -317,18 +334,38 @@ class Task:
 
     def _reset_environments(self, mask: Tensor, *, counted: bool = False) -> None:
         """Reset the environments of ``mask`` for new episodes: robot, obstacles, target and the room around it."""
-        self.env.reset(mask, counted=counted, place=self._command.place)
-        mask = self.env.random.mask
+        self.env.reset(self._vehicle_mask(mask), counted=counted, place=self._place)
+        mask = self._random.mask
         self._command.draw(mask)
-        if self._command.goal:
-            self.env.clear_goal(mask, self.target_position)
+        if self._command.goal and (self._together or self._around is None):
+            self.env.clear_goal(self.env.random.mask, self._by_vehicle(self.target_position))
         self._observer.draw_episodes(mask)
         self._actor.draw_delay(mask)
         if self._memory is not None:
             self._memory()
 
+    def _vehicle_mask(self, mask: Tensor) -> Tensor | None:
+        """Return the mask of rows for ``EnvManager.reset``: of environments, or of vehicles of environments that stay."""
+        if self._around is None:
+            return mask
+        if mask is self._all:
+            return None
+        return self._by_vehicle(mask)[:, 0] if self._together else self._by_vehicle(mask)
+
+    def _by_vehicle(self, values: Tensor) -> Tensor:
+        """Return rows by environment and vehicle; of single vehicles the values as they are."""
+        return values if self._around is None else values.unflatten(0, (-1, self.num_vehicles))
+
+    def _place(self, mask: Tensor) -> None:
+        if self._around is not None:
+            self._around.refresh()
+            mask = self._random.mask
+        self._command.place(mask)
+
     def _read_observation(self) -> Observation:
         """Read the sensors and return the observation of this instant."""
+        if self._around is not None:
+            self._around.refresh()
         self._read_sensors(begun=bool(self._images.frames))
         self._observer.draw_noise()
         entries = {group_key(group): value for group, value in self._observer().items()}
@@ -336,9 +373,17 @@ class Task:
 
     def _read_sensors(self, *, begun: bool = False) -> None:
         """Read the sensors and update image terms; ``begun``: only where an episode has just begun."""
-        self.env.render(self.env.random.mask if begun else None)
+        self.env.render(self._random.mask if begun else None)
         self._buffers.measure()
         self._images.write_frames(begun=begun)
+
+    def require_one_vehicle(self, user: str) -> None:
+        """Raise ``CapabilityError`` if environments have several vehicles, which ``user`` does not take."""
+        if self.num_vehicles > 1:
+            raise CapabilityError(
+                f"{user}: takes tasks of one vehicle; this one has {self.num_vehicles} in each environment. Train and evaluate "
+                "take it"
+            )
 
     def parts(self) -> dict[str, Callable[[], None]]:
         """Return the parts of a step, to be timed one by one; each changes the simulation as within a step.
@@ -392,12 +437,14 @@ class Task:
 
     def _make_values(self, num_commands: int) -> Values:
         env = self.env
-        sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
+        sizes = {"E": self.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
         simulation = env.robot_manager.differentiable
         graph = None if simulation is None else GradientGraph(simulation)
         makers = {**self._buffers.buffer_makers, STEP_TIME: self._declare_step_time}
-        values = Values(env.gtd, sizes=sizes, makers=makers, graph=graph)
-        values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
+        if self._around is not None:
+            makers[NEAREST] = self._around.make_nearest
+        values = Values(self._gtd, sizes=sizes, makers=makers, graph=graph, around=self._around)
+        values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=self._random.mask)
         return values
 
     def _make_buffer_kernel(self) -> StepKernel | None:
@@ -427,6 +474,11 @@ class Task:
         entries = config_digests(task=self.cfg) | self.env.state_tensors()
         return entries | add_prefix("task", self.values.own.state_tensors()) | add_prefix("curriculum", curriculum)
 
+    def random_tensors(self) -> dict[str, Tensor]:
+        """Return seed, numbers and episodes of the environments, and episodes of several vehicles, by name."""
+        vehicles = {"vehicle_episode": self._random.episode} if self.num_vehicles > 1 else {}
+        return self.env.random.state_tensors() | vehicles
+
     def save_state(self) -> dict[str, Tensor]:
         """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``). The
         memory of a policy is not included."""
@@ -452,7 +504,8 @@ class Task:
 
     def __repr__(self) -> str:
         cfg, shapes = self.cfg, ", ".join(f"{key} {shape}" for key, shape in self.observation_shapes.items())
-        size = f"{self.num_envs} environments on {self.device}, episodes of {cfg.episode_len_steps} steps"
+        vehicles = f" of {self.num_vehicles} vehicles" if self.num_vehicles > 1 else ""
+        size = f"{self.env.num_envs} environments{vehicles} on {self.device}, episodes of {cfg.episode_len_steps} steps"
         spaces = f"each: {shapes}; action ({self.num_actions},); robot {cfg.robot}"
         return "\n  ".join((f"Task: {cfg.summary}", f"{size} of {self.env.dt:g} s", spaces))
 

@@ -28,6 +28,7 @@ from aerial_gym.task.terms.term import (
     check_result,
     term_from_function,
 )
+from aerial_gym.task.vehicles.row_inputs import VehicleInputs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,14 +133,14 @@ class Values(Mapping[str, Tensor]):
 
     def __init__(
         self, gtd: GlobalTensorDictionary, *, sizes: Mapping[str, int], makers: Mapping[str, Callable[..., Tensor]],
-        graph: GradientGraph | None = None,
+        graph: GradientGraph | None = None, around: VehicleInputs | None = None,
     ) -> None:  # fmt: skip
-        """Take the simulation's dictionary, and the ``graph`` of values with gradients, if any.
+        """Take the simulation's dictionary, the ``graph`` of values with gradients, and what is ``around`` a vehicle, if any.
 
         ``makers`` declare buffers on demand, by their name, in which whole numbers may stand as ``{rows}``. They are called
         with these values, the reader's name, and the numbers by name.
         """
-        self.gtd, self._makers, self.graph = gtd, makers, graph
+        self.gtd, self._makers, self.graph, self._around = gtd, makers, graph, around
         self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)  # Buffers of the task
         self.updates: dict[str, BoundTerm] = {}  # Updates of buffers after a step, by name, in the order of computation
         self.measured: set[str] = set()
@@ -170,6 +171,9 @@ class Values(Mapping[str, Tensor]):
                 return made
         if name in BUFFERS:
             return self._make_registered_buffer(name)
+        made = None if self._around is None else self._around.find(name, self, reader)
+        if made is not None:
+            return made
         known = sorted({*self.gtd, *self.own, *self._makers, *BUFFERS})
         raise UnknownNameError(
             f"{reader} reads {name!r}, which is neither a key of the GTD nor a task buffer."

@@ -52,11 +52,11 @@ class TaskBench:
         ):
             episodes = Episodes(task, seed=self.seed)
             seconds = time_launches(episodes, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
-            captured = task.is_captured
+            captured, rows = task.is_captured, task.num_envs
             parts = time_parts(task, episodes.actions, repeats=self.repeats) if self.parts else {}
         return {
             "case": "task", "task": self.task, "backend": self.backend or "auto", "device": device_name(device),
             "num_envs": self.num_envs, "threads": threads, "captured": captured, "settings": list(self.set),
-            **rate_figures("env_steps_per_s", seconds, self.num_envs), "step_us": 1e6 * statistics.median(seconds),
+            **rate_figures("env_steps_per_s", seconds, rows), "step_us": 1e6 * statistics.median(seconds),
             **{f"{name}_us": 1e6 * span for name, span in parts.items()}, **versions,
         }  # fmt: skip

@@ -95,6 +95,7 @@ def _task(name: str) -> str:
     cfg: TaskCfg = task_registry.get(name)
     facts = {
         "robot": f"`{cfg.robot}`",
+        "vehicles in an environment": str(cfg.num_vehicles),
         "controller": f"`{cfg.controller}`",
         "environment": f"`{cfg.env}`" if isinstance(cfg.env, str) else "of its own",
         "sim": f"`{cfg.sim}`",

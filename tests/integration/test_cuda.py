@@ -60,6 +60,22 @@ def make_task(num_envs: int = 256, **options) -> Task:
     return task_registry.make_task("position_setpoint_task", num_envs=num_envs, device="cuda:0", seed=0, **options)
 
 
+def test_a_captured_step_of_several_vehicles_is_the_eager_step() -> None:
+    result = []
+    for capture in (False, True):
+        task = task_registry.make_task("formation_task", num_envs=64, device="cuda:0", seed=0, capture=capture)
+        task.reset(seed=3)
+        rows = torch.arange(task.num_envs, device="cuda:0").float().unsqueeze(-1)
+        for step in range(60):
+            actions = torch.sin(1.7 * rows + torch.arange(4.0, device="cuda:0") + 0.3 * step)
+            obs, reward, terminated, truncated, info = task.step(actions)
+        assert task.is_captured == capture
+        row = {"reward": reward, "ended": terminated | truncated} | info | obs
+        result.append({key: value.clone() for key, value in row.items()})
+    for key, value in result[0].items():
+        assert torch.equal(result[1][key], value), key
+
+
 def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def waits(robot_position: torch.Tensor) -> torch.Tensor:

@@ -34,7 +34,7 @@ class TaskVecEnv(IVecEnv):
     """A task as rl-games sees it: done is terminated or truncated, and ``time_outs`` lets it bootstrap the value."""
 
     def __init__(self, task: Task) -> None:
-        self._task = task
+        self._task, self.num_rows = task, task.num_envs
 
     def reset(self) -> Tensor:
         """Restart all episodes, at random ages; return observations (E, O)."""
@@ -166,7 +166,7 @@ def train(run: TrainingRun) -> bool:
 
 def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str) -> dict[str, object]:
     """Return the settings as rl-games names them."""
-    ppo = cfg.section(PpoCfg)
+    ppo, rows = cfg.section(PpoCfg), env.num_rows
     return {
         "seed": cfg.seed,
         "torch_threads": 0,  # set by the caller
@@ -191,7 +191,7 @@ def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str)
         },
         "config": {
             "name": cfg.task, "full_experiment_name": "rl_games", "train_dir": str(out), "env_name": cfg.task,
-            "vec_env": env, "env_info": env.get_env_info(), "num_actors": cfg.num_envs, "device": device, "ppo": True,
+            "vec_env": env, "env_info": env.get_env_info(), "num_actors": rows, "device": device, "ppo": True,
             "mixed_precision": False, "torch_compile": False, "print_stats": False, "max_epochs": OFF,
             "save_best_after": OFF, "save_frequency": 0, "gamma": ppo.discount, "tau": ppo.gae_lambda,
             "learning_rate": ppo.learning_rate, "lr_schedule": "adaptive", "schedule_type": "standard",
@@ -199,7 +199,7 @@ def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str)
             "critic_coef": ppo.value_coef, "entropy_coef": ppo.entropy_coef, "bounds_loss_coef": ppo.bound_coef,
             "truncate_grads": True, "grad_norm": ppo.max_grad_norm, "normalize_input": ppo.normalize_observation,
             "normalize_value": ppo.normalize_value, "normalize_advantage": True, "value_bootstrap": True,
-            "horizon_length": ppo.horizon, "minibatch_size": cfg.num_envs * ppo.horizon // ppo.num_minibatches,
+            "horizon_length": ppo.horizon, "minibatch_size": rows * ppo.horizon // ppo.num_minibatches,
             "mini_epochs": ppo.num_epochs, "reward_shaper": {"scale_value": ppo.reward_scale},
         },
     }  # fmt: skip

@@ -34,11 +34,11 @@ class RslRlEnv(VecEnv):
     @property
     def episode_length_buf(self) -> Tensor:
         """Age of the episodes [steps], int64 (E,)."""
-        return self._task.env.gtd["sim_steps"].long()
+        return self._task.env.rows.bodies["sim_steps"].long()
 
     @episode_length_buf.setter
     def episode_length_buf(self, age: Tensor) -> None:
-        self._task.env.gtd["sim_steps"].copy_(age)
+        self._task.env.rows.bodies["sim_steps"].copy_(age)
 
     def get_observations(self) -> TensorDict:
         """Return the present observations by key."""

@@ -170,7 +170,10 @@ def train(run: TrainingRun) -> bool:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
     name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"
     with _library_log(), _task_registration(name, cfg, task, run.interruption):
-        runner = _Runner(library_config(cfg, run.folder.path, env_name=name, device=task.device), run.keeper)
+        runner = _Runner(
+            library_config(cfg, run.folder.path, env_name=name, device=task.device, num_vehicles=task.num_vehicles),
+            run.keeper,
+        )
         try:
             status = _run_library_training(runner, _Observer(run))
         finally:
@@ -216,7 +219,9 @@ PPO_OPTIONS = """
 """  # Options of the library, each with its field of `PpoCfg`
 
 
-def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device) -> Config:
+def library_config(
+    cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device, num_vehicles: int = 1
+) -> Config:
     """Return the settings as Sample Factory names them, made by its own parser from a list, never from ``sys.argv``."""
     ppo, gpu = cfg.section(PpoCfg), device.type == "cuda"
     options: dict[str, object] = {**dict(pair.split("=") for pair in FIXED_OPTIONS.split())}
@@ -228,7 +233,7 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
         "device": "gpu" if gpu else "cpu",
         "env_gpu_observations": gpu,
         "actor_critic_share_weights": not ppo.separate_value_network,
-        "batch_size": cfg.num_envs * ppo.horizon // ppo.num_minibatches,
+        "batch_size": num_vehicles * cfg.num_envs * ppo.horizon // ppo.num_minibatches,
         "ppo_clip_value": ppo.clip_range if ppo.clip_value else NO_LIMIT,
     }
     arguments = [f"--{key}={value}" for key, value in options.items()]

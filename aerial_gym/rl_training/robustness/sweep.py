@@ -47,6 +47,7 @@ def _fly_group(
     progress: Callable[[int, int], None],
 ) -> Iterator[CellFlights]:
     with flown.make(len(group.cells) * flights, group.settings, robot=group.robot) as task:
+        task.require_one_vehicle("robustness")
         check_fits(policy, task, trained_on)
         starts = torch.arange(flights, dtype=torch.int32, device=task.device)
         task.env.random.environment.copy_(starts.repeat(len(group.cells)))

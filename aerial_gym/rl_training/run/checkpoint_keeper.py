@@ -151,7 +151,7 @@ class CheckpointKeeper:
         return {
             "trainer": self._cfg.trainer, "env_steps": env_steps, "settings": to_mapping(self._cfg),
             "curriculum": None if curriculum is None else curriculum.state(), "random": random_state(),
-            "task_random": {name: tensor.clone() for name, tensor in self._task.env.random.state_tensors().items()},
+            "task_random": {name: tensor.clone() for name, tensor in self._task.random_tensors().items()},
         }  # fmt: skip
 
     def _restore_run(self, state: dict[str, Any]) -> None:
@@ -161,7 +161,7 @@ class CheckpointKeeper:
         if "random" in state:
             restore_random_state(state["random"])
         if state.get("task_random") is not None:
-            for name, tensor in self._task.env.random.state_tensors().items():
+            for name, tensor in self._task.random_tensors().items():
                 tensor.copy_(state["task_random"][name])
 
 

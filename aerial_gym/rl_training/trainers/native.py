@@ -130,7 +130,7 @@ class NativeTraining(Generic[AnyLearner]):
 
     def advance(self) -> Report:
         """Iterate, on a GPU several times without waiting, and return the numbers, on a GPU those of the call before."""
-        per_iteration = self.cfg.num_envs * self.cfg.learner.horizon * self._ranks.size
+        per_iteration = self.task.num_envs * self.cfg.learner.horizon * self._ranks.size
         limit = self.cfg.max_env_steps
         for _ in range(LOOK_EVERY if self.task.device.type == "cuda" and self.learner.captures else 1):
             self._repeat()

@@ -3,12 +3,12 @@
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.registry.plugins import class_converter
-from aerial_gym.task.commands import gates, points, polynomial, track
+from aerial_gym.task.commands import evader, gates, places, points, polynomial, track
 from aerial_gym.task.commands.command import COMMANDS, Command
 from aerial_gym.task.terms.term import check_params
 from aerial_gym.task.values import Values
 
-__all__ = ["COMMANDS", "gates", "make_command", "points", "polynomial", "track"]
+__all__ = ["COMMANDS", "evader", "gates", "make_command", "places", "points", "polynomial", "track"]
 
 COMMANDS.accept_plugins(command=class_converter("aerial_gym.task.commands.command:Command"))
 

@@ -118,7 +118,7 @@ class GateCommand(Command):
         if share > 0.0 and gates[0].shape[1] > 1:
             self._starts = PracticeStarts(
                 self.env.robot_manager.tensors, gates, share=self._present_share, speed=speed, offset=offset,
-                first_out=first, random=self.env.random,
+                first_out=first, random=self.env.rows.random,
             )  # fmt: skip
 
     def practise(self) -> None:
@@ -204,7 +204,7 @@ class Gates(GateCommand):
         values.declare("following_position", (3,), unit="m", frame="world", meaning="centre of the gate after the next")
         values.declare("following_direction", (2,), frame="world", meaning="way through that: x and y, unit")
         declare_gate_flags(values)
-        rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
+        rows = torch.tensor(self._gates, device=env.device).expand(env.rows.random.num_envs, -1, -1)
         poses = rows[..., :3].contiguous(), rows[..., 5:].contiguous()
         self._declare_practice(poses, share=practice_share, speed=practice_speed, offset=practice_offset)
         self.reads = (

@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.checks import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.random import Purpose
+from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
 from aerial_gym.task.kernels.draws import GoalDraws, UniformDraws
 from aerial_gym.task.values import Values
@@ -52,7 +52,7 @@ class RandomPose(RandomPoint):
         """Take the lowest and the highest point as shares of the bounds, 0 <= low <= high <= 1."""
         super().__init__(values, env, low=low, high=high)
         yaw = values.declare("target_yaw", unit="rad", frame="world", meaning="heading to have at the target, +-pi")
-        self._yaw = UniformDraws(yaw.unsqueeze(-1), [(-pi, pi)], purpose=Purpose.COMMAND, random=env.random)
+        self._yaw = UniformDraws(yaw.unsqueeze(-1), [(-pi, pi)], purpose=Purpose.COMMAND, random=env.rows.random)
 
     def draw(self, mask: Tensor) -> None:
         """Draw new points and headings."""
@@ -98,15 +98,17 @@ class PointSequence(Command):
         return {"target_index": index, TARGET: row_at_index(index, self._points)}
 
 
-def make_goals(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> GoalDraws:
-    """Return the launch that draws a goal (E, 3) between two shares of the bounds; ``name`` is the command's, for errors."""
+def make_goals(
+    goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str, *, random: Randomness | None = None
+) -> GoalDraws:
+    """Return the launch that draws a goal (E, 3) between two shares of the bounds; ``name`` is the command's, for errors.
+    ``random`` replaces the random numbers of the vehicles."""
     if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
         raise ConfigError(
             f"command {name}: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
             "They are shares of the bounds"
         )
-    bounds = (env.gtd["env_bounds_min"], env.gtd["env_bounds_max"])
-    return GoalDraws(goal, bounds=bounds, ratios=(low, high), random=env.random)
+    return GoalDraws(goal, bounds=env.rows.bounds, ratios=(low, high), random=env.rows.random, draws=random)
 
 
 def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop: bool) -> Tensor:
@@ -130,6 +132,7 @@ def _check_points(name: str, points: Sequence[Vec3]) -> None:
 
 
 STATES = "vec_root_tensor"  # Key of the GTD: states of the robot and, behind it, of the assets
+ASSET_STATES = "env_asset_state_tensor"  # Key of those of the assets alone, also beside several vehicles
 
 
 @COMMANDS.register_class("asset")
@@ -150,14 +153,16 @@ class AssetPoint(Command):
         if name not in kept:
             raise ConfigError(f"command asset: name = {name!r}: must be an asset with keep: true, of {kept}")
         counts = {asset.name: asset.count for asset in env.cfg.assets}
-        self._row = 1 + sum(list(counts.values())[: list(counts).index(name)])
+        single = env.vehicles is None
+        self._states, self._row = STATES if single else ASSET_STATES, int(single)
+        self._row += sum(list(counts.values())[: list(counts).index(name)])
         self._offset = offset
         self._target(moving=True)
-        self.reads = (STATES,)
+        self.reads = (self._states,)
 
     def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return place and velocity of the target at this instant."""
-        state = values[STATES][:, self._row]
+        state = values[self._states][:, self._row]
         return {TARGET: state[:, :3] + state.new_tensor(self._offset), "target_velocity": state[:, 7:10]}
 
 
@@ -173,7 +178,7 @@ class LoadPoint(Command):
     def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
         """Take the lowest and the highest point for the load as shares of the bounds, 0 <= low <= high <= 1."""
         super().__init__(values, env)
-        if LOAD_PARAMS not in env.gtd:
+        if LOAD_PARAMS not in env.rows.bodies:
             raise ConfigError("command load_point: nothing hangs on the robot. Give it the effect slung_payload")
         load = values.declare("load_target", (3,), unit="m", frame="world", meaning="where to carry the load")
         self._goals = make_goals(load, env, low, high, self.name)
@@ -243,7 +248,7 @@ class TrajectoryCommand(Command):
         self._rate, self._dt = 2.0 * pi / period, env.dt
         self._target(moving=True)
         phase = values.declare("target_phase", (1,), unit="rad", meaning="angle on the curve where the episode began")
-        self._phase = UniformDraws(phase, [(0.0, 2.0 * pi)], purpose=Purpose.COMMAND, random=env.random)
+        self._phase = UniformDraws(phase, [(0.0, 2.0 * pi)], purpose=Purpose.COMMAND, random=env.rows.random)
         self._random_phase = random_phase
         self.reads = ("target_phase",)
 

@@ -124,7 +124,7 @@ class Polynomial(Command):
         self._time = values.declare("track_time", unit="s", meaning="from a point of the track to the next one")
         self._time.fill_(1.0)
         ranges = [(c - half, c + half) for c, half in zip(center, size, strict=True) for _ in range(points)]
-        self._draws = UniformDraws(self._points, ranges, purpose=Purpose.COMMAND, random=env.random)
+        self._draws = UniformDraws(self._points, ranges, purpose=Purpose.COMMAND, random=env.rows.random)
         self.reads = ("track_points", "track_time")
 
     def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:

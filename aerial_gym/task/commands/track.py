@@ -69,7 +69,7 @@ class TrackGates(GateCommand):
         declare_gate_flags(values)
         for name, count, kind in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
             values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {kind}")
-        poses = env.gtd[GATE_KEYS[0]], env.gtd[GATE_KEYS[1]]
+        poses = values.find(GATE_KEYS[0], "command track_gates"), values.find(GATE_KEYS[1], "command track_gates")
         self._declare_practice(poses, share=practice_share, speed=practice_speed, offset=practice_offset)
         self.reads = (
             TARGET, "target_orientation", "target_index", "gate_passed", FIRST_GATE, "robot_position", "previous_position",

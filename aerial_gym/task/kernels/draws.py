@@ -57,10 +57,12 @@ class GoalDraws(MaskLaunch):
     """Draws the goals of masked environments."""
 
     def __init__(
-        self, goal: Tensor, *, bounds: tuple[Tensor, Tensor], ratios: tuple[Vec3, Vec3], random: Randomness
-    ) -> None:
-        """Take the goal (E, 3) to write, the lower and upper corner of the bounds [m], and the range of its share of them."""
-        inputs = [random_arrays(random), *(wp.vec3(*ratio) for ratio in ratios), *bounds]
+        self, goal: Tensor, *, bounds: tuple[Tensor, Tensor], ratios: tuple[Vec3, Vec3], random: Randomness,
+        draws: Randomness | None = None,
+    ) -> None:  # fmt: skip
+        """Take the goal (E, 3) to write, the lower and upper corner of the bounds [m], and the range of its share of them.
+        ``random`` has the mask, ``draws`` the numbers if others are drawn."""
+        inputs = [random_arrays(draws or random), *(wp.vec3(*ratio) for ratio in ratios), *bounds]
         super().__init__(_draw_goals, goal.shape[0], inputs, [goal], random)
 
 

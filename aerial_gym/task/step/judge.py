@@ -18,10 +18,13 @@ from aerial_gym.task.step.observer import Observer
 from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
+from aerial_gym.task.vehicles.common_ends import ENDS, CommonEnds
+from aerial_gym.task.vehicles.common_ends import REWARDS as COMMON_REWARDS
 
 FINAL = "final_"  # In front of the name of a group: its observation before the reset
 TIME_OUT = "time_out"  # Name under which an end by the length of the episode is counted
 GATE_PASSED = "gate_passed"  # Flag of commands with gates, also in `info`
+COLLISIONS = "collisions"  # Flag of `info`: the vehicle touched another one in this step
 SUMS, TALLIES, ARRIVED = "episode_sums", "ended_tallies", "arrived"  # Buffers that persist between steps
 
 FLAGS = ("terminated", "truncated", "crash", "success", "timeout", "bad")
@@ -46,8 +49,9 @@ class Judge:
     def __init__(
         self, cfg: TaskCfg, rewards: Mapping[str, tuple[BoundTerm, RewardCfg]],
         terminations: Mapping[str, tuple[BoundTerm, TerminationCfg]], values: Values, *, command: Command,
-        observer: Observer, random: Randomness,
+        observer: Observer, random: Randomness, num_vehicles: int = 1,
     ) -> None:  # fmt: skip
+        """Declare the buffers; the ``num_vehicles`` of an environment share their ends if there are several."""
         self._cfg, self._rewards, self._terminations = cfg, dict(rewards), dict(terminations)
         self._command, self._observer = command, observer
         ends = {"crash": cfg.crash_reward, "success": cfg.success_reward}
@@ -69,6 +73,14 @@ class Judge:
         names += (TARGET, "robot_position") if TARGET in values.own else ()
         reads = {name: values.find(name, "the task") for name in names} | values.term_inputs(*terms) | observer.reads
         moved = {name: values[name] for name in command.current_values(values)}
+        self._common: CommonEnds | None = None
+        if num_vehicles > 1:
+            needs_all = [each.needs_all for _, each in terminations.values()]
+            self._common = CommonEnds(
+                self._own_outcome, values, reads=reads, needs_all=[*needs_all, False], num_rewards=len(rewards),
+                shares_reward=cfg.share_reward, num_vehicles=num_vehicles,
+            )  # fmt: skip
+            reads |= self._common.reads
         gtd, own = values.gtd, values.own
         writes = {
             "non_finite": gtd["non_finite"], "crashes": gtd["crashes"], "truncations": gtd["truncations"],
@@ -81,6 +93,8 @@ class Judge:
             terms=[*terms, *observer.terms], graph=values.graph, keeps=tuple(moved),
         )  # fmt: skip
         """The kernel."""
+        self.parts = [self.rows] if self._common is None else [self._common.rows, self.rows]
+        """All kernels that evaluate terms."""
         self._early: StepKernel | None = None
         if any(name in moved for term in self.rows.apart for name in term.reads):  # they run before the kernel
             given = {name: reads[name] for name in ("sim_steps", *command.reads)}
@@ -90,6 +104,8 @@ class Judge:
         """Judge every environment; return the results by name, (E, ...); launched, not waited for."""
         if self._early is not None:
             self._early()
+        if self._common is not None:
+            self._common()
         result = self.rows()
         result |= zip(FLAGS, result["flags"].unbind(-1), strict=True)
         return result | {"total": result["sums"][:, 0], "reward_terms": result["sums"][:, 1:]}
@@ -128,13 +144,16 @@ class Judge:
     def _step_outcome(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
         moved = self._command.current_values(given)
         values = {**given, **moved}
+        if ENDS in given:
+            labels = [term.label for term, _ in self._terminations.values()]
+            values |= zip(labels, given[ENDS].unbind(-1), strict=False)
         finite, observed, _ = self._observer.observe(values, None)
         ends = self._episode_ends(values)
         terms, reward = self._reward_terms(values, ends)
         bits = values["non_finite"] + NonFinite.REWARD.value * (~reward.isfinite()).int()
         bits = bits + NonFinite.OBSERVATION.value * (~finite).int()
         bad = bits != 0
-        ends = self._crash_non_finite(ends, bad)
+        ends = self._crash_non_finite(ends, bad | given[ENDS][:, -1] if ENDS in given else bad)
         crash_reward = _end_reward(self._cfg.crash_reward, values)
         terms, reward = self._replace_non_finite_rewards(terms, reward, bad, crash_reward)
         ended = ends.terminated | ends.truncated
@@ -156,6 +175,16 @@ class Judge:
             distance = (values[TARGET] - values["robot_position"]).norm(dim=-1)
             result["distance"] = distance.nan_to_num(nan=torch.finfo(distance.dtype).max)
         return result
+
+    def _own_outcome(self, given: Mapping[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+        """Return the conditions of the terminations and that of non-finite numbers of each vehicle, and its reward terms."""
+        values = {**given, **self._command.current_values(given)}
+        finite, _, _ = self._observer.observe(values, None)
+        rewards = list(self._term_rewards(values).values())
+        for reward in rewards:
+            finite = finite & reward.isfinite()
+        bad = ~finite | (values["non_finite"] != 0)
+        return [*(term.evaluate(values) for term, _ in self._terminations.values()), bad], rewards
 
     def _episode_ends(self, values: Mapping[str, Tensor]) -> EpisodeEnds:
         no = torch.zeros_like(values["crashes"])
@@ -194,18 +223,8 @@ class Judge:
 
     def _reward_terms(self, values: Mapping[str, Tensor], ends: EpisodeEnds) -> tuple[Tensor, Tensor]:
         """Return the terms, (E, T), and their sum, (E,)."""
-        plain = {name: term.evaluate(values) for name, (term, _) in self._rewards.items()}
-        no_reward = torch.zeros_like(ends.crash, dtype=next(iter(plain.values())).dtype)
-        weighed: dict[str, Tensor] = {}
-        for name, (_, cfg) in self._rewards.items():
-            if not cfg.times:
-                weighed[name] = self._apply_reward_weight(plain[name], cfg, values)
-        for name, (_, cfg) in self._rewards.items():
-            if cfg.times:
-                first, *more = (weighed[each] for each in cfg.times)
-                factor = sum(more, start=first)
-                weighed[name] = factor * self._apply_reward_weight(plain[name], cfg, values)
-        result = {name: weighed[name] for name in self._rewards}
+        result = self._term_rewards(values)
+        no_reward = torch.zeros_like(ends.crash, dtype=next(iter(result.values())).dtype)
         for name, when, end in (
             ("success", ends.success, self._cfg.success_reward),
             ("crash", ends.crash, self._cfg.crash_reward),
@@ -217,6 +236,22 @@ class Judge:
             result[name] = torch.where(when, _end_reward(end, values), no_reward)
         columns = [result[name] for name in self.reward_names]
         return torch.stack(columns, dim=-1), sum(columns[1:], start=columns[0])
+
+    def _term_rewards(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the weighted terms by name, (E,), without the rewards of ends."""
+        if COMMON_REWARDS in values:
+            return dict(zip(self._rewards, values[COMMON_REWARDS].unbind(-1), strict=True))
+        plain = {name: term.evaluate(values) for name, (term, _) in self._rewards.items()}
+        weighed: dict[str, Tensor] = {}
+        for name, (_, cfg) in self._rewards.items():
+            if not cfg.times:
+                weighed[name] = self._apply_reward_weight(plain[name], cfg, values)
+        for name, (_, cfg) in self._rewards.items():
+            if cfg.times:
+                first, *more = (weighed[each] for each in cfg.times)
+                factor = sum(more, start=first)
+                weighed[name] = factor * self._apply_reward_weight(plain[name], cfg, values)
+        return {name: weighed[name] for name in self._rewards}
 
     @staticmethod
     def _apply_reward_weight(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_without_tilt
 from aerial_gym.task.terms.gate_path import gate_path_direction
 from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
+from aerial_gym.task.vehicles.names import NEAREST
 
 OBSERVATIONS = TermRegistry("observation term")  # Terms by the name that a task configuration uses
 
@@ -110,6 +111,13 @@ def log_nearest_in_cells(cells: Tensor, *, rows: int = 8, columns: int = 8) -> T
 def inverse_nearest(cells: Tensor, largest_distance: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
     """Return the inverse of the smallest distance in each of some cells [1/m], (E, rows columns)."""
     return 1.0 / (cells.clamp_min(LEAST_SHARE) * largest_distance)
+
+
+@OBSERVATIONS.term(named={"nearest": NEAREST})
+def nearest_vehicles(nearest: Tensor, *, count: int) -> Tensor:
+    """Return offset [m], relative velocity [m/s], vehicle frame, and 1 for each of the nearest other vehicles, (E, 7 count)."""
+    del count  # part of the input's name
+    return nearest
 
 
 @OBSERVATIONS.term()

@@ -16,9 +16,11 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.math.quaternion import yaw_from_quat
 from aerial_gym.task.terms.gate_path import gate_path_length
 from aerial_gym.task.terms.term import Term, TermRegistry
+from aerial_gym.task.vehicles.names import NEAREST
 
 REWARDS = TermRegistry("reward term")  # Terms by the name that a task configuration uses
 Quantity = Callable[..., Tensor]  # Function of tensors whose names are those of its arguments
+NEAREST_ONE = NEAREST.format(count=1)
 VELOCITY = LAWS["velocity"].action  # Command: forward, left and upward velocity, and yaw rate
 
 
@@ -146,6 +148,19 @@ def progress(
     """Return the decrease of the target distance in this step [m], times ``closer`` if > 0, else ``further``, (E,)."""
     gained = previous_distance - _point_distance(target_position, robot_position)
     return torch.where(gained > 0.0, closer, further) * gained
+
+
+@REWARDS.term()
+def way_shortened(way_to_target: Tensor, previous_way_to_target: Tensor) -> Tensor:
+    """Return the decrease of the length of the way to the target in this step [m], (E,)."""
+    return previous_way_to_target - way_to_target
+
+
+@REWARDS.term(named={"nearest": NEAREST_ONE})
+def nearby_vehicles(nearest: Tensor, *, distance: float) -> Tensor:
+    """Return ``-max(1 - d / distance, 0)``, d the distance of the nearest other vehicle [m], (E,)."""
+    apart = nearest[:, :3].norm(dim=-1)
+    return -nearest[:, 6] * (1.0 - apart / distance).clamp_min(0.0)
 
 
 @REWARDS.term()

@@ -24,6 +24,18 @@ def contact(crashes: Tensor) -> Tensor:
 
 
 @TERMINATIONS.term()
+def vehicle_collision(vehicle_collisions: Tensor) -> Tensor:
+    """Return whether the robot touched another vehicle, (E,)."""
+    return vehicle_collisions.clone()
+
+
+@TERMINATIONS.term()
+def obstacle_contact(crashes: Tensor, vehicle_collisions: Tensor) -> Tensor:
+    """Return whether the robot touched something that is no other vehicle, (E,)."""
+    return crashes & ~vehicle_collisions
+
+
+@TERMINATIONS.term()
 def far_from_target(target_position: Tensor, robot_position: Tensor, *, distance: float) -> Tensor:
     """Return whether the robot is further than a distance [m] from its target, (E,)."""
     return (target_position - robot_position).norm(dim=-1) > distance

@@ -109,8 +109,8 @@ def test_a_field_of_an_earlier_version_names_the_way_out(field: str, way_out: st
 @pytest.mark.parametrize(
     ("config", "field", "words"),
     [
-        (task_registry.get("position_setpoint_task"), "robots", "there is one vehicle here; build_env"),
-        (task_registry.get("position_setpoint_task"), "vehicles", "there is one vehicle here; build_env"),
+        (task_registry.get("position_setpoint_task"), "robots", "a task has vehicles of one kind"),
+        (task_registry.get("position_setpoint_task"), "vehicles", "a task has vehicles of one kind"),
         (ENVIRONMENTS.get("empty_env"), "vehicles", "it is called robots"),
     ],
 )

@@ -143,9 +143,11 @@ def test_another_seed_is_another_simulation() -> None:
 def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tensor]]:
     observation, _ = task.reset()
     results = [{"observation": observation["observations"].clone()}]
-    number = torch.arange(first, first + task.num_envs)
+    vehicles = task.num_vehicles
+    first *= vehicles
+    number = torch.arange(first, first + task.num_envs) // vehicles
     for step in range(steps):
-        task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
+        task.env.rows.bodies["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
         action = make_actions(task.num_envs, first, width=task.num_actions)
         observation, reward, terminated, truncated, info = task.step(action)
         row = {"observation": observation["observations"], "reward": reward, **info}
@@ -167,14 +169,15 @@ def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str, requ
         request.getfixturevalue("optimise_kernels")
     curriculum = task_registry.get(name).curriculum
     level = None if curriculum is None else curriculum.first_level + 5
+    rows = task_registry.get(name).num_vehicles
     rounding = 0.0 if task_registry.get(name).encoder is None else 1e-4  # convolutions sum by the size of a batch
     runs = {}
     for num_envs, first in ((FEW, 0), (MANY, 0), (1, 2)):
         task = task_registry.make_task(name, num_envs=num_envs, device="cpu", seed=1, level=level, first_env=first)
         runs[num_envs] = roll_out(task, first)
     for few, many, alone in zip(*(runs[n] for n in (FEW, MANY, 1)), strict=True):
-        assert_same(few, {key: value[:FEW] for key, value in many.items()}, within=rounding)
-        assert_same(alone, {key: value[2:3] for key, value in many.items()}, within=rounding)
+        assert_same(few, {key: value[: FEW * rows] for key, value in many.items()}, within=rounding)
+        assert_same(alone, {key: value[2 * rows : 3 * rows] for key, value in many.items()}, within=rounding)
 
 
 def test_a_seed_given_to_a_reset_makes_a_new_task() -> None:

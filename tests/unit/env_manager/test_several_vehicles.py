@@ -14,7 +14,7 @@ from aerial_gym import CONTROLLERS, ENVIRONMENTS, ROBOTS, EnvManager, SimBuilder
 from aerial_gym.config.environment import ContactCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BoxCfg, CollisionCfg, RobotCfg, SphereCfg
-from aerial_gym.errors import AerialGymError, ConfigError, OwnershipError, ShapeError
+from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError, OwnershipError, ShapeError
 from tests.unit.env_manager.test_batch_independence import assert_same
 
 E, V = 3, 4
@@ -63,7 +63,7 @@ def actions(numbers: Tensor, width: int = 4) -> Tensor:
 
 def body_rows(gtd: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return everything of the bodies that a simulation of one vehicle has too, one row for each."""
-    return {key: value.clone() for key, value in gtd.items() if key != "vehicle_clearance"}
+    return {key: value.clone() for key, value in gtd.items() if not key.startswith("vehicle_")}
 
 
 def test_shapes_and_names() -> None:
@@ -419,9 +419,9 @@ def test_the_end_of_one_vehicle_can_end_all() -> None:
         env.reset(torch.ones(E, V, dtype=torch.bool))
 
 
-def test_tasks_are_refused() -> None:
-    with pytest.raises(AerialGymError, match="task: its environment has several vehicles; there is one vehicle here"):
-        Task(task_registry.get("position_setpoint_task"), build(ONE_KIND))
+def test_tasks_of_several_kinds_are_refused() -> None:
+    with pytest.raises(CapabilityError, match="task: its rows are vehicles of one kind; here are .*, tilted_hexarotor"):
+        Task(task_registry.get("position_setpoint_task"), build(TWO_KINDS))
 
 
 def test_views_are_guarded_and_writes_act() -> None:

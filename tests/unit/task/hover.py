@@ -34,7 +34,10 @@ def build_task(cfg: TaskCfg, num_envs: int, *, robot=None, device="cpu", capture
     """Return a task of a configuration, with a robot that need not be registered; ``gradients``: in this float type."""
     given |= {"sim": cfg.sim, "env": cfg.env, "num_envs": num_envs, "device": device, "randomize": cfg.randomize}
     given |= {"differentiable": gradients is not None, "dtype": gradients or torch.float32}
-    return Task(cfg, simulation(robot or cfg.robot, cfg.controller, **given), capture=capture)
+    robot = robot or cfg.robot
+    if cfg.num_vehicles > 1:
+        robot, given["robots"] = None, [{"name": robot, "count": cfg.num_vehicles}]
+    return Task(cfg, simulation(robot, cfg.controller, **given), capture=capture)
 
 
 def put(task: Task, positions: Tensor | Sequence[Sequence[float]]) -> None:

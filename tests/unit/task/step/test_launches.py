@@ -122,8 +122,9 @@ LIKE_OTHERS = (
     "agile_tracking_task", "gust_rejection_task", "lidar_navigation_task", "platform_landing_task",
     "position_setpoint_task_acceleration_sim2real", "position_setpoint_task_morphy_paper",
     "position_setpoint_task_morphy_stiff", "position_setpoint_task_reconfigurable", "position_setpoint_task_sim2real",
-    "position_setpoint_task_sim2real_px4", "racing_random_track_task", "racing_split_s_task", "radar_navigation_task",
-    "radar_navigation_task_held", "safe_navigation_task", "smooth_position_setpoint_task", "smooth_tracking_task",
+    "position_setpoint_task_sim2real_px4", "race_of_four_task", "racing_random_track_task", "racing_split_s_task",
+    "radar_navigation_task", "radar_navigation_task_held", "safe_navigation_task", "smooth_position_setpoint_task",
+    "smooth_tracking_task", "tunnel_swap_task",
 )  # fmt: skip
 """Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
@@ -159,7 +160,7 @@ RARE = {*LIKE_OTHERS, *(f"{name}-drawn" for name in task_registry.names() if nam
 def test_a_step_of_a_task_can_be_captured(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     task = MAKERS[name]()
     task.reset()
-    actions = torch.zeros(4, task.num_actions)
+    actions = torch.zeros(task.num_envs, task.num_actions)
     task.step(actions)
 
     def refuse(*args: object, **options: object) -> NoReturn:
