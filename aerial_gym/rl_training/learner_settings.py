@@ -4,7 +4,8 @@ All trainers with PPO share ``PpoCfg``; the modules of ``adapters`` translate it
 Letters: E environments.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from aerial_gym.config.checks import MAX_MADE, require, require_count, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
@@ -23,6 +24,11 @@ class LearnerCfg:
     """Inputs of the policy by key of the observation: vectors, images (C, H, W). Only ``ppo`` takes other keys."""
 
     critic_keys: tuple[str, ...] = ()  # Inputs of the value; default: the policy's. With separate value network
+
+    sets: Mapping[str, int] = field(default_factory=dict)
+    """Numbers of an entity by the keys that are sets of entities, such as ``neighbours: 7``; attention pools their features.
+    The last number of an entity says whether it is there. ``ppo`` only."""
+
     initial_std: float = 1.0  # Standard deviation of the actions before learning, in units of the action, > 0
 
     min_std: float = 0.05

@@ -99,9 +99,9 @@ class TrainingCfg:
                 rule = f"trainer {self.trainer} {none}. Use {trainers_with_feature(feature)}"
                 refuse(f"TrainingCfg.{name} = {getattr(self, name)}: {rule}")
         learner = self.learner
-        special = learner.memory or learner.critic_keys or learner.policy_keys != ("observations",)
+        special = learner.memory or learner.critic_keys or learner.sets or learner.policy_keys != ("observations",)
         if special and not trainer.any_inputs:
-            refuse(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
+            refuse(f"TrainingCfg: memory, policy_keys, critic_keys and sets need trainer ppo, not {self.trainer}")
         if self.ppo is None:
             return
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches

@@ -69,6 +69,8 @@ def fusion_refusal(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> s
         return "the package triton is not installed"
     if any(len(shape) != 1 for shapes in seen for shape in shapes.values()):
         return "policy or critic see more than vectors"
+    if ppo.sets:
+        return "policy or critic see sets of entities"
     if ppo.memory or not ppo.separate_value_network:
         return "the networks have a memory, or share layers"
     if len(ppo.hidden_layers) != 2 or len(set(ppo.hidden_layers)) != 1 or ppo.hidden_layers[0] not in WIDTHS:

@@ -4,7 +4,7 @@ Letters: T steps, E environments, O entries of a vector, C x H x W an image, F f
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, isfinite, prod
 
@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.recurrent import unroll_memory
+from aerial_gym.rl_training.policies.set_encoder import SET_FEATURES, SetEncoder
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.sensors.encoder.file import ACTIVATIONS, convolutions
 
@@ -94,6 +95,7 @@ class NetworkBodyCfg:
     memory: int = 0  # Numbers of a gated recurrent unit behind the layers; 0: none
     normalize: bool = True  # Whether vectors are normalised by their running mean and deviation
     limit: float = LIMIT  # Limit of normalised numbers
+    sets: Mapping[str, int] = field(default_factory=dict)  # Numbers of an entity by the keys that are sets of entities
 
 
 class NetworkBody(nn.Module):
@@ -109,13 +111,19 @@ class NetworkBody(nn.Module):
             if len(shape) == 3:
                 self.encoders[key] = image_encoder(shape, cfg.activation)
                 width += IMAGE_FEATURES
-            elif len(shape) == 1:
+            elif key in cfg.sets and len(shape) == 1 and cfg.sets[key] > 1 and shape[0] % cfg.sets[key] == 0:
+                self.encoders[key] = SetEncoder(cfg.sets[key], cfg.activation)
+                width += SET_FEATURES
+            elif len(shape) == 1 and key not in cfg.sets:
                 if cfg.normalize:
                     known = None if beside is None or key not in beside.normalizers else beside.normalizers[key]
                     self.normalizers[key] = known or RunningNormalizer(shape, limit=cfg.limit)
                 width += shape[0]
             else:
-                raise ConfigError(f"observation {key!r} has shape {shape}: must be a vector (O,) or an image (C, H, W)")
+                raise ConfigError(
+                    f"observation {key!r} has shape {shape}: must be a vector (O,), an image (C, H, W), or a vector "
+                    f"of whole entities of sets = {dict(cfg.sets)!r}"
+                )
         self.layers = dense_layers((width, *cfg.hidden_layers), cfg.activation)
         self.cell = nn.GRUCell(cfg.hidden_layers[-1], cfg.memory) if cfg.memory else None
         self.num_features = cfg.memory or cfg.hidden_layers[-1]

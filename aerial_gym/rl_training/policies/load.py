@@ -105,6 +105,7 @@ def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> Network
     return NetworkBodyCfg(
         shapes=shapes, hidden_layers=learner.hidden_layers, activation=learner.activation, memory=learner.memory,
         normalize=learner.normalize_observation,
+        sets={key: width for key, width in learner.sets.items() if key in shapes},
     )  # fmt: skip
 
 
@@ -112,7 +113,7 @@ def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
     """Return a new network for the settings and the observations of a task, on its device; drawn from the seed alone."""
     learner = cfg.learner
     shapes = task.observation_shapes
-    for key in (*learner.policy_keys, *learner.critic_keys):
+    for key in (*learner.policy_keys, *learner.critic_keys, *learner.sets):
         if key not in shapes:
             raise ConfigError(f"task {cfg.task} has no observation {key!r}. Known: {', '.join(sorted(shapes))}")
     with torch.random.fork_rng(devices=[]):

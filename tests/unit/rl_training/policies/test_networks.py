@@ -19,6 +19,7 @@ from aerial_gym.rl_training.policies.body import EPSILON, OUTLIER, NetworkBody, 
 from aerial_gym.rl_training.policies.load import load_initial_weights
 from aerial_gym.rl_training.policies.policy import Gaussian
 from aerial_gym.rl_training.policies.recurrent import unroll_memory
+from aerial_gym.rl_training.policies.set_encoder import SET_FEATURES, SetEncoder
 from aerial_gym.rl_training.trainers.learners import PpoTrainer
 from tests.refusals import assert_refused
 from tests.unit.rl_training.learning.test_ppo import settings
@@ -253,3 +254,46 @@ def test_other_trainers_missing_runs_and_unknown_shapes_are_refused(tmp_path: Pa
     assert not (tmp_path / "run").exists()
     with pytest.raises(ConfigError, match=r"observation 'grid' has shape \(2, 3\): must be a vector"):
         NetworkBody(NetworkBodyCfg(shapes={"grid": (2, 3)}, hidden_layers=(8,)))
+
+
+def entities(*shape: int, seed: int = 0) -> Tensor:
+    """Return random entities of seven numbers, all of which are there."""
+    rows = randn(*shape, 7, seed=seed)
+    rows[..., 6] = 1.0
+    return rows
+
+
+def test_a_set_has_no_order_and_ignores_what_is_not_there() -> None:
+    torch.manual_seed(0)
+    encoder, rows = SetEncoder(7, "elu"), entities(2, 5, 4)
+    features = encoder(rows.flatten(-2))
+    assert features.shape == (2, 5, SET_FEATURES)
+    torch.testing.assert_close(encoder(rows[..., [2, 0, 3, 1], :].flatten(-2)), features)
+    absent = torch.full((2, 5, 3, 7), torch.nan)
+    absent[..., 6] = 0.0
+    torch.testing.assert_close(encoder(torch.cat((rows, absent), dim=-2).flatten(-2)), features)
+    assert torch.equal(encoder(torch.zeros(2, 28)), torch.zeros(2, SET_FEATURES))
+    assert (encoder(entities(2, 5, 4, seed=1).flatten(-2)) - features).abs().max() > 1e-3
+
+
+def test_each_entity_of_a_set_matters_and_has_a_gradient() -> None:
+    torch.manual_seed(0)
+    encoder, rows = SetEncoder(7, "tanh"), entities(1, 3).requires_grad_()
+    encoder(rows.flatten(-2)).square().sum().backward()
+    assert rows.grad is not None
+    assert (rows.grad[..., :6].abs().amax(-1) > 1e-6).all()
+    empty = torch.zeros(1, 21, requires_grad=True)
+    encoder(empty).sum().backward()
+    assert empty.grad is not None
+    assert empty.grad.isfinite().all()
+
+
+def test_a_body_takes_sets_beside_vectors() -> None:
+    cfg = NetworkBodyCfg(shapes={"own": (5,), "others": (21,)}, hidden_layers=(8,), sets={"others": 7})
+    body = NetworkBody(cfg)
+    assert list(body.normalizers) == ["own"]
+    seen = {"own": randn(4, 5), "others": entities(4, 3).flatten(-2)}
+    features, _ = body(body.network_inputs(seen), torch.zeros(4, 0))
+    assert features.shape == (4, 8)
+    with pytest.raises(ConfigError, match=r"'others' has shape \(20,\): must be .* whole entities of sets"):
+        NetworkBody(replace(cfg, shapes={"others": (20,)}))
