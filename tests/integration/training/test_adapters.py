@@ -83,6 +83,58 @@ def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
     assert ended[1] > 0
 
 
+def make_formation(num_envs: int = 4) -> Task:
+    return task_registry.make_task(
+        "formation_task", num_envs=num_envs, device="cpu", seed=4, settings=["task.episode_len_steps=20"]
+    )
+
+
+def test_skrl_gets_an_agent_for_each_vehicle() -> None:
+    env = library("skrl", "skrl").SkrlVehiclesEnv(as_captured(make_formation()), state="critic")
+    task = make_formation()
+    expected, _ = task.reset()
+    task.stagger()
+    observation, _ = env.reset()
+    assert (env.num_envs, env.num_agents, list(observation)) == (4, 3, [f"vehicle_{number}" for number in range(3)])
+    ended = 0
+    for step in range(20):
+        rows = torch.sin(torch.arange(48.0) + step).view(4, 3, 4)
+        for number, name in enumerate(env.possible_agents):
+            assert torch.equal(observation[name], expected["observations"].view(4, 3, -1)[:, number])
+            assert torch.equal(
+                env.state()[name] if step else observation[name],
+                (expected["critic" if step else "observations"].view(4, 3, -1)[:, number]),
+            )
+        actions = {name: rows[:, number] for number, name in enumerate(env.possible_agents)}
+        observation, reward, terminated, truncated, _ = env.step(actions)
+        expected, *columns, _ = task.step(rows.view(12, 4))
+        for told, column in zip((reward, terminated, truncated), columns, strict=True):
+            assert torch.equal(torch.cat(list(told.values()), dim=1), column.view(4, 3))
+        ended += int(truncated["vehicle_0"].sum())
+    assert ended == 4
+
+
+def test_pettingzoo_passes_its_own_test() -> None:
+    adapter = library("pettingzoo", "pettingzoo")
+    from pettingzoo.test import parallel_api_test  # pyright: ignore[reportMissingImports]
+
+    env = adapter.VehiclesParallelEnv(make_formation(1), state="critic")
+    parallel_api_test(env, num_cycles=30)
+    first, _ = env.reset(seed=3)
+    again, _ = env.reset(seed=3)
+    assert all((first[name] == again[name]).all() for name in env.possible_agents)
+    assert env.state().shape == env.state_space.shape == (3 * 28,)
+    for _ in range(20):
+        seen, _, terminated, truncated, _ = env.step({name: env.action_space(name).sample() for name in env.agents})
+    assert all(truncated.values()) or all(terminated.values())
+    assert not env.agents
+    assert (
+        abs(seen["vehicle_0"][:3] - first["vehicle_0"][:3]).max() > 1e-3
+    )  # the last of the episode, not the next start
+    with pytest.raises(ConfigError, match="num_envs = 2: must be 1"):
+        adapter.VehiclesParallelEnv(make_formation(2))
+
+
 def test_rsl_rl_gets_time_outs_and_a_dictionary_of_groups() -> None:
     env = library("rsl_rl", "rsl-rl").RslRlEnv(as_captured(make()))
     script = reference_steps()
