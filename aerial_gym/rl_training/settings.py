@@ -27,9 +27,12 @@ ALIKE = {
     "position_setpoint_task_acceleration_sim2real": "position_setpoint_task_sim2real",
     "position_setpoint_task_morphy_paper": "position_setpoint_task_morphy",
     "position_setpoint_task_morphy_stiff": "position_setpoint_task_morphy",
+    "pursuit_task": "formation_task",
+    "race_of_four_task": "racing_task",
     "radar_navigation_task": "lidar_navigation_task",
     "radar_navigation_task_held": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
+    "tunnel_swap_task": "formation_task",
 }
 """Tasks without settings of their own, and the task whose settings they use."""
 
