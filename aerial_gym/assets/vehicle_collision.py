@@ -141,10 +141,10 @@ def _test_pairs(
         wp.atomic_min(distance_out, b, gap)
         touches = touches or gap < 0.0
     if is_step and touches:
-        for row in range(2):
-            own = wp.where(row == 0, a, b)
-            crashes_out[own] = True
-            touches_out[own] = True
+        crashes_out[a] = True
+        crashes_out[b] = True
+        touches_out[a] = True
+        touches_out[b] = True
 
 
 class VehicleCollisionTest:
