@@ -25,7 +25,7 @@ from aerial_gym.config.shape import (
     require_color,
 )
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.config.vehicles import NetworkCfg, VehiclesCfg
+from aerial_gym.config.vehicles import NetworkCfg, PayloadCfg, VehiclesCfg
 from aerial_gym.errors import ConfigError
 
 GATES, POLES = "gates", "poles"  # First two assets of a track: an instance for each gate and for each pole
@@ -289,6 +289,9 @@ class EnvironmentCfg:
 
     network: NetworkCfg | None = field(default=None, repr=False)  # likewise
     """Network by which several vehicles know each other's place and velocity (keys ``neighbour_...``); none by default."""
+
+    payload: PayloadCfg | None = field(default=None, repr=False)  # likewise
+    """Payload that all vehicles of an environment carry together on cables; None without one."""
 
     lamps: tuple[LampCfg, ...] = ()
     """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per

@@ -1,9 +1,13 @@
-"""Vehicles of an environment: an entry of ``robots:`` in an environment file, or of ``build_env(robots=[...])``, and their
-radio network."""
+"""Vehicles of an environment, ``robots:`` in its file or of ``build_env``, their radio network, and the payload that they carry."""
 
 from dataclasses import dataclass
+from math import pi, sin
 
 from aerial_gym.config import checks
+from aerial_gym.config.checks import Vec3
+
+CABLES = ("rigid", "slack")  # Rigid links, which also push, or cables that only pull
+MOST_CARRIERS = 4  # Largest number of vehicles that carry one payload
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,3 +38,24 @@ class NetworkCfg:
     def __post_init__(self) -> None:
         checks.require_not_negative(self, "latency_s")
         checks.require(self, "dropout", 0.0 <= self.dropout < 1.0, "must be a probability, 0 <= dropout < 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadCfg:
+    """A point mass that all vehicles of an environment carry together, each on one cable without mass."""
+
+    mass: float  # Mass [kg], > 0
+    cable_length: float  # Length of every cable [m], > 0
+    cables: str = "slack"  # `slack` cables only pull; `rigid` ones keep their length and also push
+    anchor: Vec3 = (0.0, 0.0, 0.0)  # End of the cable on its vehicle, from the body origin [m], body
+    angle: float = 0.5  # Angle of the cables to the vertical where an episode starts [rad], 0 to pi/2
+
+    def __post_init__(self) -> None:
+        checks.require_positive(self, "mass", "cable_length")
+        checks.require_choice(self, "cables", CABLES)
+        checks.require_finite(self, "anchor")
+        checks.require(self, "angle", 0.0 <= self.angle < pi / 2.0, "must be 0 to pi/2 rad")
+
+    def start_distance(self, count: int) -> float:
+        """Return the distance between two neighbours of ``count`` vehicles where an episode starts [m]."""
+        return 2.0 * self.cable_length * sin(self.angle) * sin(pi / count)

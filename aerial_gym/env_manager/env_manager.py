@@ -97,6 +97,8 @@ class EnvManager:
         self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
         self.random = Randomness(num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode)
         single = len(kinds) == 1 and kinds[0].count == 1
+        if single and env.payload is not None:
+            raise ConfigError("payload: several vehicles carry it. Give a single one the effect slung_payload")
         sizes = {"E": num_envs, "A": env.num_assets} | ({"R": kinds[0].robot.num_rotors} if single else {})
         self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
         bounds = self._declare_bounds(root=single)
@@ -111,11 +113,11 @@ class EnvManager:
         else:
             from aerial_gym.env_manager.vehicles import Vehicles  # local, as its Warp functions take long
 
-            self.vehicles = Vehicles(kinds, self.gtd, env, random=self.random, randomize=randomize or {})
+            self.vehicles = Vehicles(kinds, self.gtd, env, random=self.random, randomize=randomize or {}, sim=sim)
         self.asset_manager = self._make_assets(kinds, bounds)
         self._build(randomize or {}, gradients=dtype if differentiable else None)
         identity: dict[str, object] = (
-            {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together, env.network)}
+            {} if single else {"vehicles": (env.vehicle_clearance, env.reset_together, env.network, env.payload)}
         )
         for kind in kinds:
             name = "" if single else f"{kind.name} x {kind.count}: "

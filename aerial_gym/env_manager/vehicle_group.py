@@ -21,6 +21,7 @@ from aerial_gym.control.upside_down import check_starts
 from aerial_gym.env_manager.collision_tests import CollisionTests
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
+from aerial_gym.physics.effects.wakes import without_wakes
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import add_prefix
@@ -105,11 +106,12 @@ class VehicleGroup:
 
     def build(
         self, sim: SimCfg, env: EnvironmentCfg, assets: AssetManager, *, gradients: torch.dtype | None,
-        randomize: Randomize, is_last: bool = True, own: OwnLinks | None = None,
+        randomize: Randomize, is_last: bool = True, own: OwnLinks | None = None, several: bool = False,
     ) -> None:  # fmt: skip
         """Build physics, controllers, sensors and collision tests.
 
         Args:
+            several: Whether an environment holds other vehicles.
             is_last: Whether moving obstacles move with the collision test of this kind.
             own: Links of these vehicles, among those that the scene shows.
         """
@@ -117,16 +119,17 @@ class VehicleGroup:
         random, count, dt = self.random, self.random.num_envs, sim.dt * env.physics_steps_per_env_step
         places = {name: each for name, each in randomize.items() if name.startswith("sensors.")}
         names = (_registry_name(ROBOTS, robot), _registry_name(CONTROLLERS, controller))
+        checked, drawn = without_wakes(robot, randomize) if several else (robot, randomize)
         for check in (check_closed_loop, report_range_faults):
             check(
-                robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names,
-                randomize=randomize,
+                checked, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names,
+                randomize=drawn,
             )  # fmt: skip
-        check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
+        check_starts(checked, controller, gravity=sim.gravity, dt=sim.dt, names=names)
         around = Surroundings(
             bounds=self.bounds, crashes=bodies["crashes"], ground_height=env.ground_height,
             ceiling_height=env.ceiling_height, contact=env.contact, scene=assets.scene, moving=assets.moving,
-            links=self.links, hook=self.trajectory,
+            links=self.links, hook=self.trajectory if env.payload is None else None, several_vehicles=several,
         )  # fmt: skip
         self.robot_manager = RobotManager(
             robot,

@@ -17,16 +17,20 @@ from aerial_gym.assets.vehicle_collision import SlotTable, VehicleCollisionTest
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sim import SimCfg
+from aerial_gym.config.vehicles import MOST_CARRIERS, PayloadCfg
 from aerial_gym.env_manager.vehicle_group import VehicleGroup, VehicleKind
 from aerial_gym.env_manager.vehicle_starts import VehicleStarts
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import action_tensor
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, Trajectory
+from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
 from aerial_gym.sensors.mounts import OwnLinks
 from aerial_gym.sensors.vehicle_network import VehicleNetwork
+from aerial_gym.robots.groups.payload import PayloadOnCables
+from aerial_gym.robots.groups.wakes import make_wakes
 
 Actions = Tensor | ArrayLike
 
@@ -36,10 +40,10 @@ class Vehicles:
 
     def __init__(
         self, kinds: Sequence[VehicleKind], gtd: GlobalTensorDictionary, env: EnvironmentCfg, *, random: Randomness,
-        randomize: Randomize,
+        randomize: Randomize, sim: SimCfg,
     ) -> None:  # fmt: skip
         """Allocate the tensors of all kinds; ``build`` adds the physics once the scene exists."""
-        check_kinds(kinds, env, randomize)
+        check_kinds(kinds, env, randomize, sim)
         self._env, self._gtd, self._num_envs, self._random = env, gtd, random.num_envs, random
         device, num_envs = gtd.device, random.num_envs
         self.slots = SlotTable(
@@ -105,7 +109,8 @@ class Vehicles:
             seen = OwnLinks(first=first_link, count=links, seen=group.kind.robot.visible)
             first_link += links * group.kind.count
             group.build(
-                sim, self._env, assets, gradients=None, randomize=own, is_last=group is self.groups[-1], own=seen
+                sim, self._env, assets, gradients=None, randomize=own, is_last=group is self.groups[-1], own=seen,
+                several=True,
             )
         self._network = None
         if self._env.network is not None:
@@ -120,15 +125,31 @@ class Vehicles:
             gtd.define_size("V", group.kind.count)
             gtd.adopt_bodies(group.bodies)
             group.gtd = gtd
+        robots, names = [group.robot_manager for group in self.groups], [group.kind.name for group in self.groups]
+        self._wakes = make_wakes(self.slots, robots, names)
         self._collision = VehicleCollisionTest(
             self.slots, states=self.states, position=self._followed.position, attitude=self._followed.attitude,
             distances_out=self._clearances, crashes_out=self._crashes, touches_out=self._touches,
         )  # fmt: skip
+        self._payload = None if self._env.payload is None else self._make_payload(self._env.payload, sim)
         self._separation = VehicleStarts(
             self.slots, self.groups, self._env, assets, states=self.states, starts=self._starts,
             keeps_obstacles=self._environments_stay,
         )  # fmt: skip
         assets.set_track_start(self.states[self.slots.rows(0)].unflatten(0, (self._num_envs, -1))[:, 0, :3])
+
+    def _make_payload(self, cfg: PayloadCfg, sim: SimCfg) -> PayloadOnCables:
+        (group,), (hull,) = self.groups, self.slots.hulls
+        apart, room = cfg.start_distance(group.kind.count), 2.0 * hull + self._env.vehicle_clearance
+        if apart < room:
+            raise ConfigError(
+                f"payload: vehicles start {apart:.3g} m apart and need {room:.3g} m. Give it a larger angle or cable_length"
+            )
+        bodies = {key: group.bodies.plain(key) for key in group.bodies}
+        return PayloadOnCables(
+            cfg, self._gtd, bodies, self._followed, com=group.robot_manager.com, starts=group.random.mask,
+            gravity=sim.gravity, dt=sim.dt, ground_height=self._env.ground_height,
+        )  # fmt: skip
 
     def act(self, actions: Actions | Mapping[str, Actions]) -> None:
         """Begin a step with actions (E, V, U), those of several kinds by their names."""
@@ -147,9 +168,24 @@ class Vehicles:
             manager.act(action.flatten(0, 1))
 
     def fly(self, substeps: int) -> None:
-        """Advance the physics of each kind in one launch."""
-        for group in self.groups:
-            group.fly(substeps)
+        """Advance the physics of each kind in one launch, in the wakes of the vehicles at its start.
+
+        Cables of a payload pull between two substeps, each of which is then a launch.
+        """
+        self.measure_wakes()
+        if self._payload is None:
+            for group in self.groups:
+                group.fly(substeps)
+            return
+        self._payload.begin(substeps)
+        for k in range(substeps):
+            self.groups[0].fly(1)
+            self._payload.join(k)
+
+    def measure_wakes(self) -> None:
+        """Write the forces of all wakes at the present states, the last column of ``effect_downwash``."""
+        if self._wakes is not None:
+            self._wakes.measure()
 
     def move_links(self) -> None:
         """Write the poses of links of kinds with joints."""
@@ -201,6 +237,9 @@ class Vehicles:
         for group in self.groups:
             group.robot_manager.reset(group.random.mask)
         self._separation.separate()
+        if self._payload is not None:
+            self._payload.hang()
+            self.groups[0].robot_manager.tensors.derived.refresh()
 
     def after_scene(self) -> None:
         """Restart the sensors of the vehicles of the last ``begin``, and measure all distances."""
@@ -260,7 +299,9 @@ class Vehicles:
                 corner.view(self._num_envs, -1, 3).copy_(source.unsqueeze(1))
 
 
-def check_kinds(kinds: Sequence[VehicleKind], env: EnvironmentCfg, randomize: Randomize) -> None:
+def check_kinds(
+    kinds: Sequence[VehicleKind], env: EnvironmentCfg, randomize: Randomize, sim: SimCfg
+) -> None:  # fmt: skip
     """Raise one error with everything that several vehicles in an environment cannot have yet."""
     faults = []
     names = [kind.name for kind in kinds]
@@ -281,5 +322,28 @@ def check_kinds(kinds: Sequence[VehicleKind], env: EnvironmentCfg, randomize: Ra
                 f"robot {kind.name}: all vehicles of an environment share its {', '.join(moving)}, which start with the "
                 "episode. Give the environment reset_together: true"
             )
+    if env.payload is not None:
+        faults += payload_faults(kinds, env, sim)
     if faults:
         raise ConfigError(*faults)
+
+
+def payload_faults(kinds: Sequence[VehicleKind], env: EnvironmentCfg, sim: SimCfg) -> list[str]:
+    """Return the reasons against a payload of these vehicles, one sentence each."""
+    faults, count = [], sum(kind.count for kind in kinds)
+    if len(kinds) > 1 or count > MOST_CARRIERS:
+        faults.append(
+            f"payload: up to {MOST_CARRIERS} vehicles of one kind carry it, not {count} of {len(kinds)} kinds"
+        )
+    if not env.reset_together:
+        faults.append("payload: it begins an episode with all vehicles. Give the environment reset_together: true")
+    if env.contact is not None:
+        faults.append("payload: it has no contact forces. Leave contact or payload out")
+    if sim.integrator != "euler":
+        faults.append(f"payload: its cables need integrator euler, not {sim.integrator}")
+    for kind in kinds:
+        if kind.robot.joints is not None:
+            faults.append(f"robot {kind.name}: a vehicle with joints carries no payload of the environment")
+        effects = (name for name in kind.robot.effects if isinstance(EFFECTS.get(name), LoadEffect | FluidEffect))
+        faults += [f"robot {kind.name}: effect {name} does not go with payload. Leave one out" for name in effects]
+    return faults

@@ -103,6 +103,10 @@ class PhysicsBackend(Protocol):
         """Update the ground heights from ``Model.ground_height`` if that is a tensor (E, 1)."""
         ...
 
+    def take_wakes(self) -> None:
+        """Update the forces of the wakes of other vehicles, the last parameter of each ``effects.wakes.WakeSum``."""
+        ...
+
     def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, world, (E, 6); None without a load."""
         ...

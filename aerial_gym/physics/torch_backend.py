@@ -197,6 +197,9 @@ class TorchBackend:
     def take_ground_heights(self) -> None:
         """Do nothing, because every step reads the tensor."""
 
+    def take_wakes(self) -> None:
+        """Do nothing, because every step reads the parameters."""
+
     def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, (E, 6); None without a load."""
         return (

@@ -20,6 +20,7 @@ from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectSupport
 from aerial_gym.physics.contact import displacement_per_velocity_change
 from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
+from aerial_gym.physics.effects.wakes import WakeSum
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
@@ -249,6 +250,13 @@ class WarpBackend:
         """Write the ground heights into the packed tensor."""
         if isinstance(self._model.ground_height, torch.Tensor):
             self._packed[self._packing.vehicle["ground_height"]].copy_(self._model.ground_height[:, 0])
+
+    def take_wakes(self) -> None:
+        """Write the forces of wakes into the packed tensor."""
+        places = self._model.effects.places(self._num_rotors)
+        for place, (effect, params) in zip(places, self._model.effects.step_effects, strict=True):
+            if isinstance(effect, WakeSum):
+                self._packed[self._packing.effects + place.params.stop - 1].copy_(params[:, -1])
 
     def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, a view (E, 6); None without a load."""

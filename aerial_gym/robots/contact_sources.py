@@ -36,6 +36,7 @@ class Surroundings:
     scene: Scene | None = None  # The obstacles; only needed with `contact`, which moves them between the substeps
     moving: "Obstacles | None" = None  # Its instances as they move; None if nothing moves
     links: LinkTensors | None = None  # Link poses; None for a rigid robot
+    several_vehicles: bool = False  # Whether other vehicles of the environment put their wakes on this one
     hook: SubstepHook | None = None  # Follows the robot through the substeps, where there is no contact with obstacles
 
 

@@ -23,6 +23,7 @@ from aerial_gym.physics import PhysicsBackend, Vehicle, build_model, vehicle_fro
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.sensor_errors import WIDTH, imu_errors
+from aerial_gym.physics.effects.wakes import WakeSum, hold_wake
 from aerial_gym.physics.model import Model, check_effects, load_articulation, robot_effects
 from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.physics.state import ArticulatedState
@@ -60,7 +61,10 @@ class RobotManager:
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
-        self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
+        if around.several_vehicles:
+            self._effects = [hold_wake(*each) for each in self._effects]
+        self.com = torch.zeros(self._num_envs, 3, device=gtd.device)
+        """Centre of mass from the body origin [m], body, (E, 3)."""
         self.articulation = load_articulation(robot, like=root_state)
         """Joints of the robot; None for a rigid one."""
         pushed = around.contact is not None
@@ -98,9 +102,7 @@ class RobotManager:
             self.controller,
             integrator=sim.integrator,
             ground=self._pushing.make_ground(),
-            hook=self._pushing.make_hook(
-                self.tensors.state, sim, mass=self._mass, inertia=self._inertia, com=self._com
-            ),
+            hook=self._pushing.make_hook(self.tensors.state, sim, mass=self._mass, inertia=self._inertia, com=self.com),
             random=random,
             efforts=efforts,
         )
@@ -150,6 +152,11 @@ class RobotManager:
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
         self.felt = state_keys.declare_effect_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
+
+    @property
+    def wakes(self) -> list[tuple[WakeSum, Tensor]]:
+        """Wakes of other vehicles that act on this robot, with their parameters; none for one vehicle."""
+        return [(effect, params) for effect, params in self._effects if isinstance(effect, WakeSum)]
 
     def _note_write(self) -> None:
         self._stale = True
@@ -234,7 +241,7 @@ class RobotManager:
         self.model = replace(model, vehicle=vehicle, inertia_inverse=inverse, effects=effects)
         self._mass.copy_(model.vehicle.mass)
         self._inertia.copy_(model.vehicle.inertia)
-        self._com.copy_(model.vehicle.com)
+        self.com.copy_(model.vehicle.com)
         return self.model
 
     @property
@@ -278,7 +285,7 @@ class RobotManager:
             follows = (rows.to(dtype) for rows, dtype in zip(self._rows_of_draws(model, followed), types, strict=True))
             return (*shown, *follows, *self.backend.parameter_rows(model))
 
-        shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
+        shown = {"mass": self._mass, "inertia": self._inertia, "com": self.com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
         drawn = self._tensors_written_by_draws()
         types = [target.dtype for target in drawn]
@@ -308,7 +315,7 @@ class RobotManager:
         drawn = [] if self._randomized is None else self._randomized.random_gains
         kept = {name: self.controller.gains_by_name[name] for name in drawn}
         rows = {} if self._allocation is None else self._allocation.rows
-        tensors = {"com": self._com} | add_prefix("gains", kept) | add_prefix("allocation", rows)
+        tensors = {"com": self.com} | add_prefix("gains", kept) | add_prefix("allocation", rows)
         return tensors | add_prefix("backend", self.backend.state_tensors())
 
     def act(self, actions: Tensor) -> None:
@@ -329,6 +336,8 @@ class RobotManager:
         """Advance the physics by ``substeps`` with the stored action held; obstacles that push back move and push between."""
         if self.felt.surface_height is not None:
             self.backend.take_ground_heights()
+        if self.wakes:
+            self.backend.take_wakes()
         self.backend.step(self.tensors.state, self.tensors.actions, self._sim.dt, substeps)
 
     def refresh(self, span: float) -> None:

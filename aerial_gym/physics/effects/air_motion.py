@@ -120,7 +120,7 @@ class Downwash(WrenchEffect):
 
     ``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other
     vehicle, and 0 above it. In the simulator the other vehicle is at ``downwash_position`` (GTD), by default infinitely
-    high over the environment's origin.
+    high over the environment's origin. Several vehicles of an environment feel one another instead (``effects.wakes``).
     Source: Gaussian profile of a developed jet: Pope (2000), Turbulent Flows, section 5.1; such forces between multirotors
     are measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The decay of the jet with height is left
     out.
@@ -149,12 +149,15 @@ class Downwash(WrenchEffect):
         del below
         return torch.exp(-0.5 * square / params[:, 1].square())
 
-    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return force and torque (E, 6)."""
-        away = condition.other_position - condition.position
+    def push(self, away: Tensor, params: Tensor) -> Tensor:
+        """Return the downward force [N], (E,), in the wake of a vehicle ``away`` [m], world, (E, 3)."""
         below = away[:, 2]
         share = torch.where(below > 0.0, self.share(away[:, :2].square().sum(-1), below, params), 0.0)
-        force = -(params[:, 0] * share).unsqueeze(-1) * condition.up
+        return params[:, 0] * share
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque (E, 6)."""
+        force = -self.push(condition.other_position - condition.position, params).unsqueeze(-1) * condition.up
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
 
 
