@@ -1,4 +1,4 @@
-"""Vehicles of an environment, ``robots:`` in its file or of ``build_env``, their radio network, and the payload that they carry."""
+"""Vehicles of an environment (``robots:`` in its file, or of ``build_env``), their radio network and shared payload."""
 
 from dataclasses import dataclass
 from math import pi, sin

@@ -27,10 +27,10 @@ from aerial_gym.physics import EFFECTS, Trajectory
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
-from aerial_gym.sensors.mounts import OwnLinks
-from aerial_gym.sensors.vehicle_network import VehicleNetwork
 from aerial_gym.robots.groups.payload import PayloadOnCables
 from aerial_gym.robots.groups.wakes import make_wakes
+from aerial_gym.sensors.mounts import OwnLinks
+from aerial_gym.sensors.vehicle_network import VehicleNetwork
 
 Actions = Tensor | ArrayLike
 
@@ -109,7 +109,13 @@ class Vehicles:
             seen = OwnLinks(first=first_link, count=links, seen=group.kind.robot.visible)
             first_link += links * group.kind.count
             group.build(
-                sim, self._env, assets, gradients=None, randomize=own, is_last=group is self.groups[-1], own=seen,
+                sim,
+                self._env,
+                assets,
+                gradients=None,
+                randomize=own,
+                is_last=group is self.groups[-1],
+                own=seen,
                 several=True,
             )
         self._network = None

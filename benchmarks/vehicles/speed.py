@@ -1,10 +1,10 @@
 """Speed of the physics of several vehicles in an environment, alone and in each other's wakes.
 
-    python -m benchmarks.vehicles.speed --device cuda [--bodies 65536] [--vehicles 8] [--json]
+    python -m benchmarks.vehicles.speed --device cuda [--bodies 65536] [--vehicles 8] [--substeps 1] [--json]
 
 All rows have the same number of vehicles: in an environment each, in groups without and with ``downwash``, and in groups of
-four that carry a payload. A row times one substep in ``EnvManager.fly``, in a CUDA graph on a GPU; ``ratio`` compares its time
-with that of the first row.
+four that carry a payload. A row times ``EnvManager.fly``, in a CUDA graph on a GPU; ``ratio`` compares its time with that of
+the first row. ``collisions`` adds the tests of ground and other vehicles.
 """
 
 import statistics
@@ -32,7 +32,7 @@ from aerial_gym.workloads.measure import (
 
 SPACE = replace(
     ENVIRONMENTS.get("empty_env"), bounds_lower_low=(-20.0,) * 3, bounds_lower_high=(-20.0,) * 3,
-    bounds_upper_low=(20.0,) * 3, bounds_upper_high=(20.0,) * 3, physics_steps_per_env_step=1, reset_together=True,
+    bounds_upper_low=(20.0,) * 3, bounds_upper_high=(20.0,) * 3, reset_together=True,
 )  # fmt: skip
 LAUNCHES = 20  # In a CUDA graph
 
@@ -42,13 +42,19 @@ class GroupFlight:
 
     batches_per_stretch = 20
 
-    def __init__(self, env: EnvManager) -> None:
+    def __init__(self, env: EnvManager, *, collisions: bool) -> None:
         """Take a simulation, whose present state is the start."""
         env.reset()
         self.device, self._env = env.device, env
         self._start = env.save_state()
         self.launches_per_batch = LAUNCHES if self.device.type == "cuda" else 1
-        self.run_batch = make_batch(env.fly, self.launches_per_batch, self.device)
+
+        def step() -> None:
+            env.fly()
+            if collisions:
+                env.collide()
+
+        self.run_batch = make_batch(step, self.launches_per_batch, self.device)
 
     def restore(self) -> None:
         """Restore the start."""
@@ -70,6 +76,7 @@ class SpeedOfGroups:
     device: str = "auto"  # Torch device; auto takes the GPU if there is one
     bodies: int = 65536  # Vehicles of all environments
     vehicles: int = 8  # Vehicles of an environment
+    substeps: int = 1  # Of 2 ms, in one launch where there is no payload
     repeats: int = 5  # Figures of which the median is printed
     repeat_time_s: float = 0.5  # About how long each is measured [s]
     json: bool = False  # Print one JSON object for each row
@@ -84,7 +91,11 @@ class SpeedOfGroups:
             f"{self.bodies // self.vehicles:,} x {self.vehicles}": {"count": self.vehicles},
             f"{self.bodies // self.vehicles:,} x {self.vehicles}, downwash": {"count": self.vehicles, "name": wake},
             f"{self.bodies // 4:,} x 4, payload": {"count": 4, "env": carry},
-        }
+            f"{self.bodies:,} x 1, collisions": {"count": 1, "collisions": True},
+            f"{self.bodies // self.vehicles:,} x {self.vehicles}, collisions": {
+                "count": self.vehicles, "collisions": True,
+            },
+        }  # fmt: skip
         first = 0.0
         for case, given in cases.items():
             seconds = self.measure(**given)
@@ -92,7 +103,8 @@ class SpeedOfGroups:
             first = first or launch
             row = {
                 "case": case, "device": device_name(resolve_device(self.device)), "launch_us": 1e6 * launch,
-                "ratio": launch / first, **rate_figures("steps_per_s", seconds, self.bodies), **provenance("warp-lang"),
+                "substeps": self.substeps, "ratio": launch / first,
+                **rate_figures("steps_per_s", seconds, self.bodies * self.substeps), **provenance("warp-lang"),
             }  # fmt: skip
             if self.json:
                 print(json_line(row))
@@ -101,15 +113,23 @@ class SpeedOfGroups:
         return 0
 
     def measure(
-        self, *, count: int, name: str | RobotCfg = "base_quadrotor", env: EnvironmentCfg = SPACE
+        self,
+        *,
+        count: int,
+        name: str | RobotCfg = "base_quadrotor",
+        env: EnvironmentCfg = SPACE,
+        collisions: bool = False,
     ) -> list[float]:
-        """Return the times of a launch of groups of ``count`` [s]."""
+        """Return the times of an environment step of groups of ``count`` [s]."""
         group: Any = {"name": name, "count": count, "kind": "quad"}
+        env = replace(env, physics_steps_per_env_step=self.substeps)
         built = SimBuilder().build_env(
             sim_name="base_sim_2ms", env_name=env, controller_name="lee_velocity_control", robots=[group],
             num_envs=self.bodies // count, device=self.device, seed=0,
         )  # fmt: skip
-        seconds = time_launches(GroupFlight(built), repeats=self.repeats, repeat_time_s=self.repeat_time_s)
+        seconds = time_launches(
+            GroupFlight(built, collisions=collisions), repeats=self.repeats, repeat_time_s=self.repeat_time_s
+        )
         built.close()
         return seconds
 
