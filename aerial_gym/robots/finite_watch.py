@@ -159,11 +159,14 @@ class FiniteWatch:
     """Names the first row that was not finite; with ``keep`` it also keeps the last steps of the first K rows."""
 
     def __init__(
-        self, gtd: GlobalTensorDictionary, noticed: NonFiniteRows, *, num_actions: int, dt: float, keep: bool
-    ) -> None:
-        """Make the record of all numbers of the last steps of each row with ``keep``, else of the table alone; ``dt`` in s."""
+        self, gtd: GlobalTensorDictionary, noticed: NonFiniteRows, *, num_actions: int, dt: float, keep: bool,
+        num_vehicles: int = 1,
+    ) -> None:  # fmt: skip
+        """Make the record of all numbers of the last steps of each row with ``keep``, else of the table alone; ``dt`` in s.
+        Each environment has ``num_vehicles`` rows."""
         start_warp()
         self._dt, self.keeps, self._found = dt, keep, noticed.record
+        self._num_vehicles = num_vehicles
         self._device = gtd["non_finite"].device
         num_envs, self._told, self._looks = gtd["non_finite"].shape[0], False, 0
         self._host = self._found if self._device.type == "cpu" else self._found.cpu().pin_memory()
@@ -216,11 +219,13 @@ class FiniteWatch:
         count = int(self._seen[0])
         if count and not self._told:
             self._told = True
-            env, episode, step, bits = (int(number) for number in self._seen[1:5])
+            row, episode, step, bits = (int(number) for number in self._seen[1:5])
+            env, vehicle = divmod(row, self._num_vehicles)
             _log.warning(
-                "environment %d, episode %d, step %d: %s not finite (NaN or infinite). Such rows end as crashes and are "
+                "environment %d%s, episode %d, step %d: %s not finite (NaN or infinite). Such rows end as crashes and are "
                 "counted in info['non_finite']; %s",
                 env,
+                f", vehicle {vehicle}" if self._num_vehicles > 1 else "",
                 episode,
                 step,
                 NonFinite(bits).names(),

@@ -231,7 +231,9 @@ class Task:
 
     def _make_watch(self, *, keep: bool) -> FiniteWatch:
         noticed, dt = self.env.robot_manager.noticed, self.env.dt
-        return FiniteWatch(self._gtd, noticed, num_actions=self.num_actions, dt=dt, keep=keep)
+        return FiniteWatch(
+            self._gtd, noticed, num_actions=self.num_actions, dt=dt, keep=keep, num_vehicles=self.num_vehicles
+        )
 
     @property
     def num_non_finite(self) -> int:

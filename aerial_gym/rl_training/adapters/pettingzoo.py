@@ -3,7 +3,7 @@
 Letters: O entries of an observation, S of a state, U of an action.
 """
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
@@ -18,9 +18,10 @@ with optional_import("this adapter"):
     from pettingzoo import ParallelEnv  # pyright: ignore[reportMissingImports]
 
 Numbers = NDArray[np.float32]
+Value = TypeVar("Value")
 
 
-class VehiclesParallelEnv(ParallelEnv):
+class VehiclesParallelEnv(ParallelEnv):  # pyright: ignore[reportGeneralTypeIssues]
     """One environment of a task. An agent leaves where its episode ends; ``reset`` brings all back.
 
     In an environment without ``reset_together``, the vehicle of an agent that left begins again and gets zero actions.
@@ -73,18 +74,17 @@ class VehiclesParallelEnv(ParallelEnv):
         ended = (terminated | truncated).unsqueeze(-1)
         seen = _numbers(torch.where(ended, info["final_observation"], observation["observations"]))
         self._state = _numbers(observation[self._state_key]).ravel()
-        names = self.possible_agents
         flags = {key: value.tolist() for key, value in info.items() if value.dtype == torch.bool}
-        results = (
-            {name: value for name, value in zip(names, values, strict=True) if name in self.agents}
-            for values in (
-                seen, reward.tolist(), terminated.tolist(), truncated.tolist(),
-                [{key: values[row] for key, values in flags.items()} for row in range(len(names))],
-            )
-        )  # fmt: skip
-        shown, rewards, terminations, truncations, infos = results
+        infos = [{key: values[row] for key, values in flags.items()} for row in range(len(seen))]
+        terminations, truncations = self._by_agent(terminated.tolist()), self._by_agent(truncated.tolist())
+        result = self._by_agent(list(seen)), self._by_agent(reward.tolist()), terminations, truncations
+        told = self._by_agent(infos)
         self.agents = [name for name in self.agents if not (terminations[name] or truncations[name])]
-        return shown, rewards, terminations, truncations, infos
+        return *result, told
+
+    def _by_agent(self, values: list[Value]) -> dict[str, Value]:
+        """Return values of all vehicles by agent, of those whose episodes go on."""
+        return {name: value for name, value in zip(self.possible_agents, values, strict=True) if name in self.agents}
 
     def state(self) -> Numbers:
         """Return the observations under the key of the state, of all vehicles side by side, (S,)."""

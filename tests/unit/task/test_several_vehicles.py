@@ -139,7 +139,7 @@ def test_a_success_is_that_of_all_unless_any_is_enough(vehicles: str, successes:
     assert info["successes"].view(3, 3).tolist() == [[each] * 3 for each in successes]
 
 
-def test_non_finite_numbers_of_one_vehicle_end_its_environment_alone() -> None:
+def test_non_finite_numbers_of_one_vehicle_end_its_environment_alone(caplog: pytest.LogCaptureFixture) -> None:
     task = begin("formation_task", 2)
     given = torch.zeros(6, 4)
     given[1] = torch.nan
@@ -148,6 +148,7 @@ def test_non_finite_numbers_of_one_vehicle_end_its_environment_alone() -> None:
     assert not truncated.any()
     assert info["non_finite"].tolist() == [False, True, False, False, False, False]
     assert reward.isfinite().all()
+    assert "environment 0, vehicle 1, episode 0, step 1" in caplog.text
 
 
 def test_vehicles_are_reset_one_by_one_where_they_do_not_end_together() -> None:
