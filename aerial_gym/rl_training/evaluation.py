@@ -107,7 +107,7 @@ def fly_episodes(
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
     succeeded, collided = torch.zeros_like(flying), torch.zeros_like(flying)
     passed, ended_at = torch.zeros_like(total), torch.full_like(total, steps)
-    no_gates = True
+    no_gates, no_others = True, True
     earlier, tallies = task.tallies.clone(), torch.zeros_like(task.tallies)
     distance = torch.zeros_like(total)
     nowhere = torch.full_like(total, inf)  # of a task without a target
@@ -123,7 +123,7 @@ def fly_episodes(
         if ends_count:
             succeeded |= flying & info["successes"]
         if COLLISIONS in info:
-            collided |= flying & info[COLLISIONS]
+            collided, no_others = collided | (flying & info[COLLISIONS]), False
         if GATE_PASSED in info:
             passed, no_gates = passed + (flying & info[GATE_PASSED]), False
         ended = terminated | truncated
@@ -139,7 +139,7 @@ def fly_episodes(
     return Flights(
         succeeded=succeeded if ends_count else ~crashed & (error < radius), crashed=crashed, final_error=error,
         last_outside=outside_until, ended_at=ended_at, total=total,
-        collided=collided if task.num_vehicles > 1 else None, gates_passed=None if no_gates else passed,
+        collided=None if no_others else collided, gates_passed=None if no_gates else passed,
         tallies=tallies, success_radius=radius,
     )  # fmt: skip
 

@@ -47,7 +47,7 @@ def _fly(task: Task) -> dict[str, Any]:
     ended: dict[str, int] = defaultdict(int)
     info: dict[str, Tensor] = {}
     for step in range(1, STEPS + 1):
-        action = low + (high - low) * torch.rand((NUM_ENVS, *low.shape), generator=generator)
+        action = low + (high - low) * torch.rand((task.num_envs, *low.shape), generator=generator)
         observation, reward, terminated, truncated, info = task.step(action)
         values = {**observation, "rewards": reward, "terminated": terminated, "truncated": truncated}
         for key, value in values.items():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from aerial_gym import task_registry
 from aerial_gym.rl_training import Policy, TrainingCfg, evaluate, load_policy, load_settings, train
@@ -15,10 +15,10 @@ from aerial_gym.task import Task
 EPISODE = "task.episode_len_steps=80"
 
 
-class Hover(nn.Module):
+class Hover:
     """Hovers where it begins."""
 
-    def forward(self, observation: dict[str, Tensor]) -> Tensor:
+    def __call__(self, observation: dict[str, Tensor]) -> Tensor:
         return torch.zeros(len(observation["observations"]), 4)
 
     def reset(self, mask: Tensor | None = None) -> None:
