@@ -375,7 +375,7 @@ class Task:
 
     def _read_sensors(self, *, begun: bool = False) -> None:
         """Read the sensors and update image terms; ``begun``: only where an episode has just begun."""
-        self.env.render(self._random.mask if begun else None)
+        self.env.render(self._by_vehicle(self._random.mask) if begun else None)
         self._buffers.measure()
         self._images.write_frames(begun=begun)
 
