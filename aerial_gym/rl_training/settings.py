@@ -33,6 +33,7 @@ ALIKE = {
     "radar_navigation_task": "lidar_navigation_task",
     "radar_navigation_task_held": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
+    "team_payload_task": "formation_task",
     "tunnel_swap_task": "formation_task",
 }
 """Tasks without settings of their own, and the task whose settings they use."""

@@ -79,15 +79,15 @@ class Places(Command):
     follows_reset = True
 
     def __init__(
-        self, values: Values, env: EnvManager, *, starts: tuple[Vec3, ...], targets: tuple[Vec3, ...],
+        self, values: Values, env: EnvManager, *, targets: tuple[Vec3, ...], starts: tuple[Vec3, ...] | None = None,
         start_offset: Vec3 = (0.0, 0.0, 0.0), target_offset: Vec3 = (0.0, 0.0, 0.0),
         velocity: Vec3 = (0.0, 0.0, 0.0), travel_s: float = 0.0, door: Vec3 | None = None,
     ) -> None:  # fmt: skip
         """Take the places.
 
         Args:
-            starts: Start of each vehicle [m], in the order of their numbers.
-            targets: Target of each [m].
+            targets: Target of each vehicle [m], in the order of their numbers.
+            starts: Start of each [m]; if not given, those of the robot.
             start_offset: Largest offset of a start along each axis [m], drawn for each vehicle.
             target_offset: Largest offset of the targets along each axis [m], drawn once for all of an environment.
             velocity: Velocity of the targets while they move [m/s].
@@ -96,10 +96,12 @@ class Places(Command):
         """
         super().__init__(values, env)
         count = env.rows.kind.count
-        if not len(starts) == len(targets) == count:
+        begins = targets if starts is None else starts
+        if not len(begins) == len(targets) == count:
             raise ConfigError(
-                f"command places: {len(starts)} starts and {len(targets)} targets: needs one of each for all {count} vehicles"
+                f"command places: {len(begins)} starts and {len(targets)} targets: needs one of each for all {count} vehicles"
             )
+        self._places_vehicles = starts is not None
         if not (travel_s >= 0.0 and min(*start_offset, *target_offset) >= 0.0):
             raise ConfigError(
                 f"command places: travel_s = {travel_s!r}, start_offset = {start_offset!r}, target_offset = {target_offset!r}: "
@@ -116,7 +118,7 @@ class Places(Command):
         moved = {name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel")}
         motion = make_struct(RobotMotion, derived=env.robot_manager.tensors.derived.arrays, **moved)
         device, rows = place.device, place.shape[0]
-        points = [torch.tensor(each, device=device) for each in (starts, targets)]
+        points = [torch.tensor(each, device=device) for each in (begins, targets)]
         inputs = [random_arrays(group.random), wp.from_torch(points[0], dtype=wp.vec3), wp.vec3(*start_offset)]
         self._starts = MaskLaunch(_draw_starts, rows, inputs, [motion], group.random)
         inputs = [random_arrays(group.random.shared), wp.from_torch(points[1], dtype=wp.vec3), wp.vec3(*target_offset)]
@@ -125,7 +127,8 @@ class Places(Command):
 
     def place(self, mask: Tensor) -> None:
         """Place the vehicles of new episodes at their starts."""
-        self._starts.draw(mask)
+        if self._places_vehicles:
+            self._starts.draw(mask)
 
     def draw(self, mask: Tensor) -> None:
         """Draw the offsets of the targets of new episodes."""

@@ -38,6 +38,10 @@ for _name, _width, _inputs, _text in (
      "the centre of the gate after the next one minus position [m], world, (E, 3)"),
     ("load_offset_world", 3, ("load_position", "robot_position"),
      "the load's position relative to the body origin [m], world, (E, 3)"),
+    ("payload_error_world", 3, ("target_position", "payload_position"),
+     "the target minus the position of the payload of all vehicles [m], world, (E, 3)"),
+    ("payload_offset_world", 3, ("payload_position", "robot_position"),
+     "the position of the payload of all vehicles relative to the body origin [m], world, (E, 3)"),
     ("load_vel_world", 3, ("load_linvel", "robot_linvel"),
      "the velocity of the load relative to the body origin [m/s], world, (E, 3)"),
 ):  # fmt: skip

@@ -90,6 +90,8 @@ _register_rewards(bell, "``height exp(-width {}²)``", (
     ("slow", lambda robot_linvel: robot_linvel.norm(dim=-1), "v: v the speed [m/s]"),
     ("load_distance_bell", lambda load_target, load_position: _point_distance(load_target, load_position),
      "d: d the distance of the load to its target [m]"),
+    ("payload_distance_bell", lambda target_position, payload_position: _point_distance(target_position, payload_position),
+     "d: d the distance of the payload of all vehicles to the target [m]"),
     ("load_slow", lambda load_linvel: load_linvel.norm(dim=-1), "v: v the speed of the load [m/s]"),
 ))  # fmt: skip
 _register_rewards(bell, "the sum of ``height exp(-width {}²)``", (

@@ -64,6 +64,14 @@ def load_at_rest(
 
 
 @TERMINATIONS.term()
+def payload_at_rest(
+    target_position: Tensor, payload_position: Tensor, payload_linvel: Tensor, *, distance: float, speed: float
+) -> Tensor:
+    """Return whether the payload is closer than a distance [m] to the target and slower than a speed [m/s], (E,)."""
+    return at_rest_at_target(target_position, payload_position, payload_linvel, radius=distance, speed=speed)
+
+
+@TERMINATIONS.term()
 def touchdown(
     robot_contact_force: Tensor, target_position: Tensor, robot_position: Tensor, previous_relative_velocity: Tensor,
     *, radius: float, speed: float,

@@ -59,7 +59,7 @@ print(sum(name.startswith("aerial_gym/") for name in gymnasium.registry), "torch
 
 @pytest.mark.parametrize("imports", ["gymnasium, aerial_gym", "aerial_gym, gymnasium"])
 def test_ids_are_registered_in_either_order_of_imports(imports: str) -> None:
-    assert count_ids(imports) == "35 False False"
+    assert count_ids(imports) == "36 False False"
 
 
 @pytest.mark.skipif(not OLD, reason="Gymnasium 1 reads no entry points")
@@ -70,4 +70,4 @@ def test_gymnasium_finds_the_ids_by_the_entry_point(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: ids\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text("[gymnasium.envs]\n" + lines.replace('"', ""))
-    assert count_ids("sys", entry_points=tmp_path) == "35 False False"
+    assert count_ids("sys", entry_points=tmp_path) == "36 False False"
