@@ -89,6 +89,8 @@ class RobotManager:
             state, actions = self.tensors.state, (self.tensors.actions, self.tensors.prev_actions)
             self.backend = self.differentiable = DifferentiableBackend(state, actions, dtype=gradients)
         self._declare_model()
+        self.wakes = [(effect, params) for effect, params in self._effects if isinstance(effect, WakeSum)]
+        """Wakes of other vehicles that act on this robot, with their parameters; none for one vehicle."""
         self._randomized = self._declare_draws(randomize or {})
         self._stale = False
         drawn = [] if self._randomized is None else self._randomized.random_effects
@@ -152,11 +154,6 @@ class RobotManager:
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
         self.felt = state_keys.declare_effect_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
-
-    @property
-    def wakes(self) -> list[tuple[WakeSum, Tensor]]:
-        """Wakes of other vehicles that act on this robot, with their parameters; none for one vehicle."""
-        return [(effect, params) for effect, params in self._effects if isinstance(effect, WakeSum)]
 
     def _note_write(self) -> None:
         self._stale = True

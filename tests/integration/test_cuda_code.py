@@ -21,8 +21,11 @@ from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.effects.wakes import WakeSum
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.robots import ROBOTS, initial_state, secondary_states, start_separation
+from aerial_gym.robots.groups import payload
+from aerial_gym.robots.groups.wakes import make_wake_kernel
 from aerial_gym.sensors import flow, imu, scan, sensor_poses, sensor_view, vehicle_network
 from aerial_gym.sensors.images import LANES, ROWS, make_pooling_kernel
 from aerial_gym.sensors.pixels import PixelOutputs
@@ -138,6 +141,10 @@ def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) ->
     compile_for_gpu(manager.backend.kernel.module)
 
 
+def test_the_kernel_of_wakes_compiles() -> None:
+    compile_for_gpu(make_wake_kernel(WakeSum(EFFECTS.get("downwash_core"))).module)
+
+
 def test_row_kernels_compile() -> None:
     rows = RowFunction(lambda a: (torch.asin(a).norm(dim=-1), a > 0.0, torch.remainder(a, 2.0)), (torch.rand(2, 3),))
     compile_for_gpu(rows.kernel.module)
@@ -165,7 +172,7 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
 
 
 MODULES = (secondary_states, initial_state, imu, draws, sensor_poses, placement, gates, track, obstacle_motion)
-MODULES += (clearance, sensor_view, flow, scan, vehicle_collision, start_separation, vehicle_network)
+MODULES += (clearance, sensor_view, flow, scan, vehicle_collision, start_separation, vehicle_network, payload)
 
 
 @pytest.mark.parametrize("module", MODULES)

@@ -77,6 +77,12 @@ class Rig:
         )
         return ends.view(*self.shape, 3)
 
+    def com_and_velocity(self) -> tuple[Tensor, Tensor]:
+        """Return place [m] and velocity [m/s] of the centres of mass, (B, 3)."""
+        one = self.bodies
+        place = one.position + quat_rotate(one.attitude, one.com)
+        return place, one.lin_vel + quat_rotate(one.attitude, torch.linalg.cross(one.ang_vel, one.com))
+
     def lengths(self) -> Tensor:
         return (self.payload.position.unsqueeze(1) - self.anchors()).norm(dim=-1)
 
@@ -251,8 +257,14 @@ def test_anchors_beside_the_centre_of_mass_turn_the_vehicle() -> None:
         errors.append(float((after[1] - before[1]).norm(dim=-1).mean()))
     assert log2(errors[0] / errors[1]) > 0.8
     rig = Rig(1, 1, anchor=(0.05, 0.0, 0.0), angle=0.0)
+    rig.bodies.com[:] = torch.tensor([0.0, 0.0, 0.05])
     rig.payload.lin_vel[0, 2] = -1.0
+    before = rig.com_and_velocity()[0]
     rig.fly(1)
+    place, velocity = rig.com_and_velocity()
+    torch.testing.assert_close(
+        place - before, rig.dt * velocity, rtol=1e-3, atol=0.0
+    )  # along -z, as semi-implicit Euler
     assert rig.bodies.ang_vel[0, 1] > 0.0  # x cross -z = +y
     assert rig.bodies.lin_vel[0, 2] < 0.0
 

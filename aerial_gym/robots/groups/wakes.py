@@ -37,7 +37,8 @@ def wake_source(vehicle: Vehicle, position: Tensor, attitude: Tensor, rotor_spee
     return torch.cat((position, torch.where(lift > 0.0, lift, 0.0)), dim=1)  # NaN as well: it stays with its vehicle
 
 
-def _make_kernel(effect: WakeSum) -> wp.Kernel:
+def make_wake_kernel(effect: WakeSum) -> wp.Kernel:
+    """Return the kernel that sums a law over the other vehicles."""
     num_params = len(effect.wake.parameters)
     numbers = vector_type(num_params)
     push = trace_to_warp("push", {"away": wp.vec3, "params": numbers}, effect.wake.push, [float])
@@ -91,7 +92,7 @@ class Wakes:
             weight = float(robot.declared.mass[0]) * STANDARD_GRAVITY
             for effect, params in robot.wakes:
                 self._sum.append(ReusableLaunch(
-                    _make_kernel(effect), dim=(slots.num_envs, slots.counts[number]),
+                    make_wake_kernel(effect), dim=(slots.num_envs, slots.counts[number]),
                     inputs=[
                         table, slots.first_slot(number), torch.tensor(ratios, device=device), weight, robot.com,
                         self._sources, robot.tensors.state.attitude,
