@@ -32,9 +32,7 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 ITERATIONS = wp.constant(3)  # Of Newton's method; the error is squared in each, from (dt U / l)²
 RECOVERY = wp.constant(0.1)  # Share of a stretch by rounding that a substep removes: all of it would be noise of 1 / dt
-ROUNDING = wp.constant(
-    1.0e-6
-)  # Error of a difference of float32 positions, relative to them: 8 units in the last place
+ROUNDING = wp.constant(1.0e-6)  # Error of a difference of float32 positions per position: 8 units in the last place
 
 Vectors = wp.types.matrix(shape=(MOST_CARRIERS, 3), dtype=wp.float32)
 
@@ -206,7 +204,7 @@ class PayloadOnCables:
             ground_height: Height of the ground [m], world; None without ground.
         """
         start_warp()
-        self._cfg, self._bodies, self._followed, self._starts = cfg, bodies, followed, starts
+        self._bodies, self._followed, self._starts = bodies, followed, starts
         self.position, self.lin_vel, self.tension = (
             gtd.declare(TensorSpec(key=key, shape=shape, unit=unit, frame=frame, owner="env", meaning=meaning))
             for key, shape, unit, frame, meaning in (
