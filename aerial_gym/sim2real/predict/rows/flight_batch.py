@@ -61,7 +61,10 @@ CONDITIONS = 4  # Number of cached conditions: of the present model, at body and
 REPLAYS = 3  # Number of cached rotor speeds in the band
 
 ERRORS_OF_MOTION = ("rotor_motion", "attitude", "velocity_scale", "velocity_place", "gyro_scale", "delays")
-"""Sensor errors that change the predicted motion; the others change only readings. A load also depends on ``acc_bias``."""
+"""Sensor errors that change the predicted motion; the others change only readings."""
+
+ERRORS_OF_ACCELEROMETER = ("acc_bias", "acc_scale", "imu_place")
+"""Sensor errors that the initial swing of a load depends on as well: it is found from the measured force."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +172,7 @@ class FlightBatch:
     def _motion_key(self, asked: _ModelQuery, *excluded: type[Effect]) -> tuple[object, ...]:
         """Return a hashable key of the predicted motion without some effects, except commanded rotor speeds."""
         names, effects = ERRORS_OF_MOTION, asked.model.effects
-        names = (*names, "acc_bias") if effects[LoadEffect] else names
+        names = (*names, *ERRORS_OF_ACCELEROMETER) if effects[LoadEffect] else names
         rows = [*asked.model.vehicle.tensors_by_name().values(), *(getattr(asked.logged, name) for name in names)]
         rows += [asked.off.load_place] if effects[LoadEffect] else []
         pairs = ((effect, params.numpy().tobytes()) for effect, params in effects.exclude(*excluded))
@@ -229,7 +232,12 @@ class FlightBatch:
         if self.data.force is not None:
             if model.effects[ImuEffect]:
                 force = torch.where(self.data.felt_force, imu_readings_of_model(model)[0].apply(force), force)
-            force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
+            felt, logged = self.data.felt_force, asked.logged
+            places = torch.where(felt, logged.imu_place, logged.velocity_place)
+            force = (force + lever_acceleration(state.ang_vel, results.ang_acc, places)) * (
+                1.0 + felt * logged.acc_scale
+            )
+            force = self.data.force - force - felt * logged.acc_bias
             missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
         place = asked.off.load_place.expand_as(force)
         turning = lever_acceleration(state.ang_vel, results.ang_acc, place)

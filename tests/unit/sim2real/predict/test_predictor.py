@@ -528,6 +528,22 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
         np.testing.assert_array_equal(unread[:, other_kinds], as_was[:, other_kinds])
 
 
+def test_the_swing_of_a_load_is_found_wherever_the_accelerometer_is(tmp_path: Path) -> None:
+    """1 cm above the origin and with a scale of 1 %, within their tolerances: the link starts as with an exact reading."""
+    results, place = uniform_flight(flight(3), tmp_path, "a"), np.array([0.0, 0.0, 0.01])
+    rate, turning = results.ang_vel, lowpass(results.ang_vel, results.rate, 40.0, derivative=True)
+    felt = results.specific_force + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
+    off = replace(results, specific_force=felt * (1.0, 1.01, 1.0))
+    effects = {"slung_payload": np.array([0.05, 0.7, 0.01])}
+    sizes = draw_deviations(imu_place_z=2.0, acc_scale_y=2.0)
+    exact, moved, back = (
+        make_predictor([log]).load_links(ModelParams(effects=effects, deviation=deviation))[0].load
+        for log, deviation in ((results, None), (off, None), (off, sizes))
+    )
+    assert np.abs(moved - exact).max() > 1e-3
+    assert np.abs(back - exact).max() < 0.05 * np.abs(moved - exact).max()
+
+
 def test_a_derived_force_is_that_of_the_point_whose_velocity_is_logged(tmp_path: Path) -> None:
     """Without an accelerometer, a velocity logged 1 cm ahead and 5 mm below the origin adds that point's lever arm."""
     table, place = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"]), np.array([0.01, 0.0, -0.005])
