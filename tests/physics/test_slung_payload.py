@@ -213,6 +213,15 @@ def test_a_reset_hangs_new_loads_in_the_rows_of_the_mask_alone(backend: str) -> 
     torch.testing.assert_close(away[mask], torch.stack((0.0 * new, 0.0 * new, -new), dim=-1)[mask])
 
 
+def test_a_fit_changes_from_a_point_mass_to_a_rod_and_back_with_the_same_swing() -> None:
+    """Period of a physical pendulum of length L: that of a point mass at 2 L / 3; 3/4 of its mass hang there."""
+    values = {"mass": 0.045, "length": 0.66, "damping": 0.02}
+    point, rod = EFFECTS.get("slung_payload"), EFFECTS.get("slung_payload_rod")
+    as_rod = rod.start_in_place(point.in_first_law(values))
+    assert as_rod == pytest.approx({"mass": 0.06, "length": 0.99, "damping": 0.02})
+    assert point.start_in_place(rod.in_first_law(as_rod)) == pytest.approx(values)
+
+
 @pytest.mark.parametrize("law", ["slung_payload", "slung_payload_rod"])
 def test_both_backends_and_one_with_gradients_show_the_same_load(law: str) -> None:
     ends = []

@@ -200,8 +200,12 @@ class Effect(ABC):
         return [(float(rotor), *neutral[1:]) for rotor in range(1, robot.num_rotors + 1)]
 
     def start_in_place(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the start of a fit in place of another law of its cause, from the fitted parameters of that law by name."""
+        """Return the start of a fit in place of another law of its cause, from fitted ``in_first_law`` parameters by name."""
         return {parameter.name: values[parameter.name] for parameter in self.parameters if parameter.name in values}
+
+    def in_first_law(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the parameters, by name, with which the first law of its cause acts most like this law."""
+        return values
 
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
         """Return the lowest and highest value of each parameter that is physically possible for a robot."""

@@ -97,6 +97,10 @@ class RodPayload(SlungPayload):
         """Return the rod that swings like a point mass: its length is 3/2 of the link's, its mass 4/3."""
         return {**values, "mass": values["mass"] * (4.0 / 3.0), "length": 1.5 * values["length"]}
 
+    def in_first_law(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the point mass that swings like the rod."""
+        return {**values, "mass": 0.75 * values["mass"], "length": values["length"] / 1.5}
+
     def pull(self, suspension: SuspensionMotion, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
         """Return F and n''."""
         mass, length, damping = (params[:, k : k + 1] for k in range(3))

@@ -260,7 +260,7 @@ class SetSearch:
         """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
         while (best := view.best_fit).label not in view.own:
             free_other_fitters(view.own, view.present.label)
-            view.add_relinearised_fit(*self.refit_about_own_model(best, view.fitter))
+            view.add_relinearised_fit(*self.refit_about_own_model(view.fitter.refit_from_starts(best), view.fitter))
         free_other_fitters(view.own, view.present.label, best.label)
         return best
 

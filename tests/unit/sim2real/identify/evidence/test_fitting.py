@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import laws_in_place
 from aerial_gym.sim2real.identify.evidence.guard import (
@@ -21,6 +22,7 @@ from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations, poste
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior, search_sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.identify.selection.choose import inclusion_probabilities, set_probabilities
+from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
@@ -95,6 +97,28 @@ def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two
     sums = normal(columns, columns @ np.full(size, 0.02) + 1e-3 * rng.normal(size=50))
     sets = SetPosterior(candidates=candidates(size, names=(name,)), normal=sums)
     assert len(FitStub().start_models_of_fit(library, sets, (0,))) == count
+
+
+def test_a_set_with_a_load_is_fitted_from_every_length_and_the_best_fit_counts() -> None:
+    """Each length has a maximum of its own. Beside a load, an effect on one rotor keeps its rotor and its values."""
+    tried = list[tuple[float, float]]()
+
+    class LocalMaxima(FitStub):
+        def fit(self, effects, structures, start, *_, **_compared):
+            length, rotor = start.effects["slung_payload"][1], start.effects["weak_motor"][0]
+            tried.append((length, rotor))
+            return make_fit(*effects, log=-abs(length - 0.8), params={"slung_payload": [0.05, length, 0.01]})
+
+    params = {"slung_payload": [0.06, 0.7, 0.04], "weak_motor": [3.0, 0.9]}
+    stuck = make_fit("slung_payload", "weak_motor", log=-10.0, params=params)
+    best = LocalMaxima().refit_from_starts(stuck)
+    assert best.params.effects["slung_payload"][1] == 0.8
+    assert [length for length, _ in tried] == [start[1] for start in EFFECTS.get("slung_payload").starts(ROBOT)]
+    assert tried[0][1] == 3.0
+    first = make_fit("slung_payload", "weak_motor", log=1.0, params=params)
+    assert LocalMaxima().refit_from_starts(first) is first
+    drag = make_fit("rotor_drag")
+    assert FitStub().refit_from_starts(drag) is drag
 
 
 Array = NDArray[np.float64]
