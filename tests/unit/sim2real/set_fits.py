@@ -100,8 +100,9 @@ def make_final_fit(
     fit = ModelFit(
         effects=effects, params=params, moments=moments, low=-limit, high=limit, num_effect_params=size, frozen=frozen
     )
-    covariance = np.diag(variance) if len(variance) else np.eye(size)
-    return fit, make_spread(fit.indices_of_fitted_effect_params, covariance, np.zeros((size, size)))
+    columns = fit.indices_of_fitted_effect_params
+    covariance = (np.diag(variance) if len(variance) else np.eye(size))[np.ix_(columns, columns)]
+    return fit, make_spread(columns, covariance, np.zeros_like(covariance))
 
 
 def make_selection(chosen: MostProbableSet | None = None, **more: Any) -> SelectionResult:

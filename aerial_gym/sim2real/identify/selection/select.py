@@ -186,17 +186,20 @@ class FinalFit:
         blind = set(self.chosen.effect_names).difference(name for name, _ in owners.keys() - unseen)
         code = "parameters_unknown" if blind else "interval_holds_neutral"
         blind = blind or self.effects_near_neutral(fit, spread)
+        if unseen and not blind:  # undetermined parameters may have shown the effect
+            start = self.params_at_neutral(self.chosen.named.params, unseen)
+            sets = self.chosen.without.items()
+            without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
+            fit, spread = self.fit(self.chosen.effect_names, start, frozenset(unseen))
+            blind = self.effects_near_neutral(fit, spread)
+            if not blind:
+                return replace(self.chosen, without=without), fit, spread
         if blind:  # the complete fit determines none of their parameters, or not that one differs from neutral
             name = min(blind)
             neutral = neutral_params(name, self.declared, self.predictor.robot)
             self.chosen = self.chosen.without_undetermined_effect(name, neutral, Finding(code, name))
             return self.fit_determined()
-        if not unseen:
-            return self.chosen, fit, spread
-        start = self.params_at_neutral(self.chosen.named.params, unseen)
-        sets = self.chosen.without.items()
-        without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
-        return replace(self.chosen, without=without), *self.fit(self.chosen.effect_names, start, frozenset(unseen))
+        return self.chosen, fit, spread
 
     def find_ties(self, fit: ModelFit, names: Sequence[str]) -> tuple[ValueTie, ...]:
         """Return the combinations of effects on declared values that explain the flights as well as a fit.

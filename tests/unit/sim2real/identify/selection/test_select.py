@@ -263,6 +263,17 @@ def test_an_effect_with_no_effect_in_all_its_intervals_has_no_name() -> None:
         assert chosen.refused.get("com_offset") == (None if named else Finding("interval_holds_neutral", "com_offset"))
 
 
+def test_an_effect_that_only_an_undetermined_parameter_shows_has_no_name() -> None:
+    """z is 60 scales from neutral, but known to 2 scales only, so it stays neutral; x and y are within their half widths."""
+    scale = parameter_scales(("com_offset",))
+    fitted = make_fit("com_offset", params={"com_offset": (scale * [-0.1, 0.1, 60.0]).tolist()})
+    given = PriorFit(fitted, {"com_offset": [0.09, 0.09, 4.0]})
+    given.chosen = replace(given.chosen, without={"com_offset": make_fit()})
+    chosen, _, _ = given.fit_determined()
+    assert chosen.effect_names == ()
+    assert chosen.refused == {"com_offset": Finding("interval_holds_neutral", "com_offset")}
+
+
 TRUE = np.array([1.3, 1.4, 1.6])  # Moments of inertia per declared ones
 
 NAMES = ("inertia_error", "torque_ratio", "thrust_coefficient", "payload_mass", "rotor_drag", "quadratic_drag")
