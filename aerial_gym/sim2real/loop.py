@@ -20,6 +20,7 @@ from aerial_gym.sim2real.identify.stages import prepare_comparison
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
 from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
+from aerial_gym.sim2real.judge.remainder import are_gusts_sufficient
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import Flight, FlightInputs, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
@@ -150,10 +151,11 @@ def judge_flights(
     told = seen if failures else []
     learnt, judging = (_flights_until_failure(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
-    selection = select_effects(
-        declared.train, declared.params, criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.65 * share),
-        test=declared.test.flights, candidates=effects,
-    )  # fmt: skip
+    criteria, advance = criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.65 * share)
+    asked = (declared.train, declared.params, criteria, advance)
+    selection = select_effects(*asked, test=declared.test.flights, candidates=effects)
+    if are_gusts_sufficient(declared.train, declared.params, selection):
+        selection = select_effects(*asked, test=declared.test.flights, candidates=())
     give_back_memory()
     judged = judge_on_test_flights(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()

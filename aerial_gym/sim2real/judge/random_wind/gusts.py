@@ -167,13 +167,12 @@ def find_random_wind(
         vertical=fit.vertical,
         gain=fit.gain,
     )
-    added = results.channel_rms(predictor, params)
-    share = 1.0 - floor / np.sqrt(floor**2 + added**2)
-    seen = added > criteria.visible * tolerated
+    added, still = results.channel_rms(predictor, params)[places], floor[places]
+    share, seen = 1.0 - still / np.hypot(still, added), added > criteria.visible * tolerated[places]
     objections = []
     if results.p_value > criteria.significance:
         objections.append(Finding("may_be_noise", NAME, {"p_value": results.p_value}))
-    if max((share * seen)[places]) < criteria.material:
+    if max(share * seen) < criteria.material:
         objections.append(Finding("adds_too_little", NAME))
     if not CORR_TIMES[0] * 1.5 < results.corr_time < 2.0 * max(flight.time[-1] for flight in predictor.flights):
         objections.append(Finding("wrong_corr_time", NAME, {"corr_time_s": results.corr_time}))

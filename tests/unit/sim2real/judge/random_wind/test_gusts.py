@@ -11,7 +11,12 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
+from aerial_gym.sim2real.identify.least_squares.derivatives import rms_caused_by_tolerances, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.judge.outcome import Decision
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, random_wind_in_file, wind_response
@@ -27,11 +32,13 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     std_of_logarithms,
     whiten_rows,
 )
+from aerial_gym.sim2real.judge.remainder import are_gusts_sufficient
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import RATE, hover
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection
 
 BAND, STEP, ROWS = 10.0, 0.1, 120
 TIME = STEP * np.arange(ROWS)
@@ -146,6 +153,7 @@ def test_a_force_that_follows_a_feature_is_told_apart() -> None:
 
 
 DRAGGED = ModelParams(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
+IN_AIR = replace(ROBOT, effects={"rotor_drag": {"dx": 0.3, "dy": 0.24, "dz": 0.18}}, effects_source="flown with it")
 
 
 def fly_in_wind(number: int, std: float = 0.0, *, gain: float = np.inf) -> Flight:
@@ -200,6 +208,33 @@ def test_motion_that_answers_the_wind_is_no_objection_to_it() -> None:
     """Within a row of 0.1 s the velocity grows with the gust, so that gusts seemed to follow the velocity (p = 1e-23)."""
     result = look([fly_in_wind(number, 1.2, gain=2.0) for number in range(4)])
     assert result.is_accepted, result.objections
+
+
+def sufficient(flights: list[Flight], robot: RobotCfg = IN_AIR, best: EffectSetFit | None = None) -> bool:
+    """Return whether gusts suffice for some training flights in place of a selected centre of mass."""
+    predictor, params = make_predictor(flights, robot), params_from_robot(robot)
+    tolerance = tolerance_jacobian(predictor, params, np.float32)
+    tolerated = rms_caused_by_tolerances(tolerance, robot.num_rotors)
+    variance = np.mean(np.square(np.concatenate(predictor.residuals(params))), axis=0) + 1e-4
+    weights = Weighting(variance=variance, effective=np.full(variance.size, 0.2))  # gusts are coloured
+    chosen = replace(make_choice(best or make_fit("com_offset")), weights=weights, tolerated=tolerated)
+    selection = replace(make_selection(chosen), fit=linearise_at_params(predictor, (), params, tolerance))
+    return are_gusts_sufficient(predictor, params, selection)
+
+
+def test_gusts_suffice_only_if_no_other_cause_acts_beside_them() -> None:
+    """A mean wind of 2 m/s, a thrust that is off by 6 % and a torque are no gusts, nor those that the robot file declares."""
+    gusty = [fly_in_wind(number, 1.2, gain=2.0) for number in range(4)]
+    assert sufficient(gusty)
+    assert not sufficient(gusty, best=make_fit())
+    assert not sufficient([fly_in_wind(number) for number in range(2)])
+    declared = {**IN_AIR.effects, "gusts": {"std": 1.2, "corr_time": 1.0}}
+    assert not sufficient(gusty, replace(IN_AIR, effects=declared))
+    steady = np.array([1.0, 0.0, 0.0])
+    assert not sufficient([replace(one, specific_force=one.specific_force + steady) for one in gusty])
+    assert not sufficient([replace(one, rotor_speed=0.97 * one.rotor_speed) for one in gusty])
+    turning = [replace(one, ang_vel=np.outer(np.sin(6.0 * one.time), [1.0, 0.0, 0.0])) for one in gusty]
+    assert not sufficient(turning)
 
 
 def test_where_gusts_are_not_looked_for_and_why() -> None:
