@@ -296,9 +296,10 @@ class _Chooser:
 
 
 def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float) -> EffectSetFit:
-    """Return the best set with a special case (``Effect.contains``) of one effect; ``present`` if flights reject all.
+    """Return the best set with a special case of one effect; ``present`` if flights reject all.
 
-    One is rejected if behind by ``window`` in log posterior and in log likelihood, so not by the prior of an own parameter.
+    Special cases are those of ``Effect.contains``, and the first law of a cause for one that is fitted only in its place. One
+    is rejected if behind by ``window`` in log posterior and in log likelihood, so not by the prior of an own parameter.
     """
     likely, fit = present.log_posterior - window, present.parameters.log_likelihood - window
     cases = [one for one in fits if one.is_supported and _is_special_case(one, present)]
@@ -309,7 +310,9 @@ def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], windo
 def _is_special_case(one: EffectSetFit, other: EffectSetFit) -> bool:
     new, gone = set(one.effects) - set(other.effects), set(other.effects) - set(one.effects)
     same = [structure.name for structure in one.structures] == [structure.name for structure in other.structures]
-    return same and len(new) == len(gone) == 1 and new <= {case for wide in gone for case in EFFECTS.get(wide).contains}
+    wide = [EFFECTS.get(name) for name in gone]
+    cases = {case for effect in wide for case in (*effect.contains, *([effect.cause] if effect.in_place else []))}
+    return same and len(new) == len(gone) == 1 and new <= cases
 
 
 def set_probabilities(fits: Iterable[EffectSetFit], *, overdispersion: float) -> dict[tuple[str, ...], float]:

@@ -248,6 +248,13 @@ def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant
     assert best_special_case(wide, [*rest, make_fit("constant_wind", log=-behind)], 3.0).effects == (expected,)
 
 
+@pytest.mark.parametrize(("behind", "expected"), [(1.0, "slung_payload"), (5.0, "slung_payload_rod")])
+def test_of_two_laws_that_are_not_told_apart_the_first_one_is_meant(behind: float, expected: str) -> None:
+    rod, point = make_fit("slung_payload_rod", log=0.0), make_fit("slung_payload", log=-behind)
+    assert best_special_case(rod, [rod, point], 3.0).effects == (expected,)
+    assert best_special_case(point, [rod, point], 3.0) is point
+
+
 @pytest.mark.parametrize(("fits", "expected"), [(-1.0, "constant_wind"), (-5.0, "wind_shear")])
 def test_a_wider_case_is_told_by_what_it_fits_better(fits: float, expected: str) -> None:
     wide, steady = make_fit("wind_shear", log=0.0), make_fit("constant_wind", log=-8.0, fits=fits)
