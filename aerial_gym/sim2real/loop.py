@@ -15,8 +15,8 @@ from aerial_gym.physics.model import check_effect_on_rotors
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
-from aerial_gym.sim2real.identify.selection.select import select_effects
-from aerial_gym.sim2real.identify.stages import prepare_comparison
+from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
+from aerial_gym.sim2real.identify.stages import LoopSetup, prepare_comparison
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
 from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
@@ -151,15 +151,22 @@ def judge_flights(
     told = seen if failures else []
     learnt, judging = (_flights_until_failure(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
-    criteria, advance = criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.65 * share)
-    asked = (declared.train, declared.params, criteria, advance)
-    selection = select_effects(*asked, test=declared.test.flights, candidates=effects)
-    if are_gusts_sufficient(declared.train, declared.params, selection):
-        selection = select_effects(*asked, test=declared.test.flights, candidates=())
+    selection = _selection_beside_gusts(declared, criteria or Criteria(), effects, progress)
     give_back_memory()
     judged = judge_on_test_flights(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
     return result_with_failures(judged, told, len(flights)) if failures else result_with_suspicions(judged, seen)
+
+
+def _selection_beside_gusts(
+    declared: LoopSetup, criteria: Criteria, effects: Sequence[str] | None, progress: Progress
+) -> SelectionResult:
+    """Return the selection among ``effects``; that of no effect if gusts alone explain the training flights."""
+    asked = (declared.train, declared.params, criteria, lambda stage, share: progress(stage, 0.05 + 0.65 * share))
+    first = select_effects(*asked, test=declared.test.flights, candidates=effects)
+    if not are_gusts_sufficient(declared.train, declared.params, first):
+        return first
+    return replace(select_effects(*asked, candidates=()), not_testable=first.not_testable, looked_for=first.looked_for)
 
 
 def _flights_until_failure(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
