@@ -4,7 +4,7 @@ import ctypes
 from functools import cache
 
 MMAP_THRESHOLD = -3  # Option of ``mallopt``, from glibc's malloc.h
-LARGE_BYTES = 2**20  # Arrays from here on get a mapping of their own; smaller ones would cost time for page faults
+LARGE_BYTES = 2**21  # Arrays from here on get a mapping of their own; smaller ones would cost time for page faults
 
 
 def give_back_memory() -> None:

@@ -30,6 +30,7 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     NuisanceSums,
     Part,
     SparseColumns,
+    correct_sparse_columns,
     join_columns,
     split_columns,
 )
@@ -135,6 +136,12 @@ class Fitter:
         if self.tolerances is None:
             self.tolerances = split_columns(tolerance_jacobian(self.predictor, self._present, np.float32))
         return self.tolerances
+
+    def secant_tolerances(self, fitted: EffectSetFit) -> SparseColumns:
+        """Return these derivatives after a least correction, by which they give the exact change over a set's deviations."""
+        moved, base = (self.predictor.predict(one) for one in (fitted.model_with_deviations, fitted.params))
+        change = [m - b for m, b in zip(moved, base, strict=True)]
+        return correct_sparse_columns(self.tolerance_columns(), fitted.deviation, change)
 
     def nuisance_sums(self, structures: Sequence[NuisanceColumns], more: Sequence[Array] | None = None) -> NuisanceSums:
         """Return tolerances, structures and ``more`` columns (rows, C, any), in this order, without flight offsets."""

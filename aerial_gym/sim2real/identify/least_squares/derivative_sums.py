@@ -5,7 +5,7 @@ flight, c channels of C, P parameters of a part, K of all parts, B blocks.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ SparseColumns = Sequence[Sequence[SparseDerivatives]]  # Columns by parameter an
 
 def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[SparseDerivatives]:
     """Return derivatives (T, C, P) in single precision, without channels that are zero in all flights."""
-    moved = tuple(np.flatnonzero(np.any([has_nonzero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
+    moved = tuple(np.flatnonzero(np.any([has_nonzero(part, axis=0).any(axis=1) for part in flights], axis=0)).tolist())
     return [
         SparseDerivatives(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
         for part in flights
@@ -55,6 +55,30 @@ def join_columns(columns: SparseColumns, channels: int) -> list[NDArray[np.float
     """Return columns as dense derivatives of each flight, (T, C, P)."""
     flights = zip(*columns, strict=True)
     return [np.concatenate([one.dense_columns(range(channels)) for one in own], axis=2) for own in flights]
+
+
+def correct_sparse_columns(columns: SparseColumns, step: Array, change: Sequence[Array]) -> SparseColumns:
+    """Return single columns after the least correction that gives ``change`` (T, C) of each flight over a ``step`` (K,).
+
+    Channels without a column keep none.
+
+    Source: Schubert (1970), Modification of a quasi-Newton method for nonlinear equations with a sparse Jacobian,
+    Mathematics of Computation 24.
+    """
+    size = np.zeros(change[0].shape[1])  # Squared step of the columns that are nonzero in each channel
+    missed = [part.astype(np.float32) for part in change]
+    for k, own in enumerate(columns):
+        size[list(own[0].channels)] += step[k] ** 2
+        for rows, one in zip(missed, own, strict=True):
+            rows[:, one.channels] -= np.float32(step[k]) * one.values[:, :, 0]
+    share = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0).astype(np.float32)
+    return [
+        [
+            replace(one, values=one.values + (np.float32(step[k]) * share * rows)[:, one.channels, None])
+            for rows, one in zip(missed, own, strict=True)
+        ]
+        for k, own in enumerate(columns)
+    ]
 
 
 Part = NDArray[np.floating] | SparseDerivatives  # Derivatives of a flight by some parameters, (T, C, P)
@@ -103,12 +127,14 @@ def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array, start: int
             values, channels, first = part.values, part.channels, start + part.first
         else:
             values, channels, first = part, range(root.size), start
-        moving = has_nonzero(values, axis=0)  # (c, P)
-        for own, channel in enumerate(channels):
-            if moving[own].any():
-                some, column = np.flatnonzero(moving[own]), values[:, own]
-                sums[channel][0].append(some + first)
-                sums[channel][1].append(column[:, some] if some.size < column.shape[1] else column)
+        # A single column has no zero channels; in few flights it is zero, which only takes time.
+        moving = np.ones((len(channels), 1), dtype=bool) if values.shape[2] == 1 else has_nonzero(values, axis=0)
+        places, complete = np.arange(first, first + values.shape[2]), moving.all(axis=1).tolist()
+        for own, (channel, whole) in enumerate(zip(channels, complete, strict=True)):
+            some, column = (places, values[:, own]) if whole else (places[moving[own]], values[:, own][:, moving[own]])
+            if some.size:
+                sums[channel][0].append(some)
+                sums[channel][1].append(column)
         start += num_columns([part])
     return [
         (np.concatenate(places), np.concatenate(columns, axis=1, dtype=np.float64) * root[channel])
@@ -198,10 +224,14 @@ class NuisanceSums:
         """Return block sums over all channels: effects, by residuals (T, C) and derivatives (T, C, P), then nuisances."""
         width, blocks = own[0].shape[2], len(self.blocks.rows)
         inner, across = (np.zeros((blocks, width + 1, count)) for count in (width + 1, self.width))
-        for flight, (j, r, beside) in enumerate(zip(own, residuals, self.columns.columns, strict=True)):
-            (front,) = DerivativesWithWeights([(j, r[:, :, None])], self.offsets).columns  # large, so one at a time
+
+        def add_flight(flight: int) -> None:
+            parts = own[flight], residuals[flight][:, :, None]
+            (front,) = DerivativesWithWeights([parts], self.offsets).columns  # large, so not of all flights at once
             self.blocks.add_products_of_flight(inner, flight, front, front)
-            self.blocks.add_products_of_flight(across, flight, front, beside)
+            self.blocks.add_products_of_flight(across, flight, front, self.columns.columns[flight])
+
+        map_in_threads(add_flight, range(len(own)))
         product = np.block(
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
         )

@@ -37,6 +37,7 @@ from aerial_gym.sim2real.identify.evidence.guard import (
     make_normal_equations,
     num_parts_per_flight,
 )
+from aerial_gym.sim2real.identify.evidence.relinearise import SAME_DEVIATION, refit_until_settled
 from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     SparseColumns,
@@ -76,8 +77,6 @@ MOST_RIVALS = 3  # Largest number of rivals that are fitted in place of one effe
 
 MOST_ROUNDS = 8
 MOST_WEIGHINGS = 3
-SAME_DEVIATION = 0.5  # Largest change of a deviation, in standard deviations, that ends relinearisation
-MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
 SETTLED = 0.3  # Channel weights are updated until no logarithm of a weight changes by more than this
 
 
@@ -269,28 +268,10 @@ class SetSearch:
     ) -> tuple[EffectSetFit, Fitter]:
         """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
-        A delay of 6 ms is fitted only in part about a model without one. If deviations do not settle, the most probable turn
-        is kept. It ends if the log posterior stays below ``least`` even with the last gain once more, as gains become smaller.
+        Secants correct the derivatives at first. They are computed anew for a set that can reach the log posterior ``least``.
         """
-        first, last, kept = about, np.inf, (fitted, about)
-        for _ in range(MOST_TURNS):
-            about.clear_nuisance_sums()
-            if about is not first:
-                about.tolerances = None  # large; only a divergent iteration needs them again
-            fitter = self.fitter_at_model(fitted.model_with_deviations, about.weights)
-            again = fitter.refit_from_other_fitter(fitted, about)
-            if not again.deviation.size:  # the fit made no step
-                return again, fitter
-            moved = float(np.abs(again.deviation - fitted.deviation).max())
-            if moved > last:
-                break
-            gain = max(0.0, again.log_posterior - fitted.log_posterior)
-            fitted, about, last = again, fitter, moved
-            if kept[1] is first or moved < SAME_DEVIATION or fitted.log_posterior >= kept[0].log_posterior:
-                kept = fitted, about
-            if moved < SAME_DEVIATION or fitted.log_posterior + gain < least:
-                break
-        return kept
+        fitted, about, reached = refit_until_settled(fitted, about, self.fitter_at_model, least=least, secant=True)
+        return refit_until_settled(fitted, about, self.fitter_at_model, least=least)[:2] if reached else (fitted, about)
 
     def fit_probable_sets(self, view: CandidateView) -> None:
         """Fit the sets that are probable in the linear model, in the order of their log posterior.

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.learned import CrossValidation
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window, rival_sets
-from aerial_gym.sim2real.identify.selection.set_search import MOST_TURNS, SetSearch
+from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.identify.evidence.linear import candidates as linear_candidates
@@ -104,80 +104,6 @@ class SearchStub(SetSearch):
 
     def __init__(self) -> None:
         self.declared = ModelParams()
-
-
-@pytest.mark.parametrize(
-    ("deviations", "turns"),
-    [
-        ((0.0, 0.4), 1),
-        ((0.0, 1.4, 1.8), 2),
-        ((0.0, 1.0, 0.4, 1.0, 0.4, 1.0), MOST_TURNS),
-        ((0.0, 1.0, 0.4, 2.0), 2),
-        ((0.0, 1.4, None), 2),
-    ],
-    ids=["stays", "moves once", "never stays", "leads away", "goes nowhere"],
-)
-def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turns) -> None:
-    fits = [replace(make_fit(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
-    result, fitter, about = refit_about_own_models(fits)
-    assert result is fits[turns]
-    assert fitter == turns
-    assert 0 < len(about) <= len(fits)
-    for params, one in zip(about, fits, strict=False):
-        np.testing.assert_array_equal(params.deviation, one.deviation)
-
-
-@pytest.mark.parametrize(
-    ("logs", "turns"),
-    [((-100.0, -50.0, -45.0, -44.0), 2), ((-100.0, -500.0, -5.0), 1), ((-100.0, -9.0, -8.0), 3)],
-    ids=["gains too little", "loses", "comes near"],
-)
-def test_a_set_that_stays_out_of_reach_is_not_fitted_about_itself_again(logs, turns) -> None:
-    """A gain of 50 may repeat and reach -10; one of 5 from -45 may not."""
-    deviations = np.cumsum([0.0, 3.0, 2.0, 1.0])
-    fits = [replace(make_fit(log=log), deviation=np.array([one])) for log, one in zip(logs, deviations, strict=False)]
-    fits.append(replace(fits[-1]))  # its deviations have settled
-    assert refit_about_own_models(fits, least=-10.0)[0] is fits[turns]
-
-
-@pytest.mark.parametrize(
-    ("deviations", "logs", "turns"),
-    [
-        ((0.0, 1.0, 0.4, 1.0, 0.3), (0.0, -40.0, -20.0, -60.0, -50.0), 2),
-        ((0.0, 1.4, 1.8), (0.0, -20.0, -60.0), 2),
-    ],
-    ids=["never stays", "stays"],
-)
-def test_of_turns_that_do_not_settle_the_most_probable_one_is_kept(deviations, logs, turns) -> None:
-    """A settled turn counts even if it is less probable: the tolerances of others are linear about a distant model."""
-    pairs = zip(deviations, logs, strict=True)
-    fits = [replace(make_fit(log=log), deviation=np.array([one, 0.2])) for one, log in pairs]
-    result, fitter, _ = refit_about_own_models(fits)
-    assert result is fits[turns]
-    assert fitter == turns
-
-
-def refit_about_own_models(fits: list[EffectSetFit], **options: float) -> tuple[EffectSetFit, int, list[ModelParams]]:
-    """Return the result of refits that give some fits in turn, the number of its fitter, and the models of all fitters."""
-    number, about = 0, list[ModelParams]()
-
-    class Refits(FitStub):
-        weights = None
-
-        def refit_from_other_fitter(self, before: EffectSetFit, _: object) -> EffectSetFit:
-            nonlocal number
-            assert before is fits[number]
-            number += 1
-            return fits[number]
-
-        def clear_nuisance_sums(self) -> None:
-            pass
-
-    fitters = [Refits() for _ in fits]
-    climber = SearchStub()
-    climber.fitter_at_model = lambda params, _: about.append(params) or fitters[len(about)]
-    result, fitter = climber.refit_about_own_model(fits[0], fitters[0], **options)
-    return result, fitters.index(fitter), about
 
 
 @pytest.mark.parametrize(("moved", "refitted"), [(0.6, True), (0.4, False)])

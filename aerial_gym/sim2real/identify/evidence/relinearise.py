@@ -1,0 +1,44 @@
+"""Refits of a set of effects with the tolerances linearised about the set itself."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.predict.model_params import ModelParams
+
+SAME_DEVIATION = 0.5  # Largest change of a deviation, in standard deviations, that ends relinearisation
+MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
+
+
+def refit_until_settled(
+    fitted: EffectSetFit, about: Fitter, fitter_at_model: Callable[[ModelParams, Weighting], Fitter], *,
+    least: float = -np.inf, secant: bool = False,
+) -> tuple[EffectSetFit, Fitter, bool]:  # fmt: skip
+    """Return a set refitted until its deviations settle, its fitter, and whether it can reach the log posterior ``least``.
+
+    A delay of 6 ms is fitted only in part about a model without one. If deviations do not settle, the most probable turn is
+    kept. It ends if the log posterior stays below ``least`` even with the last gain once more, as gains become smaller.
+    ``secant``: secants correct the derivatives by the tolerances, which costs two predictions; else they are computed anew.
+    """
+    first, last, kept = about, np.inf, (fitted, about, True)
+    for _ in range(MOST_TURNS):
+        about.clear_nuisance_sums()
+        fitter = fitter_at_model(fitted.model_with_deviations, about.weights)
+        fitter.tolerances = about.secant_tolerances(fitted) if secant else None
+        if about is not first:
+            about.tolerances = None  # large; only a divergent iteration needs them again
+        again = fitter.refit_from_other_fitter(fitted, about)
+        if not again.deviation.size:  # the fit made no step
+            return again, fitter, False
+        moved = float(np.abs(again.deviation - fitted.deviation).max())
+        if moved > last:
+            break
+        gain = max(0.0, again.log_posterior - fitted.log_posterior)
+        fitted, about, last, reached = again, fitter, moved, again.log_posterior + gain >= least
+        if kept[1] is first or moved < SAME_DEVIATION or fitted.log_posterior >= kept[0].log_posterior:
+            kept = fitted, about, reached
+        if moved < SAME_DEVIATION or not reached:
+            break
+    return kept
