@@ -310,14 +310,18 @@ class SetSearch:
         A tolerance in place of the effect has other derivatives there: with those of the present set it seems less probable.
         """
         for fitted in view.smaller_sets_elsewhere(SAME_DEVIATION):
-            about = view.fitter
-            least = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least
-            while fitted.label not in view.own:
-                free_other_fitters(view.own, view.present.label)
-                fitted, about = self.refit_about_own_model(fitted, about, least=least)
-                view.add_relinearised_fit(fitted, about)
-                if fitted.effects and not fitted.is_supported and fitted.most > least:
-                    fitted = about.refit_without_weakest(fitted)
+            self.refit_with_parts(view, fitted)
+
+    def refit_with_parts(self, view: CandidateView, fitted: EffectSetFit) -> None:
+        """Refit a set about itself, and its parts as long as it lacks support and may come near the best one."""
+        about, beside = view.fitter, not fitted.has_no_structures_but_offsets
+        least = view.stop_rule_of_comparison(beside=beside).least
+        while fitted.label not in view.own:
+            free_other_fitters(view.own, view.present.label)
+            fitted, about = self.refit_about_own_model(fitted, about, least=least)
+            view.add_relinearised_fit(fitted, about)
+            if fitted.effects and not fitted.is_supported and fitted.most > least:
+                fitted = about.refit_without_weakest(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""
@@ -328,11 +332,18 @@ class SetSearch:
                     view.fit_if_promising(model)
 
     def fit_nearest_rivals(self, view: CandidateView) -> None:
-        """Fit the best rival of each present effect even if it is improbable, so that reports can state its log odds."""
+        """Fit the best rivals of each present effect even if they are improbable, so that reports can state their log odds.
+
+        They are not distinct from the best one in the linear model. If their deviations differ, they are refitted about
+        themselves: a weak rotor in place of a shifted centre of mass comes with other errors of the sensors.
+        """
         for values in rival_sets(view):
-            best = max(values, key=values.__getitem__, default=())
-            if np.isfinite(values.get(best, -np.inf)):
-                view.fit_if_promising(best, however_far=True)
+            least = max(values.values(), default=np.inf) - occam_window(view.present)
+            best = sorted((model for model in values if values[model] >= least), key=values.__getitem__, reverse=True)
+            for model in best[:MOST_RIVALS] if np.isfinite(least) else ():
+                view.fit_if_promising(model, however_far=True)
+                for fitted in view.moved_fits([model], SAME_DEVIATION):
+                    self.refit_with_parts(view, fitted)
 
     def make_candidate_view(
         self,

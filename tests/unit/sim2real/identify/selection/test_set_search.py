@@ -76,6 +76,19 @@ def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds
     assert set(view.fits) == {best.label, drag.label}
 
 
+@pytest.mark.parametrize(("moved", "log"), [(0.6, 5.0), (0.4, -1e3)])
+def test_near_rivals_are_compared_about_themselves_if_their_deviations_move(moved: float, log: float) -> None:
+    """About the present set both lie far behind; the drag is not distinct from the nearest rival, the wind is."""
+    best = replace(make_fit("com_offset"), deviation=np.zeros(2))
+    rivals = [replace(make_fit(name, log=-1e3), deviation=np.array([0.0, moved])) for name in NAMES[1:]]
+    view, climber = make_view({(0,): 0.0, (1,): -102.0, (2,): -100.0, (3,): -104.0}, best, *rivals), SearchStub()
+    climber.refit_about_own_model = lambda fitted, about, least: (replace(fitted, log_posterior=5.0), about)
+    climber.fit_nearest_rivals(view)
+    drag, quadratic, wind = (one.label for one in rivals)
+    assert view.fits[drag].log_posterior == view.fits[quadratic].log_posterior == log
+    assert wind not in view.fits
+
+
 def test_another_rotor_takes_the_place_of_the_rotor_of_an_effect_and_of_no_other_effect() -> None:
     weak, drag, other = "weak_motor", "rotor_drag", "quadratic_drag"
     promised = {model: 0.0 for size in (1, 2) for model in combinations(range(4), size)}
