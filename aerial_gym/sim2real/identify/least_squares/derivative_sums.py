@@ -136,12 +136,13 @@ def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array, start: int
                 sums[channel][0].append(some)
                 sums[channel][1].append(column)
         start += num_columns([part])
-    return [
-        (np.concatenate(places), np.concatenate(columns, axis=1, dtype=np.float64) * root[channel])
+    joined = (
+        (np.concatenate(places), np.concatenate([one.T for one in columns], dtype=np.float64).T)  # contiguous along T
         if places
         else (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
-        for channel, (places, columns) in enumerate(sums)
-    ]
+        for places, columns in sums
+    )
+    return [(places, np.multiply(values, one, out=values)) for one, (places, values) in zip(root, joined, strict=True)]
 
 
 def sum_of_products(one: DerivativesWithWeights, other: DerivativesWithWeights) -> Array:
