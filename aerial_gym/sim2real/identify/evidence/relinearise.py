@@ -5,15 +5,13 @@ from collections.abc import Callable
 import numpy as np
 
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.predict.model_params import ModelParams
 
 SAME_DEVIATION = 0.5  # Largest change of a deviation, in standard deviations, that ends relinearisation
 MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
 
 
 def refit_until_settled(
-    fitted: EffectSetFit, about: Fitter, fitter_at_model: Callable[[ModelParams, Weighting], Fitter], *,
+    fitted: EffectSetFit, about: Fitter, fitter_at_model: Callable[..., Fitter], *,
     least: float = -np.inf, secant: bool = False,
 ) -> tuple[EffectSetFit, Fitter, bool]:  # fmt: skip
     """Return a set refitted until its deviations settle, its fitter, and whether it can reach the log posterior ``least``.

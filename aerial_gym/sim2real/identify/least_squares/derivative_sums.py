@@ -60,25 +60,23 @@ def join_columns(columns: SparseColumns, channels: int) -> list[NDArray[np.float
 def correct_sparse_columns(columns: SparseColumns, step: Array, change: Sequence[Array]) -> SparseColumns:
     """Return single columns after the least correction that gives ``change`` (T, C) of each flight over a ``step`` (K,).
 
-    Channels without a column keep none.
-
     Source: Schubert (1970), Modification of a quasi-Newton method for nonlinear equations with a sparse Jacobian,
     Mathematics of Computation 24.
     """
-    size = np.zeros(change[0].shape[1])  # Squared step of the columns that are nonzero in each channel
-    missed = [part.astype(np.float32) for part in change]
+    size, missed = (
+        np.full(change[0].shape[1], 1e-30),
+        [part.astype(np.float32) for part in change],
+    )  # not 0 without a step
     for k, own in enumerate(columns):
-        size[list(own[0].channels)] += step[k] ** 2
+        size[list(own[0].channels)] += step[k] ** 2  # of the columns that are nonzero in a channel
         for rows, one in zip(missed, own, strict=True):
             rows[:, one.channels] -= np.float32(step[k]) * one.values[:, :, 0]
-    share = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0).astype(np.float32)
-    return [
-        [
-            replace(one, values=one.values + (np.float32(step[k]) * share * rows)[:, one.channels, None])
-            for rows, one in zip(missed, own, strict=True)
-        ]
-        for k, own in enumerate(columns)
-    ]
+
+    def correct(one: SparseDerivatives, share: Array, rows: NDArray[np.floating]) -> SparseDerivatives:
+        return replace(one, values=one.values + (share.astype(np.float32) * rows)[:, one.channels, None])
+
+    shares = step[:, None] / size
+    return [list(map(correct, own, [share] * len(own), missed)) for own, share in zip(columns, shares, strict=True)]
 
 
 Part = NDArray[np.floating] | SparseDerivatives  # Derivatives of a flight by some parameters, (T, C, P)
@@ -129,20 +127,17 @@ def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array, start: int
             values, channels, first = part, range(root.size), start
         # A single column has no zero channels; in few flights it is zero, which only takes time.
         moving = np.ones((len(channels), 1), dtype=bool) if values.shape[2] == 1 else has_nonzero(values, axis=0)
-        places, complete = np.arange(first, first + values.shape[2]), moving.all(axis=1).tolist()
-        for own, (channel, whole) in enumerate(zip(channels, complete, strict=True)):
-            some, column = (places, values[:, own]) if whole else (places[moving[own]], values[:, own][:, moving[own]])
-            if some.size:
-                sums[channel][0].append(some)
-                sums[channel][1].append(column)
+        for own, channel in enumerate(channels):
+            if (some := moving[own]).any():
+                sums[channel][0].append(np.flatnonzero(some) + first)
+                sums[channel][1].append(values[:, own] if some.all() else values[:, own][:, some])
         start += num_columns([part])
-    joined = (
-        (np.concatenate(places), np.concatenate([one.T for one in columns], dtype=np.float64).T)  # contiguous along T
+    return [
+        (np.concatenate(places), np.concatenate([one.T for one in columns], dtype=np.float64).T * root[channel])
         if places
         else (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
-        for places, columns in sums
-    )
-    return [(places, np.multiply(values, one, out=values)) for one, (places, values) in zip(root, joined, strict=True)]
+        for channel, (places, columns) in enumerate(sums)
+    ]
 
 
 def sum_of_products(one: DerivativesWithWeights, other: DerivativesWithWeights) -> Array:
@@ -225,14 +220,10 @@ class NuisanceSums:
         """Return block sums over all channels: effects, by residuals (T, C) and derivatives (T, C, P), then nuisances."""
         width, blocks = own[0].shape[2], len(self.blocks.rows)
         inner, across = (np.zeros((blocks, width + 1, count)) for count in (width + 1, self.width))
-
-        def add_flight(flight: int) -> None:
-            parts = own[flight], residuals[flight][:, :, None]
-            (front,) = DerivativesWithWeights([parts], self.offsets).columns  # large, so not of all flights at once
+        for flight, (j, r, beside) in enumerate(zip(own, residuals, self.columns.columns, strict=True)):
+            (front,) = DerivativesWithWeights([(j, r[:, :, None])], self.offsets).columns  # large, so one at a time
             self.blocks.add_products_of_flight(inner, flight, front, front)
-            self.blocks.add_products_of_flight(across, flight, front, self.columns.columns[flight])
-
-        map_in_threads(add_flight, range(len(own)))
+            self.blocks.add_products_of_flight(across, flight, front, beside)
         product = np.block(
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
         )

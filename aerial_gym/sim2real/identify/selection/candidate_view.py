@@ -1,6 +1,6 @@
 """All candidates linearised about a fitted set, with the sets fitted there and the rule for further fits."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,20 +60,11 @@ class CandidateView:
         """Return whether a set was fitted with comparable tolerances: linearised about the present set or about itself."""
         return label in self.fresh or label in self.own
 
-    def smaller_sets_elsewhere(self, least: float) -> list[EffectSetFit]:
-        """Return the sets with one effect less, linearised about the present set, a deviation of which differs by ``least``.
-
-        All are fitted, as their distance in the linear model says nothing about deviations elsewhere.
-        """
-        effects = (k for k in self.present_set if not self.library.candidates[k].structure)
-        models = [tuple(k for k in self.present_set if k != gone) for gone in effects]
+    def sets_elsewhere(self, models: Sequence[Model], least: float) -> list[EffectSetFit]:
+        """Return the sets, fitted however far, a deviation of which differs by ``least`` from the present set's."""
+        here = self.present.deviation
         for model in models:
             self.fit_if_promising(model, however_far=True)
-        return self.moved_fits(models, least)
-
-    def moved_fits(self, models: Iterable[Model], least: float) -> list[EffectSetFit]:
-        """Return the fits of sets, linearised about the present set, a deviation of which differs from it by ``least``."""
-        here = self.present.deviation
         labels = sorted({label_of_candidate_set(self.library, model) for model in models}.difference(self.own))
         fits = [self.fits[label] for label in labels if label in self.fresh]
         fits = [one for one in fits if one.deviation.size == here.size]  # none from a fit that failed

@@ -37,6 +37,7 @@ from aerial_gym.sim2real.identify.evidence.guard import (
     make_normal_equations,
     num_parts_per_flight,
 )
+from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.relinearise import SAME_DEVIATION, refit_until_settled
 from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
@@ -309,19 +310,20 @@ class SetSearch:
 
         A tolerance in place of the effect has other derivatives there: with those of the present set it seems less probable.
         """
-        for fitted in view.smaller_sets_elsewhere(SAME_DEVIATION):
-            self.refit_with_parts(view, fitted)
+        effects = (k for k in view.present_set if not view.library.candidates[k].structure)
+        self.refit_sets_elsewhere(view, [tuple(k for k in view.present_set if k != gone) for gone in effects])
 
-    def refit_with_parts(self, view: CandidateView, fitted: EffectSetFit) -> None:
-        """Refit a set about itself, and its parts as long as it lacks support and may come near the best one."""
-        about, beside = view.fitter, not fitted.has_no_structures_but_offsets
-        least = view.stop_rule_of_comparison(beside=beside).least
-        while fitted.label not in view.own:
-            free_other_fitters(view.own, view.present.label)
-            fitted, about = self.refit_about_own_model(fitted, about, least=least)
-            view.add_relinearised_fit(fitted, about)
-            if fitted.effects and not fitted.is_supported and fitted.most > least:
-                fitted = about.refit_without_weakest(fitted)
+    def refit_sets_elsewhere(self, view: CandidateView, models: Sequence[Model]) -> None:
+        """Refit sets about themselves whose deviations differ, and their parts while they lack support and may come near."""
+        for fitted in view.sets_elsewhere(models, SAME_DEVIATION):
+            about = view.fitter
+            least = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least
+            while fitted.label not in view.own:
+                free_other_fitters(view.own, view.present.label)
+                fitted, about = self.refit_about_own_model(fitted, about, least=least)
+                view.add_relinearised_fit(fitted, about)
+                if fitted.effects and not fitted.is_supported and fitted.most > least:
+                    fitted = about.refit_without_weakest(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""
@@ -332,18 +334,11 @@ class SetSearch:
                     view.fit_if_promising(model)
 
     def fit_nearest_rivals(self, view: CandidateView) -> None:
-        """Fit the best rivals of each present effect even if they are improbable, so that reports can state their log odds.
-
-        They are not distinct from the best one in the linear model. If their deviations differ, they are refitted about
-        themselves: a weak rotor in place of a shifted centre of mass comes with other errors of the sensors.
-        """
+        """Fit the rivals of each present effect that the linear model does not distinguish from the best one, for reports."""
         for values in rival_sets(view):
-            least = max(values.values(), default=np.inf) - occam_window(view.present)
-            best = sorted((model for model in values if values[model] >= least), key=values.__getitem__, reverse=True)
-            for model in best[:MOST_RIVALS] if np.isfinite(least) else ():
-                view.fit_if_promising(model, however_far=True)
-                for fitted in view.moved_fits([model], SAME_DEVIATION):
-                    self.refit_with_parts(view, fitted)
+            least = max(values.values(), default=0.0) - occam_window(view.present)
+            models = [model for model in values if np.isfinite(values[model]) and values[model] >= least]
+            self.refit_sets_elsewhere(view, sorted(models, key=values.__getitem__, reverse=True)[:MOST_RIVALS])
 
     def make_candidate_view(
         self,
