@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.console import Console
 
 from aerial_gym.cli.terminal import open_in_browser, print_table, progress_bar
@@ -29,6 +30,13 @@ class CloseLoopCmd:
 
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
+    pair: Annotated[tuple[tuple[Path, Path], ...], tyro.conf.UseAppendAction] = ()
+    """Logs of two vehicles in one flight, each with its own position in the same world frame. Can be repeated, with the
+    vehicles in the same order. Each log then has the other vehicle's wake. Both vehicles share the robot's parameters."""
+
+    pair_clock_s: tuple[float, ...] = ()
+    """Added to the times of the second log of each --pair, which gives those of the first [s]; 0 if not given."""
 
     bandwidth_hz: float = 10.0
     """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
@@ -95,7 +103,7 @@ class CloseLoopCmd:
                 seed=self.seed, criteria=Criteria(material=self.material),
                 tolerances=None if self.tolerances is None else load(Tolerances, self.tolerances),
                 effects=self.effects, failures=self.failures, joints=self.joints, learn_residual=self.learn_residual,
-                ranges=self.ranges, settings=self.set, progress=progress,
+                ranges=self.ranges, settings=self.set, pairs=self.pair, pair_clocks=self.pair_clock_s, progress=progress,
             )  # fmt: skip
         if self.open:
             open_in_browser(self.out / "report.html")

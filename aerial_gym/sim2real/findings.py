@@ -20,6 +20,7 @@ _BY_SEVERITY = {
     Severity.RESULT: (
         # the answer
         "effect_found effects_none declared_explains failure_found joint_found joint_effort joints_felt "
+        "gusts_shared gusts_separate "
         "effect_immaterial errors_fall no_error_falls gusts_lower_no_error law_preferred load_robot_file keep_declared "
         # meaning of the verdict
         "trust_corrected trust_declared correction_helps "
@@ -34,6 +35,8 @@ _BY_SEVERITY = {
         "structure_found fly_structure train_with_failure failure_suspected at_bound "
         "joints_held values_redeclared vehicle_misfit tolerance_strained tolerances_cut_off strained_changes "
         "strained_changes_little "
+        # two vehicles
+        "clock_contradicted "
         # logs
         "log_simulated sensor_at_rest vertical_force_off spins_reversed "
         "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
@@ -64,6 +67,8 @@ _BY_SEVERITY = {
         "rival_less_probable rival_wider rival_not_rejected gusts_no_floor gusts_no_forces gusts_no_drag gusts_refused "
         "may_be_noise adds_too_little wrong_corr_time rival_process learned_refused gain_by_chance few_flights_better "
         "gain_small channel_worse channel_worse_in_flights no_velocity no_force share_small "
+        # two vehicles
+        "vehicle_alone clock_unchecked gusts_undecided "
         # rollouts
         "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short errors_at_floor errors_above_floor "
         # round trip
@@ -73,11 +78,12 @@ _BY_SEVERITY = {
     ),
     Severity.INFO: (
         # verdict
-        "controller_flown gusts_are_random band_limited few_flights "
+        "controller_flown clock_confirmed gusts_are_random band_limited few_flights "
         # logs
         "rows_with_bad_stamps rows_not_of_header rows_without_numbers rows_without_quaternion "
         "samples_with_bad_stamps clock_set_back clock_wrapped rows_copied blocks_ordered fields_filled battery_without_voltage "
-        "battery_filled mapping_note attitude_level attitude_integrated other_vehicle wind_not_declared wind_declared "
+        "battery_filled mapping_note attitude_level attitude_integrated other_vehicle flown_with wind_declared "
+        "wind_not_declared "
         "rows_cut rows_lost steps_resampled velocity_derived velocity_unknown force_derived rates_derived one_command "
         "torques_not_logged on_ground commands_copied commands_scaled relative_commands_scaled "
         "commands_mixed rotor_order_of_firmware reset_undone stream_moved rotor_log_moved position_jump samples_slow "

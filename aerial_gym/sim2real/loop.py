@@ -20,9 +20,11 @@ from aerial_gym.sim2real.identify.stages import LoopSetup, prepare_comparison
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
 from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
+from aerial_gym.sim2real.judge.pairs.vehicles import flights_by_vehicle, verdict_with_each_vehicle
 from aerial_gym.sim2real.judge.remainder import are_gusts_sufficient
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import Flight, FlightInputs, read_flight_inputs
+from aerial_gym.sim2real.logs.pairs import pair_logs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.memory import give_back_memory, keep_large_arrays_apart
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -42,7 +44,7 @@ def close_loop(
     mapping: str | Path | None = None, bandwidth: float = 10.0, seed: int = 0, criteria: Criteria | None = None,
     tolerances: Tolerances | None = None, effects: Sequence[str] | None = None, failures: bool = False,
     joints: bool = False, learn_residual: bool = False, ranges: bool = False, settings: Sequence[str] = (),
-    progress: Progress = silent,
+    pairs: Sequence[tuple[str | Path, str | Path]] = (), pair_clocks: Sequence[float] = (), progress: Progress = silent,
 ) -> Verdict:  # fmt: skip
     """Identify errors of the declared robot, and write verdict.json, robot.yaml, report.html, report.md and tables.
 
@@ -61,6 +63,9 @@ def close_loop(
         joints: Whether to fit the joint springs to the training flights as well (``fit_joints_to_flights``).
         learn_residual: Whether a small network may be added for the unexplained residual. It does not change the verdict.
         ranges: Whether robot.yaml also draws identified parameters from their uncertainty at every reset (``randomize:``).
+        pairs: Logs of two vehicles in one flight. Each of them sees the other one's position; those among the training and
+            test flights are of ``robot`` and share its parameters.
+        pair_clocks: Added to the times of the second log of each pair, which gives those of the first [s]; 0 if not given.
         settings: Changed settings ``KEY=VALUE`` of ``robot``, ``tolerances`` and ``criteria``: ``robot.body.mass=0.3``.
         progress: Called with each stage and the completed share.
 
@@ -81,7 +86,8 @@ def close_loop(
     with one_thread():
         progress("reading flights", 0.0)
         layout = None if mapping is None else find_mapping(mapping)
-        inputs = read_flight_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
+        together = pair_logs(pairs, pair_clocks)
+        inputs = read_flight_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth, pairs=together)
         for note in inputs.left_out:
             progress(text(note), 0.0)
         joint_study = _identify_joints(declared, inputs, progress) if joints else None
@@ -104,6 +110,7 @@ def close_loop(
             "robot": str(robot),
             "train": [str(path) for path in train],
             "test": [str(path) for path in test],
+            "pairs": [vars(pair) for pair in together],
             "mapping": None if mapping is None else str(mapping),
             "bandwidth_hz": bandwidth,
             "seed": seed,
@@ -155,6 +162,12 @@ def judge_flights(
     give_back_memory()
     judged = judge_on_test_flights(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
+    own = list(zip(flights_by_vehicle(learnt), flights_by_vehicle(judging), strict=True))
+    if judged.verdict.verdict == "unexplained" and all(part for parts in own for part in parts):
+        progress("each vehicle by itself", 0.95)
+        settings = {"bandwidth": bandwidth, "seed": seed, "criteria": criteria, "tolerances": off, "effects": effects}
+        alone = [judge_flights(robot, *parts, **settings).verdict for parts in own]
+        judged = replace(judged, verdict=verdict_with_each_vehicle(judged.verdict, alone))
     return result_with_failures(judged, told, len(flights)) if failures else result_with_suspicions(judged, seen)
 
 

@@ -23,10 +23,12 @@ from aerial_gym.sim2real.judge.outcome import (
     Outcome,
     channel_outcomes,
     decision_on_materiality,
+    decision_with_doubts,
     decision_with_harm,
     error_outcomes,
     verdict_decision,
 )
+from aerial_gym.sim2real.judge.pairs.clock import clock_findings
 from aerial_gym.sim2real.judge.predictive import notes_on_doubt, selection_with_test_odds
 from aerial_gym.sim2real.judge.random_wind.gusts import (
     NAME,
@@ -97,6 +99,8 @@ def judge_on_test_flights(
         gusts = (unexplained.wind.as_effect(declared.stated),)
     made = decision_with_gusts(declared, result, unexplained, gusts)
     made = decision_on_materiality(made, [one.material for one in (*effects, *gusts)])
+    clocks = clock_findings(declared.train, unexplained.within, result.criteria.significance)
+    made = decision_with_doubts(made, clocks)
     models, both, least = (declared.params, model), (before, named), result.criteria.material
     became = error_outcomes(tested, models, both, least=least) if effects or gusts else ()
     if any(one.is_materially_worse for one in became):
@@ -122,7 +126,7 @@ def judge_on_test_flights(
         unexplained=unexplained.channels, not_shown=unexplained.left_open, learned=learned,
         value_ties=result.value_ties,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
-        notes=verdict_notes(declared, result, model, unexplained, effects, named),
+        notes=(*clocks, *verdict_notes(declared, result, model, unexplained, effects, named)),
     )  # fmt: skip
     accepted = (*result.effect_names, *(effect.name for effect in gusts))
     gusty, wind = params, unexplained.wind

@@ -12,6 +12,7 @@ from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 MOST_GAINS = 2  # Largest number of errors that the gain names
+OF_PAIRS = {"vehicle_alone", "clock_contradicted", "gusts_undecided"}  # Open points that state the next step themselves
 GAIN_HORIZON_S = 1.0  # Horizon of the rollout that the gain may name [s]
 
 
@@ -168,6 +169,8 @@ def _rivals_in_part(effect: NamedEffect) -> Finding:
 def _next_steps(verdict: Verdict) -> Iterator[Finding]:
     """Yield the next steps: an experiment that decides what is open, then the robot file to use."""
     open_codes = {point.code for point in verdict.open_points}
+    if open_codes & OF_PAIRS:
+        return
     if verdict.verdict == "ambiguous":
         yield Finding("weigh_or_log") if verdict.manoeuvre is None else verdict.manoeuvre.finding
         return

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.findings import Finding, Severity
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -102,6 +102,15 @@ def decision_with_harm(made: Decision, harmed: Sequence[Outcome]) -> Decision:
 def decision_on_materiality(made: Decision, material: Sequence[bool | None]) -> Decision:
     """Return the decision; effects of which the test flights show none to be ``material`` explain nothing."""
     return replace(made, kind=NOT_SHOWN) if made.kind == "explained" and True not in material else made
+
+
+def decision_with_doubts(made: Decision, findings: Sequence[Finding]) -> Decision:
+    """Return the decision; findings that are warnings about the flights of pairs leave no verdict certain."""
+    doubts = tuple(finding for finding in findings if finding.severity == Severity.WARNING)
+    if not doubts:
+        return made
+    kind = "unexplained" if made.kind == "unexplained" else "ambiguous"
+    return replace(made, kind=kind, findings=(*doubts, *made.findings))
 
 
 def verdict_decision(

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -30,6 +30,7 @@ from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_f
 from aerial_gym.sim2real.logs.clock_offset import check_rotor_clock, with_rotors_on_sensor_clock
 from aerial_gym.sim2real.logs.command_scale import SCALED, with_common_command_scale
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
+from aerial_gym.sim2real.logs.pairs import LogPair, check_pairs, with_other_vehicle
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
@@ -124,11 +125,12 @@ def load_flights(
     bandwidth: float,
     learning: int | None = None,
     refused: list[DataError] | None = None,
+    pairs: Sequence[LogPair] = (),
 ) -> list[Flight]:
     """Return the flights in the files, with unique names; errors of unusable files are raised, or go to ``refused``.
 
     The first ``learning`` files (None: all) decide the common clock offset of the rotor logs; nothing else depends on
-    others.
+    others. ``pairs``: logs of two vehicles in one flight.
     """
     given: dict[Path, tuple[FlightLog, bool]] = {}  # With whether it is among the first ``learning``
     seen = LogRegister()
@@ -137,7 +139,7 @@ def load_flights(
             opened = open_log(path, mapping)
             for number in opened.numbers:
                 with _collect_refusals(refused):
-                    raw = opened.flight(number)
+                    raw = with_other_vehicle(opened.flight(number), pairs, mapping)
                     seen.add(raw)
                     log = derive_velocity(mend_position_jumps(resample_log(raw)))
                     given[real.with_name(Path(raw.path).name)] = (log, learning is None or index < learning)
@@ -300,6 +302,8 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         log.torques and not log.collective,
     )
     completed = {"time": log.time - log.time[0], "specific_force": specific_force, "notes": tuple(said)}
+    if log.pair is not None:
+        completed["pair"] = replace(log.pair, clock=log.pair.clock + float(log.time[0]))
     completed["setpoints"] = {name: (time - log.time[0], one) for name, (time, one) in log.setpoints.items()}
     return Flight(
         **(shared | completed),
@@ -330,15 +334,20 @@ def read_flight_inputs(
     *,
     mapping: LogMapping | None,
     bandwidth: float,
+    pairs: Sequence[LogPair] = (),
 ) -> FlightInputs:
     """Return the flights of the logs; unusable logs become findings as long as each role keeps a flight, else ``DataError``."""
     if not train or not test:
         raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
     check_bandwidth(bandwidth)
+    check_pairs(pairs, train, test)
     paths, refused = [*train, *test], list[DataError]()
     distinct_files(paths)
-    digests = file_digests(paths)
-    flights = load_flights(paths, robot, mapping=mapping, bandwidth=bandwidth, learning=len(train), refused=refused)
+    digests = file_digests(
+        dict.fromkeys(map(str, (*paths, *(log for pair in pairs for log in (pair.first, pair.second)))))
+    )
+    settings = {"mapping": mapping, "bandwidth": bandwidth, "pairs": pairs}
+    flights = load_flights(paths, robot, learning=len(train), refused=refused, **settings)
     to_train = {str(path) for path in train}
     files = [{f.path, split_flight_number(f.path)[0]} for f in flights]
     groups = [
@@ -365,16 +374,18 @@ def load_train_and_test(
     test: Sequence[str | Path],
     mapping: str | Path | None,
     bandwidth: float,
+    *,
+    pairs: Sequence[LogPair] = (),
 ) -> tuple[list[Flight], list[Flight]]:
     """Return training and test flights; raise ``DataError`` if any log is unusable."""
     layout = None if mapping is None else find_mapping(mapping)
-    inputs = read_flight_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
+    inputs = read_flight_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth, pairs=pairs)
     if inputs.left_out:
         raise DataError(f"left out: {inputs.left_out[0].values['error']}")
     return inputs.train, inputs.test
 
 
-def file_digests(paths: Sequence[str | Path]) -> dict[str, str]:
+def file_digests(paths: Iterable[str | Path]) -> dict[str, str]:
     """Return the SHA-256 of files by their paths, for a folder of its files together."""
     groups: dict[str, str] = {}
     for path in paths:

@@ -36,6 +36,15 @@ class StreamTiming:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PairMember:
+    """Place of a log among the logs of two vehicles in one flight."""
+
+    pair: int  # Number of the flight of two vehicles
+    vehicle: int  # 0 for the first vehicle of the pair, 1 for the second one
+    clock: float  # Added to the times of the log, gives the common clock [s]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Recording:
     """Common data of a log and its flight, in world ENU, body FLU and SI units; None: not measured."""
 
@@ -51,6 +60,7 @@ class Recording:
     lost: Flags | None = None  # Rows within a gap of the log, interpolated and not compared, (T,); None without gaps
     attitude_integrated: bool = False  # Whether the attitude is the integrated gyro, and so no independent measurement
     other_position: Array | None = None  # Body origin of another vehicle [m], world, (T, 3); NaN where unknown
+    pair: PairMember | None = None  # None: not given as the log of one of two vehicles
     ground_height: float = 0.0  # World z of the ground [m]
     ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
     wind: tuple[float, float, float] | None = None  # Known steady wind [m/s], world; None: still air is assumed
@@ -159,6 +169,16 @@ def row_arrays(log: Recording) -> dict[str, Array]:
 def longest_bridgeable_gap(step: float) -> float:
     """Return the longest bridgeable time gap [s] for a usual step [s]."""
     return max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S)
+
+
+def position_at_times(log: Recording, time: Array) -> Array:
+    """Return the position at other times on the clock of the log [m], (T, 3); NaN within gaps and outside the log."""
+    assert log.position is not None
+    place = np.stack([np.interp(time, log.time, one, left=np.nan, right=np.nan) for one in log.position.T], axis=1)
+    after = np.clip(np.searchsorted(log.time, time), 1, log.time.size - 1)
+    steps = np.diff(log.time)
+    place[steps[after - 1] > longest_bridgeable_gap(float(np.median(steps)))] = np.nan
+    return place
 
 
 def interpolate_setpoint(log: Recording, name: str) -> tuple[Array, Flags]:

@@ -9,6 +9,7 @@ from aerial_gym.sim2real.json_values import map_leaves
 from aerial_gym.sim2real.wording.answer import ANSWER, TRUST
 from aerial_gym.sim2real.wording.logs import LOGS
 from aerial_gym.sim2real.wording.notes import NOTES, REASONS
+from aerial_gym.sim2real.wording.pairs import PAIRS
 from aerial_gym.sim2real.wording.preflight import PREFLIGHT
 from aerial_gym.sim2real.wording.teststand import TESTSTAND
 from aerial_gym.sim2real.wording.words import Template, template_sentence
@@ -19,6 +20,7 @@ TEMPLATES: dict[str, Template] = {
     **NOTES,
     **REASONS,
     **LOGS,
+    **PAIRS,
     **TESTSTAND,
     **PREFLIGHT,
 }  # Template of each code

@@ -174,7 +174,7 @@ TRUST: dict[str, Template] = {
     "trust_as_shown": "The declared vehicle explains the training flights; the test flights hold more, which they leave open.",
     "trust_as_trained": "The training flights speak for the corrected vehicle; the test flights do not confirm it.",
     "trust_nothing": "Do not trust the simulator in the channels that remain unexplained.",
-    "trust_ambiguous": "The remaining error may be an effect that the training flights do not show.",
+    "trust_ambiguous": "These flights leave open which model is right.",
     "ties_named": "{subject} may also be {others:or}.",
     "certain_beside_ties": "This doubt does not concern {effects:names}.",
     "correction_harms": (

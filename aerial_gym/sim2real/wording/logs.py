@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import Template, join_words, number_text, value_text
+from aerial_gym.sim2real.wording.words import Template, join_words, number_text, percent_text, value_text
 
 
 def _place_list(items: Sequence[object], count: int, word: str = "line") -> str:
@@ -41,6 +41,14 @@ def _late_blocks_sentence(finding: Finding) -> str:
     start = f"Topic {values['topic']}: " if values["topic"] else ""
     where = _place_list(values["places"], values["blocks"], "sample" if values["topic"] else "line")
     return f"{start}{values['blocks']} blocks of rows were written late and are put in order of time, from {where}."
+
+
+def _sentence_on_other_log(finding: Finding) -> str:
+    values = finding.values
+    clock = f", whose times are shifted by {values['clock_s']:+g} s" if values["clock_s"] else ""
+    away = f", {values['nearest_m']:.2f} to {values['farthest_m']:.2f} m away" if "nearest_m" in values else ""
+    share = percent_text(values["share"])
+    return f"The other vehicle of this flight is in {values['file']}{clock}: in {share} of the rows{away}."
 
 
 def _vector_text(values: Sequence[float], half_widths: Sequence[float | None]) -> str:
@@ -191,6 +199,7 @@ LOGS: dict[str, Template] = {
     "mapping_note": "{text}",
     "attitude_level": "The attitude is not logged and is taken as level.",
     "attitude_integrated": "The attitude is not logged: it is integrated from the gyro, and only body axes are compared.",
+    "flown_with": _sentence_on_other_log,
     "other_vehicle": "The position of the other vehicle is from {file}.",
     "wind_not_declared": "The mapping declares no wind for a file of this name; still air is assumed.",
     "wind_declared": "The declared wind is ({wind_m_s[0]:g}, {wind_m_s[1]:g}, {wind_m_s[2]:g}) m/s, world axes.",

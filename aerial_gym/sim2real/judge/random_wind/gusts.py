@@ -17,6 +17,7 @@ from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding, finding_on_refusal
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, NOTHING_NAMED, Decision
+from aerial_gym.sim2real.judge.random_wind.common_wind import CommonWind, correlation_of_winds, winds_of_pairs
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     WindSeries,
@@ -60,6 +61,8 @@ class RandomWind:
     gain: float = 0.0
     """Log likelihood that a vertical axis of its own gains, less the cost of its two parameters."""
 
+    common: CommonWind | None = None  # Whether both vehicles of a pair feel it; None without pairs
+
     @property
     def is_accepted(self) -> bool:
         """Whether the flights show gusts."""
@@ -77,7 +80,8 @@ class RandomWind:
             laws = LAWS if self.vertical else LAWS[::-1]
             odds = self.gain if self.vertical else -self.gain
             law = Finding("law_preferred", NAME, {"law": laws[0], "other": laws[1], "log_odds": odds})
-            return (Finding("gusts_are_random", NAME), *([law] if self.gain else []))
+            both = [] if self.common is None else [self.common.finding]
+            return (Finding("gusts_are_random", NAME), *both, *([law] if self.gain else []))
         return (finding_on_refusal("gusts_refused", NAME, self.objections),) if self.objections else ()
 
     def decision(self, made: Decision) -> Decision:
@@ -86,6 +90,8 @@ class RandomWind:
             return made
         if made.kind not in NOTHING_NAMED:
             return replace(made, candidates=(*made.candidates, NAME))
+        if self.common is not None and self.common.finding.code == "gusts_undecided":
+            return Decision(kind="ambiguous", candidates=(NAME,), findings=(self.common.finding, *made.findings))
         rest = made.findings if made.kind == NOT_SHOWN else (Finding("gusts_reach_floor", NAME),)
         return Decision(kind="explained", candidates=(NAME,), findings=rest)
 
@@ -158,7 +164,14 @@ def find_random_wind(
     if not remaining[places].any():
         return RandomWind()
     series = wind_series(predictor, params, response, places)
-    fit = fit_process(series)
+    fit, common = fit_process(series), None
+    residuals = [left[:, places, None] for left in predictor.residuals(params)]
+    winds = [np.linalg.solve(gain, left)[:, :, 0] for gain, left in zip(response, residuals, strict=True)]
+    if pairs := winds_of_pairs(predictor.flights, predictor.times, winds, series.step):
+        common = correlation_of_winds(pairs, series, fit)
+        if common.probability > 0.5:  # two logs of one wind count once
+            series = series.select([k for k, f in enumerate(predictor.flights) if f.pair is None or not f.pair.vehicle])
+            fit = fit_process(series)
     results = RandomWind(
         fit.std,
         fit.corr_time,
@@ -166,6 +179,7 @@ def find_random_wind(
         p_value_of_noise(series, fit),
         vertical=fit.vertical,
         gain=fit.gain,
+        common=common,
     )
     added, still = results.channel_rms(predictor, params)[places], floor[places]
     share, seen = 1.0 - still / np.hypot(still, added), added > criteria.visible * tolerated[places]

@@ -45,6 +45,12 @@ class WindSeries:
     step: float  # Time between rows [s]
     bandwidth: float  # Bandwidth of the comparison [Hz]
 
+    def select(self, flights: Sequence[int]) -> "WindSeries":
+        """Return the series of some flights."""
+        features = {name: [parts[k] for k in flights] for name, parts in self.features.items()}
+        offsets = [self.offsets[k] for k in flights] if self.offsets else []
+        return replace(self, wind=[self.wind[k] for k in flights], offsets=offsets, features=features)
+
 
 def covariance_of_filtered_process(corr_time: float, bandwidth: float, lags: Array) -> Array:
     """Return the covariance of a low-passed Ornstein-Uhlenbeck process of unit variance at some lags [s].

@@ -31,10 +31,9 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
 from aerial_gym.sim2real.logs.readers.log_readers import read_csv_export
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.readers.setpoints import setpoints_in_package_axes
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, absent_pairs
+from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, absent_pairs, position_at_times
 from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 
-COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
 LONGEST_FACTS = 1_000_000  # Largest length of the line with facts [B]; the parameters of a firmware have 50,000
 HELD = ("rotor_command", "rotor_share", *STATES)  # Quantities whose empty fields keep the value before
 EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))  # Column names of Euler angles, for a missing quaternion
@@ -192,11 +191,7 @@ def _companion_position(path: Path, layout: LogMapping, time: Array, notes: list
         partner = path.parent / path.name.replace(text, other)
         if text not in path.name or partner == path or not partner.exists() or layout.position is None:
             continue
-        log = read_csv_log(partner, replace(layout, companion={})).rows
-        assert log.position is not None
-        place = np.stack([np.interp(time, log.time, p, left=np.nan, right=np.nan) for p in log.position.T], axis=1)
-        after = np.clip(np.searchsorted(log.time, time), 1, log.time.size - 1)
-        place[log.time[after] - log.time[after - 1] > COMPANION_GAP_S] = np.nan
+        place = position_at_times(read_csv_log(partner, replace(layout, companion={})).rows, time)
         notes.append(Finding("other_vehicle", "", {"file": partner.name}))
         return place
     return None

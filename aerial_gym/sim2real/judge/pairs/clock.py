@@ -1,0 +1,99 @@
+"""The check of the clocks of two vehicles' logs: the time at which one feels the wake of the other. Letters: T rows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects.air_motion import FITTED_WIDTHS
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.least_squares.moments import share_of_independent_rows
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.recording import LATE_S
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
+from aerial_gym.sim2real.statistics import chi_square_tail
+
+OFFSETS = np.linspace(-1.0, 1.0, 201)  # Tried offsets of the second clock [s]
+WIDTHS = np.geomspace(FITTED_WIDTHS[0], FITTED_WIDTHS[-1], 8)  # Tried widths of the wake [m]
+INTERVAL = (
+    1.92  # Fall of the log likelihood at the ends of a 95 % interval: half the chi-squared quantile of one number
+)
+LATE = float(
+    np.hypot(2.0 * LATE_S, OFFSETS[1] - OFFSETS[0])
+)  # Standard deviation of the offset by delays of sensors [s]
+WAKE = "downwash"
+
+
+def clock_findings(predictor: Predictor, params: ModelParams, significance: float) -> list[Finding]:
+    """Return a finding on each pair of logs: the wake confirms or contradicts the common clock, or none shows it.
+
+    The residual of the force without the wake is compared with a Gaussian wake of any width, at any offset of the clocks.
+    ``significance``: largest p-value of a wake, and of another offset than the stated one, times the number of trials.
+    """
+    places = [place for place, channel in enumerate(predictor.channels) if channel.kind == "specific_force"]
+    still = {name: values for name, values in params.effects.items() if EFFECTS.get(name).cause != WAKE}
+    parts = dict[int, list[int]]()
+    for place, flight in enumerate(predictor.flights):
+        if flight.pair is not None and flight.position is not None and len(places) == 3:
+            parts.setdefault(flight.pair.pair, []).append(place)
+    residuals, results = predictor.residuals(replace(params, effects=still)) if parts else [], list[Finding]()
+    for own in parts.values():
+        seen = [(predictor.flights[k], predictor.times[k], residuals[k][:, places]) for k in own]
+        name = " and ".join(flight.name for flight, _, _ in seen)
+        results.append(_finding_on_clock(name, log_likelihood_gains(seen), significance))
+    return results
+
+
+def log_likelihood_gains(seen: Sequence[tuple[Flight, Array, Array]]) -> Array:
+    """Return the log likelihood that a wake gains at each of ``OFFSETS``, by flight, times [s] (T,) and residual (T, 3).
+
+    No wake pushes upwards, so other residuals gain as much by it as by the same push downwards: the largest such gain is
+    subtracted.
+    """
+    force = np.concatenate([part - part.mean(axis=0) for _, _, part in seen])
+    projections, sizes = np.zeros((2, OFFSETS.size, WIDTHS.size))
+    for flight, time, part in seen:
+        rows = rows_at_times(flight, time)
+        assert flight.pair is not None
+        assert flight.position is not None
+        assert flight.other_position is not None
+        down = Rotation.from_quat(flight.attitude[rows]).apply([0.0, 0.0, -1.0], inverse=True)
+        sign = 1.0 if flight.pair.vehicle else -1.0  # the other log is the second one for the first vehicle
+        for index, offset in enumerate(OFFSETS):
+            at = time + sign * offset
+            other = np.stack(
+                [np.interp(at, flight.time, one, np.nan, np.nan) for one in flight.other_position.T], axis=1
+            )
+            away = other - flight.position[rows]
+            acts = (away[:, 2] > 0.0)[:, None]  # False where the other vehicle is unknown
+            square = np.where(acts, (away[:, :2] ** 2).sum(axis=1)[:, None], 0.0)
+            wake = (acts * np.exp(-0.5 * square / WIDTHS**2))[:, None] * down[:, :, None]
+            wake -= wake.mean(axis=0)
+            projections[index] += np.einsum("tc,tcw->w", part - part.mean(axis=0), wake)
+            sizes[index] += (wake**2).sum(axis=(0, 1))
+    gains = np.maximum(projections, 0.0) ** 2 / np.maximum(
+        sizes, 1e-9
+    )  # fall of the sum of squares; a wake pushes down
+    left = float((force**2).sum()) - float(gains.max())
+    share = float(np.mean([share_of_independent_rows(part).mean() for _, _, part in seen]))
+    return 0.5 * share * force.size * gains.max(axis=1) / left
+
+
+def _finding_on_clock(name: str, gains: Array, significance: float) -> Finding:
+    best, stated = int(gains.argmax()), int(np.abs(OFFSETS).argmin())
+    near = OFFSETS[gains > gains[best] - INTERVAL]
+    values = {"offset_s": float(OFFSETS[best]), "half_width_s": 0.5 * float(near[-1] - near[0])}
+    trials = gains.size * WIDTHS.size
+    other = gains.size * chi_square_tail(2.0 * float(gains[best] - gains[stated]), 1)
+    late = chi_square_tail(
+        (values["offset_s"] / LATE) ** 2, 1
+    )  # both logs' positions and forces come late by themselves
+    if trials * chi_square_tail(2.0 * float(gains[best]), 1) < significance > max(other, late):
+        return Finding("clock_contradicted", name, values)
+    seen = trials * chi_square_tail(2.0 * float(gains[stated]), 1) < significance
+    return Finding("clock_confirmed", name, values) if seen else Finding("clock_unchecked", name)

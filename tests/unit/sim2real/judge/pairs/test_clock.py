@@ -1,0 +1,70 @@
+"""Clocks of two vehicles' logs, checked by the wake that one feels of the other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.judge.pairs.clock import OFFSETS, _finding_on_clock, log_likelihood_gains
+from aerial_gym.sim2real.logs.recording import PairMember
+from tests.unit.sim2real.predict.test_scene import hover
+
+RATE = 100.0
+
+
+def make_pass(offset: float, force: float, *, seed: int = 0, vehicle: int = 0) -> tuple:
+    """Return a hover below a vehicle that passes back and forth, and its residual with a wake 20 cm wide that is really so
+    much off the clock; noise of 0.05 m/s² in every row."""
+    base = hover("low", 1.0)
+    count = base.num_rows
+    time = np.arange(count) / RATE
+    sign = 1.0 if vehicle else -1.0
+
+    def level_place(at: np.ndarray) -> np.ndarray:
+        return 0.6 * np.sin(2.0 * at + 0.3)
+
+    zeros = np.zeros(count)
+    other = np.stack((level_place(time), zeros, zeros + 3.0), axis=1) + base.position * (1.0, 1.0, 0.0)
+    flight = replace(
+        base, time=time, rate=RATE, other_position=other, pair=PairMember(pair=0, vehicle=vehicle, clock=0.0)
+    )
+    residual = 0.05 * np.random.default_rng(seed).standard_normal((count, 3))
+    residual[:, 2] -= force * np.exp(-0.5 * (level_place(time + sign * offset) / 0.2) ** 2)
+    return flight, time, residual
+
+
+@pytest.mark.parametrize("vehicle", [0, 1])
+@pytest.mark.parametrize(
+    ("offset", "code"), [(0.0, "clock_confirmed"), (0.23, "clock_contradicted"), (-0.4, "clock_contradicted")]
+)
+def test_the_wake_shows_the_offset_of_the_second_clock(vehicle: int, offset: float, code: str) -> None:
+    finding = _finding_on_clock("a and b", log_likelihood_gains([make_pass(offset, 0.4, vehicle=vehicle)]), 0.001)
+    assert finding.code == code
+    assert finding.values["offset_s"] == pytest.approx(offset, abs=0.03)
+    assert finding.values["half_width_s"] < 0.05
+
+
+def test_both_vehicles_below_each_other_have_one_offset() -> None:
+    gains = log_likelihood_gains([make_pass(0.3, 0.4, vehicle=vehicle) for vehicle in (0, 1)])
+    assert OFFSETS[gains.argmax()] == pytest.approx(0.3, abs=0.03)
+    against = log_likelihood_gains(
+        [make_pass(0.3, 0.4, vehicle=0), make_pass(-0.3, 0.4, vehicle=1)]
+    )  # a late wake, not a clock
+    assert against.max() < 0.8 * gains.max()
+
+
+def test_without_a_wake_nothing_checks_the_clocks() -> None:
+    for seed in range(20):
+        finding = _finding_on_clock("a and b", log_likelihood_gains([make_pass(0.2, 0.0, seed=seed)]), 0.001)
+        assert finding.code == "clock_unchecked"
+    upwards = _finding_on_clock("a and b", log_likelihood_gains([make_pass(0.0, -0.4)]), 0.001)
+    assert upwards.code != "clock_confirmed"
+
+
+def test_a_weak_wake_at_another_offset_confirms_nothing() -> None:
+    """A gain of 13 at 0.4 s is significant, but not against 5 at the stated offset, which is no wake either."""
+    gains = 13.0 * np.exp(-0.5 * ((OFFSETS - 0.4) / 0.05) ** 2)
+    gains[np.abs(OFFSETS) < 0.02] = 5.0
+    assert _finding_on_clock("a and b", gains, 0.001).code == "clock_unchecked"
+    gains[np.abs(OFFSETS) < 0.02] = 40.0
+    assert _finding_on_clock("a and b", gains, 0.001).code == "clock_confirmed"
