@@ -24,7 +24,7 @@ from rich.progress import track
 
 from benchmarks.markdown import table
 from benchmarks.scores.score_table import share_text
-from benchmarks.scores.score_undeclared import Job, run_jobs
+from benchmarks.scores.score_undeclared import Job, run_jobs, score_case
 from benchmarks.undeclared.effects import CAUSES, EFFECTS, cause_names
 from benchmarks.undeclared.evidence import SHOWN
 from benchmarks.undeclared.loggers import LOGGERS
@@ -78,7 +78,8 @@ class LoggerScoreCmd:
         """Score the cases and print the scores; return the exit status."""
         jobs, rows = self.plan_jobs(), []
         console = Console(stderr=True)
-        for row in track(run_jobs(jobs, processes=self.workers, out=self.out), "cases", len(jobs), console=console):
+        scored = run_jobs(jobs, processes=self.workers, out=self.out, score=score_case)
+        for row in track(scored, "cases", len(jobs), console=console):
             rows.append(row)
             if self.json:
                 print(json.dumps(row), flush=True)

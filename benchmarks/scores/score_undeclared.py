@@ -17,14 +17,14 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 import tyro
 from rich.console import Console
@@ -36,6 +36,18 @@ from benchmarks.undeclared import EFFECTS, LOGGED, TRACKED, UNKNOWN, make_case
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+class JobWithKey(Protocol):
+    """A case to score whose result is kept in a file."""
+
+    @property
+    def key(self) -> str:
+        """Name of the result file."""
+        ...
+
+
+ScoredJob = TypeVar("ScoredJob", bound=JobWithKey)
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -227,7 +239,13 @@ def _over_floor(model: dict[str, dict[str, dict[str, float]]]) -> float:
     )
 
 
-def run_jobs(jobs: list[Job], *, processes: int, out: Path | None) -> Iterator[dict[str, object]]:
+def run_jobs(
+    jobs: Sequence[ScoredJob],
+    *,
+    processes: int,
+    out: Path | None,
+    score: Callable[[ScoredJob], dict[str, object]],
+) -> Iterator[dict[str, object]]:
     """Yield the rows as they come: those kept in ``out`` first, then the others, which are kept as they come."""
     todo = []
     for job in jobs:
@@ -236,9 +254,7 @@ def run_jobs(jobs: list[Job], *, processes: int, out: Path | None) -> Iterator[d
             yield json.loads(kept.read_text())
         else:
             todo.append(job)
-    scored = (
-        ((job, score_case(job)) for job in todo) if processes == 1 else run_in_processes(score_case, todo, processes)
-    )
+    scored = ((job, score(job)) for job in todo) if processes == 1 else run_in_processes(score, todo, processes)
     for job, row in scored:
         if out is not None and "error" not in row:  # a failed case is to be tried again
             out.mkdir(parents=True, exist_ok=True)
@@ -300,7 +316,7 @@ class ScoreCmd:
         if not self.json:
             print(table(HEADS), flush=True)
         rows = []
-        console, scored = Console(stderr=True), run_jobs(jobs, processes=self.jobs, out=self.out)
+        console, scored = Console(stderr=True), run_jobs(jobs, processes=self.jobs, out=self.out, score=score_case)
         for row in track(scored, "cases", len(jobs), console=console, disable=not console.is_terminal):
             rows.append(row)
             print(json.dumps(row) if self.json else table_row(_table_cells(row)), flush=True)

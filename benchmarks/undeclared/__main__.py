@@ -1,6 +1,7 @@
 """Fly one case: ``python -m benchmarks.undeclared --out DIR --effect com_offset --size moderate --seed 3``.
 
-With ``--cases`` many cases are flown and scored: ``--loggers px4 --cases 100 --workers 16 --out DIR`` (``score_loggers``).
+With ``--cases`` many cases are flown and scored: ``--loggers px4 --cases 100 --workers 16 --out DIR`` (``score_loggers``), with
+``--pairs`` those of two vehicles (``score_pairs``).
 """
 
 import sys
@@ -66,6 +67,10 @@ def main(arguments: list[str]) -> int:
     """Fly one case, or score many; return the exit status."""
     if "--cases" not in arguments:
         return tyro.cli(CaseCmd, args=arguments, description=__doc__).run()
+    if "--pairs" in arguments:
+        from benchmarks.scores.score_pairs import PairScoreCmd
+
+        return tyro.cli(PairScoreCmd, args=arguments, description=__doc__).run()
     from benchmarks.scores.score_loggers import LoggerScoreCmd
 
     return tyro.cli(LoggerScoreCmd, args=arguments, description=__doc__).run()

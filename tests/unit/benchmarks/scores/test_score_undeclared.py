@@ -87,7 +87,7 @@ def fake_row(job: Job) -> dict[str, object]:
     return {**row, "features": list(job.features), **judge_verdict(given, truth), "fly_s": 1.0, "loop_s": 2.0}
 
 
-def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_continues(tmp_path: Path) -> None:
     jobs, made = plan_jobs(effects=["rotor_drag"], seeds=[1, 2]), []
 
     def score_job(job: Job) -> dict[str, object]:
@@ -96,11 +96,10 @@ def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.Monkey
             raise KeyboardInterrupt
         return {**fake_row(job), **({"error": "DataError: x", "right": False} if len(made) == 2 else {})}
 
-    monkeypatch.setattr(score_undeclared, "score_case", score_job)
     with pytest.raises(KeyboardInterrupt):
-        list(run_jobs(jobs, processes=1, out=tmp_path))
+        list(run_jobs(jobs, processes=1, out=tmp_path, score=score_job))
     assert [path.name for path in tmp_path.iterdir()] == [f"{jobs[0].key}.json"]
-    assert len(list(run_jobs(jobs, processes=1, out=tmp_path))) == len(jobs) == 4
+    assert len(list(run_jobs(jobs, processes=1, out=tmp_path, score=score_job))) == len(jobs) == 4
     assert made[3:] == jobs[1:]
     assert json.loads((tmp_path / f"{jobs[3].key}.json").read_text())["hidden"] == "rotor_drag"
 
