@@ -12,6 +12,7 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import close_loop, find_mapping, read_flight_log, replay
+from benchmarks.scores.score_measured import write_log_part
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -190,3 +191,26 @@ def test_the_passing_vehicle_is_found() -> None:
     log = read_flight_log(DATA / "neural_swarm" / "swap_ss_00_cf51.csv", mapping=find_mapping("neural_swarm"))
     assert log.other_position is not None
     assert log.battery is not None
+
+
+@pytest.mark.slow
+def test_the_wake_of_a_pair_is_named_beside_the_ground_effect_of_other_flights(tmp_path: Path) -> None:
+    """Two Crazyflies that pass over each other, half of each log, and two ground flights (Neural-Swarm). Measured: vertical
+    force error -39 % on the other half, held to 80 % of that."""
+    parts = {
+        (vehicle, number): write_log_part(DATA / "neural_swarm" / f"swap_ss_00_{vehicle}.csv", tmp_path, number)
+        for vehicle in ("cf50", "cf51")
+        for number in (0, 1)
+    }
+    pairs = [(parts["cf50", number], parts["cf51", number]) for number in (0, 1)]
+    train = [
+        *pairs[0][:1],
+        *(DATA / "neural_swarm" / f"{name}.csv" for name in ("groundflight_cf50_a", "takeoff_cf52")),
+    ]
+    settings = {"mapping": "neural_swarm", "bandwidth": 8.0, "pairs": pairs}
+    verdict = close_loop("crazyflie_21", train, pairs[1][:1], tmp_path / "out", **settings)
+    assert {"downwash", "ground_effect_curve"} <= {effect.name for effect in verdict.effects}
+    force = [
+        result["specific_force"]["z"]["rms"] for result in (verdict.before.as_mapping(), verdict.after.as_mapping())
+    ]
+    assert force[1] < (1.0 - 0.8 * 0.39) * force[0]
