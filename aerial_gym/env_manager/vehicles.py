@@ -209,7 +209,7 @@ class Vehicles:
         for group in self.groups:
             group.refresh(span)
         if self._network is not None:
-            self._network.step()
+            self._network.exchange()
 
     def render(self, mask: Tensor | None) -> None:
         """Read all range sensors, or those of environments (E,) or of vehicles (E, T) in a bool mask."""
@@ -257,7 +257,7 @@ class Vehicles:
             group.collision.measure()
         self._collision.measure()
         if self._network is not None:
-            self._network.begin()
+            self._network.exchange(begins=True)
 
     def check_mask(self, mask: Tensor) -> None:
         """Raise an error for a mask that is neither (E,) nor (E, T), and for single vehicles in shared gusts."""

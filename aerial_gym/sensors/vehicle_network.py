@@ -149,7 +149,7 @@ class VehicleNetwork:
         Args:
             kinds: Tensors and random numbers of the bodies of each kind.
             states: Position, attitude and velocity of all vehicles first, world, (N, 13).
-            starts: Vehicles that begin an episode, bool, (E, T); read by ``begin``.
+            starts: Vehicles that begin an episode, bool, (E, T); read where ``exchange`` begins.
             dt: Length of an environment step [s].
         """
         device, (num_envs, total) = states.device, starts.shape
@@ -166,18 +166,13 @@ class VehicleNetwork:
         self._launches = {
             begins: [
                 ReusableLaunch(_send, dim=(num_envs, total), inputs=[network, begins], device=device),
-                *(
-                    ReusableLaunch(
-                        _receive,
-                        dim=(num_envs, slots.counts[kind], total - 1),
-                        inputs=[scene.arrays, network, each, slots.first_slot(kind), begins],
-                        device=device,
-                    )
-                    for kind, each in enumerate(heard)
-                ),
+                *(ReusableLaunch(
+                    _receive, dim=(num_envs, slots.counts[kind], total - 1), device=device,
+                    inputs=[scene.arrays, network, each, slots.first_slot(kind), begins],
+                ) for kind, each in enumerate(heard)),
             ]
             for begins in (False, True)
-        }
+        }  # fmt: skip
 
     def _declare(self, kind: int, bodies: GlobalTensorDictionary, random: Randomness, neighbours: int) -> _Reception:
         """Declare the keys of a kind and return what its kernel writes."""
@@ -191,15 +186,8 @@ class VehicleNetwork:
             kept[f"{key.removeprefix('neighbour_')}_out"] = bodies.declare(spec)
         return make_struct(_Reception, random=random_arrays(random), **kept)
 
-    def step(self) -> None:
-        """Exchange the states at the end of a step."""
-        self._launch(begins=False)
-
-    def begin(self) -> None:
-        """Tell each other the states of vehicles that begin an episode."""
-        self._launch(begins=True)
-
-    def _launch(self, *, begins: bool) -> None:
+    def exchange(self, *, begins: bool = False) -> None:
+        """Exchange the states at the end of a step, or tell each other those of vehicles that begin an episode."""
         for launch in self._launches[begins]:
             launch.launch(self._like)
 
