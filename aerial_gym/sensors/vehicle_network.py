@@ -67,20 +67,16 @@ class _Reception:
 
 @wp.kernel(enable_backward=False)
 def _send(network: _Network, begins: wp.bool):
-    """Send the state of each vehicle; where an episode begins, fill the past with it."""
+    """Send the state of each vehicle, or that of vehicles whose episode begins, as message 0."""
     env, t = wp.tid()
+    if begins and not network.starts[env, t]:
+        return
     row = network.slots[t].first_row + env * network.slots[t].row_step
-    past = network.sent_position.shape[0]
-    if begins and network.starts[env, t]:
-        network.sent[row] = 0
-        for k in range(past):
-            network.sent_position[k, row] = network.position[row]
-            network.sent_velocity[k, row] = network.velocity[row]
-    if not begins:
-        count = network.sent[row] + 1
-        network.sent[row] = count
-        network.sent_position[count % past, row] = network.position[row]
-        network.sent_velocity[count % past, row] = network.velocity[row]
+    count = wp.where(begins, 0, network.sent[row] + 1)
+    network.sent[row] = count
+    k = count % network.sent_position.shape[0]
+    network.sent_position[k, row] = network.position[row]
+    network.sent_velocity[k, row] = network.velocity[row]
 
 
 @wp.func

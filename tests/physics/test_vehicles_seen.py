@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager, SimBuilder
 from aerial_gym.assets import Scene
-from aerial_gym.config.environment import EnvironmentCfg, PartCfg, ShapeCfg
+from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import CollisionCfg, RobotCfg, SphereCfg
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
@@ -251,8 +251,15 @@ def test_vehicles_far_apart_see_what_single_vehicles_see_bit_for_bit(mount) -> N
 
 
 def test_an_environment_sees_the_same_alone_and_among_others(mount) -> None:
-    """Two kinds among moving obstacles, with noise: environment 1 alone, and of two."""
-    env = replace(ENVIRONMENTS.get("dynamic_env"), reset_together=True)
+    """Two kinds among obstacles whose order is drawn, with noise: environment 1 alone, and of two."""
+    crowd = tuple(
+        AssetCfg(
+            name=kind, count=8, semantic_id=number, shapes=(ShapeCfg(kind=kind, radius=0.3, height=1.0),),
+            position_ratio_low=(0.2, 0.0, 0.0), position_ratio_high=(1.0, 1.0, 1.0),
+        )
+        for number, kind in ((3, "cylinder"), (4, "capsule"))
+    )  # fmt: skip
+    env = replace(ENVIRONMENTS.get("env_with_obstacles"), reset_together=True, assets=crowd)
     results = []
     for num_envs, first in ((E, 0), (1, 1)):
         many = build((mount(QUAD, NOISY), 2), (mount(QUAD, LIDAR), 1), env=env, num_envs=num_envs, first_env=first)

@@ -132,7 +132,8 @@ def test_messages_are_lost_at_their_rate_and_the_last_one_is_kept() -> None:
     deviation = rate * (1.0 - rate)
     both_ways = (lost[:, :, 0, 0] - rate) * (lost[:, :, 1, 0] - rate)  # from 1 to 0, and from 0 to 1
     in_a_row = (lost[1:] - rate) * (lost[:-1] - rate)
-    for product in (both_ways, in_a_row):
+    by_one = (lost[..., 0] - rate) * (lost[..., 1] - rate)  # to one vehicle, from two
+    for product in (both_ways, in_a_row, by_one):
         assert product.mean().abs() < 5.0 * deviation / product.numel() ** 0.5
 
 
@@ -171,6 +172,8 @@ def test_a_wall_blocks_the_line_of_sight() -> None:
     for y in (0.0, 0.5, 0.95, 1.05, 1.5, -0.95, -1.05):
         line_up(env, [[-1.5, y, 0.0], [1.5, y, 0.0]])
         assert (reception(env)["in_sight"] == (abs(y) > 1.0)).all(), y
+    line_up(env, [[-1.5, 0.95, 0.95], [1.5, 0.95, 0.95]])  # at a corner
+    assert not reception(env)["in_sight"].any()
     line_up(env, [[0.5, 0.0, 0.0], [1.5, 0.0, 0.0]])
     assert reception(env)["in_sight"].all()
     line_up(env, [[-1.5, 0.0, 0.0], [1.5, 2.2, 0.0]])  # passes the wall's plane at y = 1.1 m

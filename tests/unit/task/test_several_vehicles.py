@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym import ENVIRONMENTS, SimBuilder, Task, task_registry
-from aerial_gym.config.task_terms import ObservationCfg, TerminationCfg
+from aerial_gym.config.task_terms import ImageCfg, ObservationCfg, TerminationCfg
+from aerial_gym.config.vehicles import NetworkCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task.step.row_kernels import StepKernel
@@ -243,3 +244,31 @@ def test_a_saved_state_goes_on_bit_for_bit() -> None:
         for a, b in zip(task.step(actions(task, step))[:4], other.step(actions(other, step))[:4], strict=True):
             for key in a if isinstance(a, dict) else [None]:
                 assert torch.equal(a if key is None else a[key], b if key is None else b[key])
+
+
+def test_vehicles_observe_their_network_and_their_cameras() -> None:
+    """The keys of the network are terms by their names; image frames of a vehicle that starts are those at its start."""
+    keys = [f"neighbour_{name}" for name in ("range", "bearing", "velocity", "age", "in_sight")]
+    cfg = replace(
+        FORMATION, env=replace(ENVIRONMENTS.get(FORMATION.env), network=NetworkCfg(dropout=0.5)), episode_len_steps=7,
+        observations={"policy": tuple(ObservationCfg(term=key) for key in keys)},
+        images={"depth": ImageCfg(dtype="float32", history=2)},
+    )  # fmt: skip
+    env = SimBuilder().build_env(
+        sim_name=cfg.sim, env_name=cfg.env, robots=[{"name": "base_quadrotor_with_coarse_camera", "count": ROWS}],
+        controller_name=cfg.controller, num_envs=E, device="cpu", seed=3,
+    )  # fmt: skip
+    task = Task(cfg, env)
+    task.reset()
+    ends = 0
+    for step in range(40):
+        observation, _, terminated, truncated, _ = task.step(4.0 * actions(task, step).clamp(-0.25, 0.25))
+        bodies = env.rows.bodies
+        expected = torch.cat([bodies[key].flatten(1).float() for key in keys], dim=1)
+        assert torch.equal(observation["observations"], expected)
+        assert observation["depth"].shape == (E * ROWS, 2, 24, 40)
+        begun = terminated | truncated
+        ends += int(begun.sum())
+        assert torch.equal(observation["depth"][begun, 0], observation["depth"][begun, 1])
+    assert 0 < ends < 40 * E * ROWS
+    assert (env.gtd["neighbour_age"] > 0.0).any()
