@@ -75,8 +75,8 @@ class SlotTable:
         """Return the slots of each pair of vehicles with shapes, the lower first, (P,)."""
         hulls = [hull for hull, count in zip(self.hulls, self.counts, strict=True) for _ in range(count)]
         solid = [slot for slot, hull in enumerate(hulls) if hull > 0.0]
-        found = [wp.vec2i(*pair) for pair in combinations(solid, 2)]
-        return wp.array(found, dtype=wp.vec2i, device=wp.device_from_torch(device))
+        numbers = [wp.vec2i(*pair) for pair in combinations(solid, 2)]
+        return wp.array(numbers, dtype=wp.vec2i, device=wp.device_from_torch(device))
 
 
 @wp.func

@@ -269,17 +269,6 @@ class Fitter:
             return self.fit(fitted.effects, fitted.structures, there)
         return self.fit(fitted.effects, fitted.structures, there, self._join_columns(known[1]), fresh=True)
 
-    def refit_from_starts(self, fitted: EffectSetFit) -> EffectSetFit:
-        """Return the most probable fit of a set over the starts of its effects: those with several have local optima."""
-        best, robot = fitted, self.predictor.robot
-        for name in fitted.effects:
-            if is_of_one_rotor(name) or name in self.declared.effects or not has_several_starts(name, robot):
-                continue
-            for start in EFFECTS.get(name).starts(robot):
-                params, rule = best.params.with_effect(name, np.array(start)), StopRule(least=best.log_posterior)
-                best = max(best, self.fit(best.effects, best.structures, params, rule=rule), key=_log_posterior)
-        return best
-
     def refit_without_effects(
         self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE
     ) -> EffectSetFit:

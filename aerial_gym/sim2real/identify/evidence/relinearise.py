@@ -1,10 +1,14 @@
-"""Refits of a set of effects with the tolerances linearised about the set itself."""
+"""Refits of a set of effects with the tolerances linearised about the set itself, and from other starts of its effects."""
 
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import has_several_starts, is_of_one_rotor
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import StopRule
 
 SAME_DEVIATION = 0.5  # Largest change of a deviation, in standard deviations, that ends relinearisation
 MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
@@ -40,3 +44,16 @@ def refit_until_settled(
         if moved < SAME_DEVIATION or not reached:
             break
     return kept
+
+
+def refit_from_starts(fitted: EffectSetFit, fitter: Fitter) -> EffectSetFit:
+    """Return the most probable fit of a set over the starts of its effects: those with several have local optima."""
+    best, robot = fitted, fitter.predictor.robot
+    for name in fitted.effects:
+        if is_of_one_rotor(name) or name in fitter.declared.effects or not has_several_starts(name, robot):
+            continue
+        for start in EFFECTS.get(name).starts(robot):
+            params, rule = best.params.with_effect(name, np.array(start)), StopRule(least=best.log_posterior)
+            refitted = fitter.fit(best.effects, best.structures, params, rule=rule)
+            best = max(best, refitted, key=attrgetter("log_posterior"))
+    return best

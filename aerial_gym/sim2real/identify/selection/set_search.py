@@ -38,7 +38,7 @@ from aerial_gym.sim2real.identify.evidence.guard import (
     num_parts_per_flight,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import Model
-from aerial_gym.sim2real.identify.evidence.relinearise import SAME_DEVIATION, refit_until_settled
+from aerial_gym.sim2real.identify.evidence.relinearise import SAME_DEVIATION, refit_from_starts, refit_until_settled
 from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     SparseColumns,
@@ -260,7 +260,7 @@ class SetSearch:
         """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
         while (best := view.best_fit).label not in view.own:
             free_other_fitters(view.own, view.present.label)
-            view.add_relinearised_fit(*self.refit_about_own_model(view.fitter.refit_from_starts(best), view.fitter))
+            view.add_relinearised_fit(*self.refit_about_own_model(refit_from_starts(best, view.fitter), view.fitter))
         free_other_fitters(view.own, view.present.label, best.label)
         return best
 

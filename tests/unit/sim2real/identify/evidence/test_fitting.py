@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.evidence.guard import (
     supports_of_candidates,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations, posterior
+from aerial_gym.sim2real.identify.evidence.relinearise import refit_from_starts
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior, search_sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.identify.selection.choose import inclusion_probabilities, set_probabilities
@@ -111,14 +112,14 @@ def test_a_set_with_a_load_is_fitted_from_every_length_and_the_best_fit_counts()
 
     params = {"slung_payload": [0.06, 0.7, 0.04], "weak_motor": [3.0, 0.9]}
     stuck = make_fit("slung_payload", "weak_motor", log=-10.0, params=params)
-    best = LocalMaxima().refit_from_starts(stuck)
+    best = refit_from_starts(stuck, LocalMaxima())
     assert best.params.effects["slung_payload"][1] == 0.8
     assert [length for length, _ in tried] == [start[1] for start in EFFECTS.get("slung_payload").starts(ROBOT)]
     assert tried[0][1] == 3.0
     first = make_fit("slung_payload", "weak_motor", log=1.0, params=params)
-    assert LocalMaxima().refit_from_starts(first) is first
+    assert refit_from_starts(first, LocalMaxima()) is first
     drag = make_fit("rotor_drag")
-    assert FitStub().refit_from_starts(drag) is drag
+    assert refit_from_starts(drag, FitStub()) is drag
 
 
 Array = NDArray[np.float64]
