@@ -1,7 +1,9 @@
 """Collisions between the vehicles of an environment: distance of their shapes, and contacts during a step.
 
 Every pair of shapes of two vehicles is measured and swept as in the collision test with obstacles. A ball about each body
-origin that holds all shapes excludes most pairs. A pair is tested once, for both of its vehicles.
+origin that holds all shapes excludes most pairs. A thread sweeps a pair, for both of its vehicles. The distance of a vehicle
+takes a thread of its own. It measures the others by rising distance of their balls, until the next ball is farther than the
+nearest shape.
 Frames: shapes in the body frame, poses in the environment's world frame. Letters: E environments, T vehicles of an environment
 over all kinds (*slots*), P pairs of them, N = E T rows over all kinds, C shapes, K substeps.
 """
@@ -9,7 +11,6 @@ over all kinds (*slots*), P pairs of them, N = E T rows over all kinds, C shapes
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import inf
 
 import torch
 import warp as wp
@@ -75,8 +76,8 @@ class SlotTable:
         """Return the slots of each pair of vehicles with shapes, the lower first, (P,)."""
         hulls = [hull for hull, count in zip(self.hulls, self.counts, strict=True) for _ in range(count)]
         solid = [slot for slot, hull in enumerate(hulls) if hull > 0.0]
-        numbers = [wp.vec2i(*pair) for pair in combinations(solid, 2)]
-        return wp.array(numbers, dtype=wp.vec2i, device=wp.device_from_torch(device))
+        pairs = [wp.vec2i(*pair) for pair in combinations(solid, 2)]
+        return wp.array(pairs, dtype=wp.vec2i, device=wp.device_from_torch(device))
 
 
 @wp.func
@@ -88,67 +89,106 @@ def _hulls_meet(reach: float, before: wp.vec3, after: wp.vec3) -> wp.bool:
 
 
 @wp.kernel(enable_backward=False)
-def _test_pairs(
+def _measure_vehicles(
+    # params
+    shapes: wp.array[Shape],  # (C,)
+    body: wp.array[BodyShape],  # (C,) the same
+    slots: wp.array[Slot],  # (T,)
+    # state
+    position: wp.array2d[wp.vec3],  # (K, N) world [m]; the last row counts
+    attitude: wp.array2d[wp.quat],  # (K, N) body to world, xyzw
+    is_step: wp.bool,  # whether contacts are crashes
+    # out
+    distance_out: wp.array[float],  # (N,) [m]
+    crashes_out: wp.array[wp.bool],  # (N,) set at a contact
+    touches_out: wp.array[wp.bool],  # (N,) whether there is one; written in a step
+):
+    """Write the distance of each vehicle to the nearest other one, or inf without any."""
+    env, i = wp.tid()
+    own = slots[i]
+    a = own.first_row + env * own.row_step
+    last = position.shape[0] - 1
+    x = position[last, a]
+    distance = float(wp.inf)
+    bound = float(-wp.inf)  # of the gap of the present other vehicle
+    j = wp.int32(-1)
+    for _ in range(slots.shape[0]):
+        least = distance
+        following = wp.int32(-1)
+        for k in range(slots.shape[0]):
+            if k != i and own.hull > 0.0 and slots[k].hull > 0.0:
+                apart = wp.length(position[last, slots[k].first_row + env * slots[k].row_step] - x)
+                apart -= own.hull + slots[k].hull
+                if apart < least and (apart > bound or (apart == bound and k > j)):
+                    least = apart
+                    following = k
+        if following < 0:
+            break
+        bound = least
+        j = following
+        one = slots[wp.min(i, j)]  # in one order, so that both vehicles get the same number
+        other = slots[wp.max(i, j)]
+        b = one.first_row + env * one.row_step
+        c = other.first_row + env * other.row_step
+        q = attitude[last, b]
+        gap = float(wp.inf)
+        for m in range(one.first_shape, one.end_shape):
+            shape = shapes[m]
+            origin = position[last, b] + wp.quat_rotate(q, shape.position)
+            for n in range(other.first_shape, other.end_shape):
+                gap = shape_gap(shape, origin, q * shape.attitude, body[n], position[last, c], attitude[last, c], gap)
+        distance = wp.min(distance, gap)
+    distance_out[a] = distance
+    if is_step:
+        touches_out[a] = distance < 0.0
+        crashes_out[a] = crashes_out[a] or distance < 0.0
+
+
+@wp.kernel(enable_backward=False)
+def _sweep_pairs(
     # params
     shapes: wp.array[Shape],  # (C,)
     body: wp.array[BodyShape],  # (C,) the same
     slots: wp.array[Slot],  # (T,)
     pairs: wp.array[wp.vec2i],  # (P,) slots of each pair, the lower first
     # state
-    position: wp.array2d[wp.vec3],  # (K + 1, N) at the start of a step and after each substep, or (1, N), world [m]
+    position: wp.array2d[wp.vec3],  # (K + 1, N) at the start of a step and after each substep, world [m]
     attitude: wp.array2d[wp.quat],  # (K + 1, N) body to world, xyzw
-    is_step: wp.bool,  # whether contacts are crashes
     # out
-    distance_out: wp.array[float],  # (N,) [m] lowered to the distance of the pair
     crashes_out: wp.array[wp.bool],  # (N,) set at a contact at or between the poses
     touches_out: wp.array[wp.bool],  # (N,) the same
 ):
-    """Lower the distances of two vehicles to that between them at the last pose."""
+    """Set the flags of both vehicles that touch within a step."""
     env, p = wp.tid()
     one = slots[pairs[p][0]]
     other = slots[pairs[p][1]]
     a = one.first_row + env * one.row_step
     b = other.first_row + env * other.row_step
-    reach = one.hull + other.hull
-    last = position.shape[0] - 1
     x = position[0, a]
     y = position[0, b]
-    touches = wp.bool(False)
-    for k in range(last):
+    for k in range(position.shape[0] - 1):
         end_x = position[k + 1, a]
         end_y = position[k + 1, b]
-        if not touches and _hulls_meet(reach, y - x, end_y - end_x):
+        if _hulls_meet(one.hull + other.hull, y - x, end_y - end_x):
             path = make_path(wp.vec3(), x, attitude[k, a], end_x, attitude[k + 1, a])
             other_path = make_path(wp.vec3(), y, attitude[k, b], end_y, attitude[k + 1, b])
+            touches = wp.bool(False)
             for m in range(one.first_shape, one.end_shape):
                 for n in range(other.first_shape, other.end_shape):
                     if not touches:
                         touches = _touches(shapes[m], path, body[n], other_path, 0.0, 1.0)
+            if touches:
+                crashes_out[a] = True
+                crashes_out[b] = True
+                touches_out[a] = True
+                touches_out[b] = True
+                return
         x = end_x
         y = end_y
-    # a pair that is farther than what both have already cannot lower the minimum, in whatever order pairs come
-    bound = wp.length(y - x) - reach
-    if bound < distance_out[a] or bound < distance_out[b]:
-        gap = float(wp.inf)
-        q = attitude[last, a]
-        for m in range(one.first_shape, one.end_shape):
-            shape = shapes[m]
-            for n in range(other.first_shape, other.end_shape):
-                gap = shape_gap(
-                    shape, x + wp.quat_rotate(q, shape.position), q * shape.attitude, body[n], y, attitude[last, b], gap
-                )
-        wp.atomic_min(distance_out, a, gap)
-        wp.atomic_min(distance_out, b, gap)
-        touches = touches or gap < 0.0
-    if is_step and touches:
-        crashes_out[a] = True
-        crashes_out[b] = True
-        touches_out[a] = True
-        touches_out[b] = True
 
 
 class VehicleCollisionTest:
-    """Distances between the vehicles of each environment in one launch; all views are made at construction."""
+    """Distances between the vehicles of each environment, and their contacts; all views are made at construction."""
 
     def __init__(
         self, slots: SlotTable, *, states: Tensor, position: Tensor, attitude: Tensor, distances_out: Tensor,
@@ -164,42 +204,37 @@ class VehicleCollisionTest:
             crashes_out: Set at a contact, bool, (N,); never cleared here.
             touches_out: Whether there was a contact in the last step, bool, (N,).
         """
-        device, self._distances, self._touches = states.device, distances_out, touches_out
+        device, self._distances = states.device, distances_out
         parts = tuple(
             replace(part, link=BASE) for cfg in slots.collisions for part in cfg.parts if part.link == BASE
         )  # the shapes as parts, in the same order
         shapes = [shape for cfg in slots.collisions for shape in cfg.link_shapes(BASE)]
         self._table = ShapeTable([ShapeCfg(kind="compound", parts=parts)] if parts else [], device=device)
-        pairs = slots.pairs(device)
-        fixed = [self._table.array, body_shapes(shapes, device=device), slots.array(device), pairs]
+        fixed = [self._table.array, body_shapes(shapes, device=device), slots.array(device)]
         now = (states[:, :3].unsqueeze(0), states[:, 3:7].unsqueeze(0))
-        self._now, self._step = (  # a launch cannot have no threads
-            None
-            if not len(pairs)
-            else ReusableLaunch(
-                _test_pairs,
-                dim=(slots.num_envs, len(pairs)),
-                inputs=[
-                    *fixed,
-                    *(vector_view("pose", each, tuple(each.shape), device=device) for each in poses),
-                    is_step,
-                ],
-                outputs=[distances_out, crashes_out, touches_out],
-                device=device,
+
+        def views(poses: tuple[Tensor, Tensor]) -> list[wp.array]:
+            return [vector_view("pose", each, tuple(each.shape), device=device) for each in poses]
+
+        self._now, self._end = (
+            ReusableLaunch(
+                _measure_vehicles, dim=(slots.num_envs, len(fixed[-1])), inputs=[*fixed, *views(poses), is_step],
+                outputs=[distances_out, crashes_out, touches_out], device=device,
             )
             for poses, is_step in ((now, False), ((position, attitude), True))
-        )
+        )  # fmt: skip
+        pairs = slots.pairs(device)
+        self._sweep = ReusableLaunch(
+            _sweep_pairs, dim=(slots.num_envs, len(pairs)), inputs=[*fixed, pairs, *views((position, attitude))],
+            outputs=[crashes_out, touches_out], device=device,
+        ) if len(pairs) else None  # fmt: skip
 
     def measure(self) -> None:
         """Write the distances of the present poses."""
-        self._test(self._now)
+        self._now.launch(self._distances)
 
     def step(self) -> None:
         """Set crashes of the step that has just been flown, and write the distances at its end."""
-        self._touches.fill_(False)
-        self._test(self._step)
-
-    def _test(self, launch: ReusableLaunch | None) -> None:
-        self._distances.fill_(inf)
-        if launch is not None:
-            launch.launch(self._distances)
+        self._end.launch(self._distances)  # writes the flags that the sweep sets
+        if self._sweep is not None:
+            self._sweep.launch(self._distances)

@@ -339,7 +339,8 @@ def test_vehicles_that_pass_through_each_other_in_one_step_crash(beside: float, 
     x = env.gtd["robot_position"][0, :, 0]
     assert x[0] > 0.2
     assert x[1] < -0.2
-    assert env.gtd["crashes"].tolist() == [[crash, crash, False]] * E
+    for key in ("crashes", "vehicle_collisions"):
+        assert env.gtd[key].tolist() == [[crash, crash, False]] * E
     apart = (env.gtd["robot_position"][:, 0] - env.gtd["robot_position"][:, 1]).norm(dim=-1) - 0.2
     torch.testing.assert_close(env.gtd["vehicle_clearance"][:, 0], apart)
     assert torch.equal(env.gtd["vehicle_clearance"][:, 0], env.gtd["vehicle_clearance"][:, 1])
@@ -367,6 +368,28 @@ def test_the_distance_is_that_of_the_nearest_pair() -> None:
     assert torch.equal(distances(many, states), nearest)
     assert (nearest < 0.0).any()
     assert (nearest > 0.0).any()
+
+
+def test_the_nearest_shape_can_belong_to_a_farther_ball() -> None:
+    """Of a plate of 0.4 x 0.4 x 0.04 m, plates 0.55 m and 0.6 m beside it are 0.15 m and 0.2 m away; one 0.5 m above it
+    0.46 m. Flags of a touch hold for one step."""
+    plate = replace(ROBOTS.get("base_quadrotor"), collision=CollisionCfg(boxes=(BoxCfg(size=(0.4, 0.4, 0.04)),)))
+    env = build([{"name": plate, "kind": "plate", "count": 4}])
+    env.reset()
+    places = torch.tensor([[0.0, 0.0, 0.0], [0.01, 0.1, 0.5], [0.55, 0.0, 0.0], [-0.6, 0.0, 0.0]])
+    for above, distances, touches in (
+        (0.5, [0.15, 0.46, 0.15, 0.2], []),
+        (0.02, [-0.02, -0.02, 0.14, 0.2], [0, 1]),
+        (0.5, [0.15, 0.46, 0.15, 0.2], []),
+    ):
+        places[1, 2] = above
+        env.gtd["robot_position"][:] = places
+        env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
+        for key in ("robot_linvel", "robot_body_angvel"):
+            env.gtd[key].zero_()
+        env.step(torch.zeros(E, 4, 4))
+        torch.testing.assert_close(env.gtd["vehicle_clearance"], torch.tensor([distances] * E), atol=2e-3, rtol=0.0)
+        assert env.gtd["vehicle_collisions"].tolist() == [[v in touches for v in range(4)]] * E
 
 
 def test_vehicles_without_shapes_pass_through_each_other() -> None:
