@@ -103,8 +103,8 @@ class PhysicsBackend(Protocol):
         """Update the ground heights from ``Model.ground_height`` if that is a tensor (E, 1)."""
         ...
 
-    def take_wakes(self) -> None:
-        """Update the forces of the wakes of other vehicles, the last parameter of each ``effects.wakes.WakeSum``."""
+    def wake_memory(self) -> list[Tensor]:
+        """Return the memory (E,) of the last parameter of each ``effects.wakes.WakeSum``, from which a step reads it."""
         ...
 
     def link_state_of_load(self) -> Tensor | None:

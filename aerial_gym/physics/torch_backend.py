@@ -18,6 +18,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import displacement_per_velocity_change
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
+from aerial_gym.physics.effects.wakes import WakeSum
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
 from aerial_gym.physics.law_memory import (
@@ -197,8 +198,9 @@ class TorchBackend:
     def take_ground_heights(self) -> None:
         """Do nothing, because every step reads the tensor."""
 
-    def take_wakes(self) -> None:
-        """Do nothing, because every step reads the parameters."""
+    def wake_memory(self) -> list[Tensor]:
+        """Return the column of the parameters, which every step reads."""
+        return [params[:, -1] for _, params in self._model.effects[WakeSum]]
 
     def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, (E, 6); None without a load."""

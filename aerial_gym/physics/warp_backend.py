@@ -251,12 +251,14 @@ class WarpBackend:
         if isinstance(self._model.ground_height, torch.Tensor):
             self._packed[self._packing.vehicle["ground_height"]].copy_(self._model.ground_height[:, 0])
 
-    def take_wakes(self) -> None:
-        """Write the forces of wakes into the packed tensor."""
-        places = self._model.effects.places(self._num_rotors)
-        for place, (effect, params) in zip(places, self._model.effects.step_effects, strict=True):
-            if isinstance(effect, WakeSum):
-                self._packed[self._packing.effects + place.params.stop - 1].copy_(params[:, -1])
+    def wake_memory(self) -> list[Tensor]:
+        """Return the rows of the packed tensor."""
+        ends = [
+            self._packing.effects + place.params.stop
+            for place in self._model.effects.places(self._num_rotors)
+            if isinstance(place.effect, WakeSum)
+        ]
+        return [self._packed[end - 1] for end in ends]
 
     def link_state_of_load(self) -> Tensor | None:
         """Return direction and rate of the load's link, a view (E, 6); None without a load."""

@@ -333,8 +333,6 @@ class RobotManager:
         """Advance the physics by ``substeps`` with the stored action held; obstacles that push back move and push between."""
         if self.felt.surface_height is not None:
             self.backend.take_ground_heights()
-        if self.wakes:
-            self.backend.take_wakes()
         self.backend.step(self.tensors.state, self.tensors.actions, self._sim.dt, substeps)
 
     def refresh(self, span: float) -> None:

@@ -142,7 +142,8 @@ def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) ->
 
 
 def test_the_kernel_of_wakes_compiles() -> None:
-    compile_for_gpu(make_wake_kernel(WakeSum(EFFECTS.get("downwash_core"))).module)
+    sources = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
+    compile_for_gpu(make_wake_kernel(WakeSum(EFFECTS.get("downwash_core")), sources).module)
 
 
 def test_row_kernels_compile() -> None:

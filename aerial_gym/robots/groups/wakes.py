@@ -3,8 +3,11 @@
 The law is that of the effect ``downwash``, which states the force of a vehicle that hovers and is like the one that feels it.
 Another source is taken as geometrically similar: lengths scale with its rotors, the momentum of its wake with its lift. Lift is
 the upward part of its thrust at present. The momentum flux through any height then stays that of the source.
-Letters: E environments, T vehicles of an environment over all kinds (*slots*), V those of one kind, B = E V, N = E T rows over
-all kinds, R rotors, P parameters of the law.
+
+A launch takes the sources of one kind, and each of its threads one vehicle that feels them. The thread computes the lift of all
+sources of its environment itself: neighbours share the loads, and a launch for the lifts would cost more.
+Letters: E environments, V vehicles of the kind that feels the wakes in an environment, B = E V, S vehicles of the kind of the
+sources, R rotors, P parameters of the law.
 """
 
 from collections.abc import Sequence
@@ -15,14 +18,13 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.vehicle_collision import Slot, SlotTable
+from aerial_gym.assets.vehicle_collision import SlotTable
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch
-from aerial_gym.interop.rows import RowFunction
 from aerial_gym.math.quaternion import world_up
 from aerial_gym.math.rows import dot
-from aerial_gym.math.warp_functions import rotate, vector_type
+from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, vector_type
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.wakes import WakeSum
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
@@ -30,88 +32,110 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots.robot_manager import RobotManager
 
 
-def wake_source(vehicle: Vehicle, position: Tensor, attitude: Tensor, rotor_speed: Tensor) -> Tensor:
-    """Return body origin [m], world, and lift [N], (B, 4): the upward part of all thrusts, none below zero."""
+def wake_lift(vehicle: Vehicle, attitude: Tensor, rotor_speed: Tensor) -> Tensor:
+    """Return the lift [N], (E,): the upward part of all thrusts, none below zero."""
     upward = dot(vehicle.rotor_axis, world_up(attitude).unsqueeze(1))
-    lift = (rotor_thrust(vehicle, rotor_speed) * upward).sum(-1, keepdim=True)
-    return torch.cat((position, torch.where(lift > 0.0, lift, 0.0)), dim=1)  # NaN as well: it stays with its vehicle
+    lift = (rotor_thrust(vehicle, rotor_speed) * upward).sum(-1)
+    return torch.where(lift > 0.0, lift, 0.0)  # NaN as well: it stays with its vehicle
 
 
-def make_wake_kernel(effect: WakeSum) -> wp.Kernel:
-    """Return the kernel that sums a law over the other vehicles."""
-    num_params = len(effect.wake.parameters)
-    numbers = vector_type(num_params)
+def make_wake_kernel(effect: WakeSum, source: Vehicle) -> wp.Kernel:
+    """Return the kernel that sums a law over the other vehicles of a source's kind; its thrust curve is that of the first."""
+    num_params, num_rotors = len(effect.wake.parameters), source.num_rotors
+    numbers, rotors = vector_type(num_params), vector_type(num_rotors)
+    first = source.map_rows(lambda rows: rows[:1])
     push = trace_to_warp("push", {"away": wp.vec3, "params": numbers}, effect.wake.push, [float])
+    lift = trace_to_warp("lift", {"attitude": wp.quat, "rotor_speed": rotors}, partial(wake_lift, first), [float])
 
     @wp.kernel(module="unique", enable_backward=False)
     def sum_wakes(
         # params
-        slots: wp.array[Slot],  # (T,)
-        first_slot: int,  # of this kind
-        size: wp.array[float],  # (T,) of the rotors, relative to those of this kind
-        weight: float,  # of this kind [N]
+        count: int,  # S
+        shrink: float,  # size of the rotors that feel the wakes, relative to those of the sources
+        share: float,  # of the law's force per lift [1/N]
+        own_count: int,  # V
+        is_own: wp.bool,  # whether vehicles of one kind feel each other
+        begins: wp.bool,  # whether the sum starts from zero
         com: wp.array[wp.vec3],  # (B,) from the body origin, body [m]
         # state
-        sources: wp.array[wp.vec4],  # (N,) body origin, world [m], lift [N]
-        attitude: wp.array[wp.quat],  # (B,) body to world, xyzw
+        position: wp.array[wp.vec3],  # (E S,) body origins of the sources, world [m]
+        attitude: wp.array[wp.quat],  # (E S,) body to world, xyzw
+        rotor_speed: wp.array[rotors],  # (E S,) [rad/s] or [N]
+        own_position: wp.array[wp.vec3],  # (B,)
+        own_attitude: wp.array[wp.quat],  # (B,)
         # out
         params_out: wp.array2d[float],  # (B, P + 1) read up to P, the sum of forces [N] is written behind
+        memory_out: wp.array[float],  # (B,) the same sum, where the physics reads it
     ):
-        """Write the downward force of the wakes of all other vehicles on each vehicle of a kind."""
+        """Add the downward force of the wakes of other vehicles on each vehicle of a kind."""
         env, v = wp.tid()
-        i = first_slot + v
-        own = env * slots[i].row_step + v
+        own = env * own_count + v
         params = numbers()
         for k in range(wp.static(num_params)):
             params[k] = params_out[own, k]
-        place = sources[slots[i].first_row + env * slots[i].row_step]
-        center = wp.vec3(place[0], place[1], place[2]) + rotate(attitude[own], com[own])
-        total = wp.float32(0.0)
-        for j in range(slots.shape[0]):
-            if j != i:
-                source = sources[slots[j].first_row + env * slots[j].row_step]
-                away = wp.vec3(source[0], source[1], source[2]) - center
-                total += push(away / size[j], params) * source[3] / (weight * size[j] * size[j])
+        total = wp.where(begins, 0.0, params_out[own, wp.static(num_params)])
+        center = own_position[own] + rotate(load_quat(own_attitude, own), com[own])
+        for j in range(count):
+            i = env * count + j
+            if wp.static(num_rotors == 4):  # noqa: SIM108 (Warp compiles one branch)
+                speed = load_vec4(rotor_speed, i)
+            else:
+                speed = rotor_speed[i]
+            felt = push((position[i] - center) * shrink, params) * lift(load_quat(attitude, i), speed) * share
+            total += wp.where(is_own and j == v, 0.0, felt)  # without a branch, loads of several sources overlap
         params_out[own, wp.static(num_params)] = total
+        memory_out[own] = total
 
     return sum_wakes
 
 
+MEMORY = 13  # Place of `memory_out` among the arguments of the kernel
+
+
 class Wakes:
-    """The pass; all views are made at construction."""
+    """The pass; its launches are recorded at construction."""
 
     def __init__(self, slots: SlotTable, robots: Sequence[RobotManager], sizes: Sequence[float]) -> None:
         """Record the launches for the robots of each kind, with the sizes of their rotors [m]."""
-        device = robots[0].com.device
-        self._sources = torch.zeros(slots.rows(len(robots) - 1).stop, 4, device=device)
-        table = slots.array(device)
-        self._fill = [self._source_launch(robot, slots.rows(number)) for number, robot in enumerate(robots)]
-        self._sum: list[ReusableLaunch] = []
-        for number, (robot, size) in enumerate(zip(robots, sizes, strict=True)):
-            ratios = [each / size for each, count in zip(sizes, slots.counts, strict=True) for _ in range(count)]
-            weight = float(robot.declared.mass[0]) * STANDARD_GRAVITY
-            for effect, params in robot.wakes:
-                self._sum.append(ReusableLaunch(
-                    make_wake_kernel(effect), dim=(slots.num_envs, slots.counts[number]),
-                    inputs=[
-                        table, slots.first_slot(number), torch.tensor(ratios, device=device), weight, robot.com,
-                        self._sources, robot.tensors.state.attitude,
-                    ],
-                    outputs=[params], device=device,
-                ))  # fmt: skip
+        self._robots = [robot for robot in robots if robot.wakes]
+        self._memory = self._current_memory()
+        felt = [(number, wake) for number, robot in enumerate(robots) for wake in robot.wakes]
+        self._launches = [  # of each wake, with sources in the order of slots
+            [self._launch(slots, robots, sizes, feels, source, wake, memory) for source in range(len(robots))]
+            for (feels, wake), memory in zip(felt, self._memory, strict=True)
+        ]
 
-    def _source_launch(self, robot: RobotManager, rows: slice) -> partial[object]:
-        state = robot.tensors.state
-        inputs = state.position, state.attitude, state.rotor_speed
-        function = RowFunction(partial(wake_source, robot.model.vehicle), inputs, lifts=True)
-        return partial(function, *inputs, out=[self._sources[rows]])
+    def _current_memory(self) -> list[Tensor]:
+        return [memory for robot in self._robots for memory in robot.backend.wake_memory()]
+
+    @staticmethod
+    def _launch(
+        slots: SlotTable, robots: Sequence[RobotManager], sizes: Sequence[float], feels: int, source: int,
+        wake: tuple[WakeSum, Tensor], memory: Tensor,
+    ) -> ReusableLaunch:  # fmt: skip
+        """Record the launch for two kinds by their numbers."""
+        own, other, (effect, params) = robots[feels], robots[source], wake
+        shrink = sizes[feels] / sizes[source]
+        weight = float(own.declared.mass[0]) * STANDARD_GRAVITY
+        state, sources = own.tensors.state, other.tensors.state
+        return ReusableLaunch(
+            make_wake_kernel(effect, other.model.vehicle), dim=(slots.num_envs, slots.counts[feels]),
+            inputs=[
+                slots.counts[source], shrink, shrink * shrink / weight, slots.counts[feels], feels == source, source == 0,
+                own.com, sources.position, sources.attitude, sources.rotor_speed, state.position, state.attitude,
+            ],
+            outputs=[params, memory], device=params.device,
+        )  # fmt: skip
 
     def measure(self) -> None:
         """Write the forces of all wakes at the present states, on torch's current stream."""
-        for fill in self._fill:
-            fill()
-        for launch in self._sum:
-            launch.launch(self._sources)
+        memory = self._current_memory()
+        for launches, old, new in zip(self._launches, self._memory, memory, strict=True):
+            for launch in launches:
+                if new.data_ptr() != old.data_ptr():  # written parameters needed another physics kernel
+                    launch.set_param_at_index(MEMORY, new)
+                launch.launch(new)
+        self._memory = memory
 
 
 def make_wakes(slots: SlotTable, robots: Sequence[RobotManager], names: Sequence[str]) -> Wakes | None:

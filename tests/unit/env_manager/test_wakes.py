@@ -122,6 +122,17 @@ def test_sources_of_another_kind_are_similar() -> None:
         env.fly(1)
         expected = 0.05 * c / k**2 * exp(-0.5 * (beside / (0.1 * k)) ** 2)
         torch.testing.assert_close(wakes(env, "small")[:, 0], torch.full((3,), expected), rtol=1e-4, atol=1e-7)
+    forces = []
+    for first, second in ((1.0, 100.0), (100.0, 1.0), (1.0, 1.0)):  # heights of the sources
+        env = build([{"name": small, "count": 2, "kind": "small"}, {"name": large, "count": 1, "kind": "large"}])
+        env.reset()
+        hover(env, (0.0, 0.0, 0.0), (0.05 * first, 0.0, first), kind="small")
+        hover(env, (0.05 * second, 0.0, second), kind="large")
+        env.fly(1)
+        forces.append(wakes(env, "small")[:, 0].clone())
+    assert (forces[0] > 0.01).all()
+    assert (forces[1] > 0.01).all()
+    torch.testing.assert_close(forces[0] + forces[1], forces[2], rtol=1e-6, atol=0.0)
     with pytest.raises(
         ConfigError, match=r"downwash of several kinds: give rotor.radius \[m\] of robot base_quadrotor"
     ):
@@ -161,6 +172,30 @@ def test_an_environment_is_the_same_alone_and_among_others() -> None:
             assert torch.equal(env.draws()["effects.downwash.force"], env.gtd["effect_downwash"][..., 0])
         ends.append({key: value[-1].clone() for key, value in env.gtd.items() if key != "num_obstacles_in_env"})
     assert_same(*ends)
+
+
+def test_wakes_reach_a_kernel_that_is_composed_again() -> None:
+    """Its memory is new. A push of 0.5 N on 0.25 kg for 10 ms changes the speed by 20 mm/s."""
+    env = build_wakes(2, controller_name="rotor_speed_control")
+    speeds = []
+    for recomposes in (False, True):
+        env.reset()
+        hover(env, (0.0, 0.0, 2.0), (0.0, 0.0, 1.0))
+        env.fly(1)
+        backend, speed = env.robot_manager.backend, env.gtd["rotor_speed"].clone()
+        if recomposes:
+            before = backend.wake_memory()[0].data_ptr()
+            backend._compose(backend._model, backend._law)
+            assert backend.wake_memory()[0].data_ptr() != before
+            hover(env, (0.0, 0.0, 2.0), (0.0, 0.0, 1.0))
+            env.fly(1)  # which packs all parameters
+            env.gtd["rotor_speed"].copy_(speed)
+        hover(env, (0.0, 0.0, 1.0), (0.0, 0.0, 2.0))  # the other one is pushed now
+        env.fly(1)
+        torch.testing.assert_close(backend.wake_memory()[0].view(3, 2), wakes(env), rtol=0.0, atol=0.0)
+        speeds.append(env.gtd["robot_linvel"][..., 2].clone())
+    assert (speeds[0][:, 0] < speeds[0][:, 1] - 0.01).all()
+    assert torch.equal(*speeds)
 
 
 def test_vehicles_without_the_effect_have_no_pass() -> None:
