@@ -45,20 +45,14 @@ def are_gusts_sufficient(train: Predictor, declared: ModelParams, selection: Sel
     """
     if NAME in train.robot.effects or not selection.best.effects:
         return False
-    weight, floor = selection.weights.weight, rms_of_noise_floors(noise_floors_in_declared_wind(train, declared))
     forces = np.array([channel.kind == "specific_force" for channel in train.channels])
-
-    def excess_channels(model: ModelParams) -> Flags:
-        excess = is_material_excess(channel_rms(train.residuals(model)), floor, selection.tolerated)
-        return excess & is_judged(train.channels, train.flights)
-
-    if not (
-        forces & excess_channels(model_with_training_deviations(selection.fit.params, selection.fit, weight))
-    ).any():
+    if not (forces & _open_channels(train, selection)[2]).any():
         return False
+    weight, floor = selection.weights.weight, rms_of_noise_floors(noise_floors_in_declared_wind(train, declared))
     fit = linearise_at_params(train, (), declared, tolerance_jacobian(train, declared, np.float32))
     within = model_with_training_deviations(declared, fit, weight)
-    excess = excess_channels(within)
+    excess = is_material_excess(channel_rms(train.residuals(within)), floor, selection.tolerated)
+    excess &= is_judged(train.channels, train.flights)
     known = {"floor": floor, "tolerated": selection.tolerated, "remaining": excess}
     if (excess & ~forces).any() or not (
         wind := find_random_wind(train, within, selection.criteria, **known)
@@ -97,9 +91,7 @@ def effects_below_remainder(train: Predictor, declared: ModelParams, selection: 
 def power_above_noise(train: Predictor, selection: SelectionResult) -> Array:
     """Return the mean square above noise and random wind that training flights leave beyond tolerances, (C,)."""
     fit, weight = selection.fit, selection.weights.weight
-    floor = rms_of_noise_floors(noise_floors_in_declared_wind(train, fit.params))
-    rms, judged = np.sqrt(left_out_mean_square(fit, weight)), is_judged(train.channels, train.flights)
-    is_open = judged & is_material_excess(rms, floor, selection.tolerated)
+    rms, floor, is_open = _open_channels(train, selection)
     if floor is None or not is_open.any():
         return np.zeros(rms.size)
     within = model_with_training_deviations(fit.params, fit, weight)
@@ -108,5 +100,13 @@ def power_above_noise(train: Predictor, selection: SelectionResult) -> Array:
     wind = RandomWind() if is_declared else find_random_wind(train, within, selection.criteria, **known)
     if wind.is_accepted:
         floor = np.hypot(floor, wind.channel_rms(train, within))
-        is_open = judged & is_material_excess(rms, floor, selection.tolerated)
+        is_open &= is_material_excess(rms, floor, selection.tolerated)
     return is_open * excess_power(rms, floor)
+
+
+def _open_channels(train: Predictor, selection: SelectionResult) -> tuple[Array, Array | None, Flags]:
+    """Return the rms of flights left out, without their offsets, its noise floor, and where it exceeds that and tolerances."""
+    floor = rms_of_noise_floors(noise_floors_in_declared_wind(train, selection.fit.params))
+    rms = np.sqrt(left_out_mean_square(selection.fit, selection.weights.weight).clip(min=0.0))
+    excess = is_material_excess(rms, floor, selection.tolerated)
+    return rms, floor, excess & is_judged(train.channels, train.flights)

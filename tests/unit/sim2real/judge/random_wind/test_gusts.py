@@ -210,15 +210,22 @@ def test_motion_that_answers_the_wind_is_no_objection_to_it() -> None:
     assert result.is_accepted, result.objections
 
 
-def sufficient(flights: list[Flight], robot: RobotCfg = IN_AIR, best: EffectSetFit | None = None) -> bool:
-    """Return whether gusts suffice for some training flights in place of a selected centre of mass."""
+def sufficient(
+    flights: list[Flight], robot: RobotCfg = IN_AIR, best: EffectSetFit | None = None,
+    left: list[Flight] | None = None,
+) -> bool:  # fmt: skip
+    """Return whether gusts suffice for some training flights in place of a selected centre of mass.
+
+    With it, the residual is that of the flights ``left``; of ``flights`` if not given.
+    """
     predictor, params = make_predictor(flights, robot), params_from_robot(robot)
     tolerance = tolerance_jacobian(predictor, params, np.float32)
     tolerated = rms_caused_by_tolerances(tolerance, robot.num_rotors)
     variance = np.mean(np.square(np.concatenate(predictor.residuals(params))), axis=0) + 1e-4
     weights = Weighting(variance=variance, effective=np.full(variance.size, 0.2))  # gusts are coloured
     chosen = replace(make_choice(best or make_fit("com_offset")), weights=weights, tolerated=tolerated)
-    selection = replace(make_selection(chosen), fit=linearise_at_params(predictor, (), params, tolerance))
+    remaining = predictor if left is None else make_predictor(left, robot)
+    selection = replace(make_selection(chosen), fit=linearise_at_params(remaining, (), params, tolerance))
     return are_gusts_sufficient(predictor, params, selection)
 
 
@@ -235,6 +242,7 @@ def test_gusts_suffice_only_if_no_other_cause_acts_beside_them() -> None:
     assert not sufficient([replace(one, rotor_speed=0.97 * one.rotor_speed) for one in gusty])
     turning = [replace(one, ang_vel=np.outer(np.sin(6.0 * one.time), [1.0, 0.0, 0.0])) for one in gusty]
     assert not sufficient(turning)
+    assert not sufficient(gusty, left=[fly_in_wind(number) for number in range(4)])  # the effects explain all of it
 
 
 def test_where_gusts_are_not_looked_for_and_why() -> None:
