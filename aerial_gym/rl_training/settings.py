@@ -28,7 +28,6 @@ ALIKE = {
     "position_setpoint_task_acceleration_sim2real": "position_setpoint_task_sim2real",
     "position_setpoint_task_morphy_paper": "position_setpoint_task_morphy",
     "position_setpoint_task_morphy_stiff": "position_setpoint_task_morphy",
-    "pursuit_task": "formation_task",
     "race_of_four_task": "racing_task",
     "radar_navigation_task": "lidar_navigation_task",
     "radar_navigation_task_held": "lidar_navigation_task",

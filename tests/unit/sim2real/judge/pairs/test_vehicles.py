@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,3 +70,21 @@ def test_each_vehicle_alone_decides_where_both_together_stay_unexplained() -> No
     assert (neither.verdict, neither.unexplained) == ("not shown", ())
     assert verdict_with_each_vehicle(both, (quiet, quiet)).verdict == "none"
     assert verdict_with_each_vehicle(both, (quiet, both)).verdict == "unexplained"
+
+
+def test_the_same_effects_with_the_same_values_on_both_explain_both() -> None:
+    """Deviations within tolerances differ between two vehicles, so that one set of them leaves a remainder."""
+
+    def verdict(x: float, kind: str = "explained", **more: Any) -> Verdict:
+        effect = make_named_effect("downwash", params={"force": x, "sigma": 0.3}, std={"force": 0.01, "sigma": 0.01})
+        return make_verdict(kind, effects=(effect,), **more)
+
+    both = verdict(0.5, "unexplained", unexplained=("specific_force.x",))
+    shared = verdict_with_each_vehicle(both, (verdict(0.49), verdict(0.51)))
+    assert (shared.verdict, shared.unexplained) == ("explained", ())
+    assert verdict_with_each_vehicle(both, (verdict(0.4), verdict(0.6))).verdict == "ambiguous"
+    unnamed = make_verdict("unexplained", unexplained=("specific_force.x",))
+    assert verdict_with_each_vehicle(unnamed, (verdict(0.49), verdict(0.51))).verdict == "ambiguous"
+    doubt = Finding("clock_contradicted", "a and b", {"offset_s": 0.3, "half_width_s": 0.02})
+    doubted = replace(both, open_points=(doubt,))
+    assert verdict_with_each_vehicle(doubted, (verdict(0.49), verdict(0.51))).verdict == "ambiguous"
