@@ -33,9 +33,9 @@ def clock_findings(predictor: Predictor, params: ModelParams, significance: floa
     """Return a finding on each pair of logs: the wake confirms or contradicts the common clock, or none shows it.
 
     The residual of the force without the wake is compared with a Gaussian wake of any width, at any offset of the clocks.
-    If no wake is among the effects in ``params``, one contradiction may be a residual of another shape: it counts if the
-    interval of another pair meets it. ``significance``: largest p-value of a wake, and of another offset than the stated one,
-    times the number of trials.
+    If no wake is among the effects in ``params``, a single pair may show a residual of another shape: only contradictions
+    that agree with that of another pair are left. ``significance``: largest p-value of a wake, and of another offset than
+    the stated one, times the number of trials.
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == "specific_force"]
     still = {name: values for name, values in params.effects.items() if EFFECTS.get(name).cause != WAKE}
@@ -48,14 +48,14 @@ def clock_findings(predictor: Predictor, params: ModelParams, significance: floa
         seen = [(predictor.flights[k], predictor.times[k], residuals[k][:, places]) for k in own]
         name = " and ".join(flight.name for flight, _, _ in seen)
         results.append(_finding_on_clock(name, log_likelihood_gains(seen), significance))
-    return results if len(still) < len(params.effects) else without_lone_contradictions(results)
+    return results if len(still) < len(params.effects) else agreeing_contradictions(results)
 
 
-def without_lone_contradictions(findings: Sequence[Finding]) -> list[Finding]:
-    """Return findings on clocks in which no contradiction is left whose interval meets that of no other."""
+def agreeing_contradictions(findings: Sequence[Finding]) -> list[Finding]:
+    """Return findings on clocks with no others left than contradictions whose interval meets that of another pair."""
     doubts = [one for one in findings if one.code == "clock_contradicted"]
-    alone = [one for one in doubts if not any(_offsets_meet(one, other) for other in doubts if other is not one)]
-    return [Finding("clock_unchecked", one.subject) if one in alone else one for one in findings]
+    agree = [one for one in doubts if any(_offsets_meet(one, other) for other in doubts if other is not one)]
+    return [one if one in agree else Finding("clock_unchecked", one.subject) for one in findings]
 
 
 def _offsets_meet(first: Finding, second: Finding) -> bool:

@@ -9,8 +9,8 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.pairs.clock import (
     OFFSETS,
     _finding_on_clock,
+    agreeing_contradictions,
     log_likelihood_gains,
-    without_lone_contradictions,
 )
 from aerial_gym.sim2real.logs.recording import PairMember
 from tests.unit.sim2real.predict.test_scene import hover
@@ -76,11 +76,12 @@ def test_a_weak_wake_at_another_offset_confirms_nothing() -> None:
     assert _finding_on_clock("a and b", gains, 0.001).code == "clock_confirmed"
 
 
-def test_one_contradiction_without_a_named_wake_is_none() -> None:
+def test_one_pair_without_a_named_wake_shows_no_clock() -> None:
     def at(pair: str, offset: float) -> Finding:
         return Finding("clock_contradicted", pair, {"offset_s": offset, "half_width_s": 0.02})
 
     unchecked = Finding("clock_unchecked", "b")
-    assert without_lone_contradictions([at("a", -0.54), unchecked]) == [Finding("clock_unchecked", "a"), unchecked]
+    assert agreeing_contradictions([at("a", -0.54), unchecked]) == [Finding("clock_unchecked", "a"), unchecked]
     both = [at("a", 0.24), at("b", 0.27)]
-    assert without_lone_contradictions([*both, at("c", -0.6)]) == [*both, Finding("clock_unchecked", "c")]
+    assert agreeing_contradictions([*both, at("c", -0.6)]) == [*both, Finding("clock_unchecked", "c")]
+    assert agreeing_contradictions([Finding("clock_confirmed", "b")]) == [unchecked]
