@@ -167,7 +167,8 @@ def judge_flights(
         progress("each vehicle by itself", 0.95)
         settings = {"bandwidth": bandwidth, "seed": seed, "criteria": criteria, "tolerances": off, "effects": effects}
         alone = [judge_flights(robot, *parts, **settings).verdict for parts in own]
-        judged = replace(judged, verdict=verdict_with_each_vehicle(judged.verdict, alone))
+        complete = all(flight.pair is not None for flight in flights) and judged.verdict.learned is None
+        judged = replace(judged, verdict=verdict_with_each_vehicle(judged.verdict, alone, is_complete=complete))
     return result_with_failures(judged, told, len(flights)) if failures else result_with_suspicions(judged, seen)
 
 

@@ -16,9 +16,11 @@ from aerial_gym.sim2real.judge.random_wind.gusts import (
     LEAST_P_VALUE,
     NAME,
     RandomWind,
+    equivalent_winds,
     find_random_wind,
     noise_floors_in_declared_wind,
     random_wind_in_file,
+    wind_response,
 )
 from aerial_gym.sim2real.judge.residual_excess import (
     channel_rms,
@@ -40,8 +42,8 @@ def are_gusts_sufficient(train: Predictor, declared: ModelParams, selection: Sel
 
     Feedback makes thrust and attitude follow gusts, so effects imitate them: in a hover, a centre of mass 0.3 m too high.
     These leave an excess in the force. Gusts suffice if they pass all of their tests, no other channel has an excess without
-    effects, and the mean force is that of gusts and tolerances: in a mean, a wind of correlation time T counts ``2 T`` over
-    the time flown of its variance.
+    effects, and the mean is that of gusts: in force, along body axes, within tolerances, and in wind, along world axes. In a
+    mean, a wind of correlation time T counts ``2 T`` over the time flown of its variance.
     """
     if NAME in train.robot.effects or not selection.best.effects:
         return False
@@ -60,7 +62,13 @@ def are_gusts_sufficient(train: Predictor, declared: ModelParams, selection: Sel
         return False
     mean, span = np.concatenate(train.residuals(declared)).mean(axis=0), sum(float(time[-1]) for time in train.times)
     std = np.hypot(selection.tolerated, np.sqrt(2.0 * wind.corr_time / span) * wind.channel_rms(train, within))
-    return chi_square_tail(float(np.square(mean / std)[forces].sum()), int(forces.sum())) >= LEAST_P_VALUE
+    places = np.flatnonzero(forces)
+    response = [part[:, places] for part in wind_response(train, within)]
+    steady = np.concatenate(equivalent_winds(train, within, response, places)).mean(axis=0)
+    size, time = wind.vertical or (1.0, 1.0)
+    drawn = wind.std * np.sqrt(2.0 * wind.corr_time / span) * np.array([1.0, 1.0, size * np.sqrt(time)])
+    squares = (mean[places] / std[places]) ** 2, (steady / drawn) ** 2
+    return all(chi_square_tail(float(each.sum()), 3) >= LEAST_P_VALUE for each in squares)
 
 
 def effects_below_remainder(train: Predictor, declared: ModelParams, selection: SelectionResult) -> dict[str, Finding]:

@@ -139,7 +139,7 @@ def load_flights(
             opened = open_log(path, mapping)
             for number in opened.numbers:
                 with _collect_refusals(refused):
-                    raw = with_other_vehicle(opened.flight(number), pairs, mapping)
+                    raw = with_other_vehicle(opened.flight(number), pairs, mapping, resample_log)
                     seen.add(raw)
                     log = derive_velocity(mend_position_jumps(resample_log(raw)))
                     given[real.with_name(Path(raw.path).name)] = (log, learning is None or index < learning)

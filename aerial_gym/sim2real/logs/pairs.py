@@ -1,6 +1,6 @@
 """Logs of two vehicles in one flight: each one gets the position of the other vehicle. Letters: T rows."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -9,6 +9,7 @@ import numpy as np
 
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, PairMember, position_at_times, split_flight_number
@@ -56,9 +57,12 @@ def check_pairs(pairs: Sequence[LogPair], train: Sequence[str | Path], test: Seq
             raise ConfigError(f"{names}: {twice[0].name} is in another pair too; a log has one other vehicle")
 
 
-def with_other_vehicle(log: FlightLog, pairs: Sequence[LogPair], mapping: LogMapping | None) -> FlightLog:
+def with_other_vehicle(
+    log: FlightLog, pairs: Sequence[LogPair], mapping: LogMapping | None, resample: Callable[[FlightLog], FlightLog]
+) -> FlightLog:
     """Return a log with the other vehicle's position in its rows, NaN where unknown; without a pair as it is.
 
+    ``resample`` gives the other log equal time steps; its position is then mended as that of any log.
     Raise ``DataError`` if the other log cannot be read, has no position, or has no time in common.
     """
     for number, pair in enumerate(pairs):
@@ -67,12 +71,17 @@ def with_other_vehicle(log: FlightLog, pairs: Sequence[LogPair], mapping: LogMap
                 clock = pair.clock if vehicle else 0.0
                 ahead = pair.clock - 2.0 * clock  # added to times of the other log, gives those of this one
                 member = PairMember(pair=number, vehicle=vehicle, clock=clock)
-                return _add_position(log, other, ahead, member, mapping)
+                return _add_position(log, other, ahead, member, mapping, resample)
     return log
 
 
 def _add_position(
-    log: FlightLog, other: str, ahead: float, member: PairMember, mapping: LogMapping | None
+    log: FlightLog,
+    other: str,
+    ahead: float,
+    member: PairMember,
+    mapping: LogMapping | None,
+    resample: Callable[[FlightLog], FlightLog],
 ) -> FlightLog:
     parts = read_flights([other], mapping=mapping)
     place = np.full((log.time.size, 3), np.nan)
@@ -81,7 +90,7 @@ def _add_position(
             raise DataError(
                 f"{other}: has no position, which the other vehicle of this flight needs (columns p_x, p_y, p_z)"
             )
-        seen = position_at_times(part, log.time - ahead)
+        seen = position_at_times(mend_position_jumps(resample(part)), log.time - ahead)
         place = np.where(np.isnan(place), seen, place)
     known = ~np.isnan(place).any(axis=1)
     if not known.any():

@@ -215,8 +215,8 @@ WALL = AssetCfg(name="wall", shapes=(ShapeCfg(kind="box", size=(0.2, 4.0, 4.0)),
 
 
 def _clears(env: EnvironmentCfg) -> bool:
-    """A track keeps distances of its own, and to land on what pushes back one comes near it."""
-    return env.num_assets > 0 and env.track is None and env.contact is None
+    """A track keeps distances of its own, to land on what pushes back one comes near it, and groups start beside walls."""
+    return env.num_assets > 0 and env.track is None and env.contact is None and env.vehicle_clearance == 0.0
 
 
 @pytest.mark.parametrize("name", [name for name in ENVIRONMENTS.names() if _clears(ENVIRONMENTS.get(name))])

@@ -67,7 +67,7 @@ LIDARS = {
 
 
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
-    further_sensors = {"depth_camera_64", "coarse_depth_camera", "coarse_dome_lidar", "base_rgb_camera"}
+    further_sensors = {"depth_camera_64", "coarse_depth_camera", "coarse_dome_lidar", "base_rgb_camera", "ring_lidar"}
     further_sensors |= {
         "base_optical_flow_camera", "st_vl53l5cx", "st_vl53l7cx", "livox_mid40", "livox_mid70", "livox_avia",
     }  # fmt: skip

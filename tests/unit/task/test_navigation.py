@@ -157,7 +157,8 @@ def scene_distance(task: Task, points: Tensor) -> Tensor:
     return out
 
 
-OPEN = (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).track is None)
+ALL = {name: ENVIRONMENTS.get(name) for name in ENVIRONMENTS.names()}
+OPEN = (name for name, env in ALL.items() if env.track is None and env.vehicle_clearance == 0.0)
 RARE = ("forest_env", "env_with_lidar_nav_obstacles", "landing_platform_env")
 
 

@@ -48,10 +48,10 @@ def clock_findings(predictor: Predictor, params: ModelParams, significance: floa
         seen = [(predictor.flights[k], predictor.times[k], residuals[k][:, places]) for k in own]
         name = " and ".join(flight.name for flight, _, _ in seen)
         results.append(_finding_on_clock(name, log_likelihood_gains(seen), significance))
-    return results if len(still) < len(params.effects) else agreeing_contradictions(results)
+    return results if len(still) < len(params.effects) else contradictions_of_several_pairs(results)
 
 
-def agreeing_contradictions(findings: Sequence[Finding]) -> list[Finding]:
+def contradictions_of_several_pairs(findings: Sequence[Finding]) -> list[Finding]:
     """Return findings on clocks with no others left than contradictions whose interval meets that of another pair."""
     doubts = [one for one in findings if one.code == "clock_contradicted"]
     agree = [one for one in doubts if any(_offsets_meet(one, other) for other in doubts if other is not one)]
@@ -91,12 +91,11 @@ def log_likelihood_gains(seen: Sequence[tuple[Flight, Array, Array]]) -> Array:
             wake -= wake.mean(axis=0)
             projections[index] += np.einsum("tc,tcw->w", part - part.mean(axis=0), wake)
             sizes[index] += (wake**2).sum(axis=(0, 1))
-    gains = np.maximum(projections, 0.0) ** 2 / np.maximum(
-        sizes, 1e-9
-    )  # fall of the sum of squares; a wake pushes down
-    left = float((force**2).sum()) - float(gains.max())
+    sizes = np.maximum(sizes, 1e-9)
+    down, up = (np.maximum(sign * projections, 0.0) ** 2 / sizes for sign in (1.0, -1.0))  # fall of the sum of squares
+    left = float((force**2).sum()) - float(down.max())
     share = float(np.mean([share_of_independent_rows(part).mean() for _, _, part in seen]))
-    return 0.5 * share * force.size * gains.max(axis=1) / left
+    return 0.5 * share * force.size * np.maximum(down.max(axis=1) - float(up.max()), 0.0) / left
 
 
 def _finding_on_clock(name: str, gains: Array, significance: float) -> Finding:

@@ -13,6 +13,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import interpolate_columns
 
 CORRELATIONS = np.linspace(0.0, 1.0, 51)  # Equally probable before the flights
+LONGEST_SHIFT = 10  # Rows by which two winds are shifted at most: 1 s
 SURE = 0.95  # Least probability at which the wind counts as shared, or as separate
 
 
@@ -24,12 +25,16 @@ class CommonWind:
     interval: tuple[float, float]  # Holds it with 95 %
     probability: float  # That it exceeds one half: most of the wind's variance is the same at both
 
+    is_shifted: bool = False
+    """Whether more than half of it is the same at another offset of the clocks: they differ, or the wind moves from one to
+    the other."""
+
     @property
     def finding(self) -> Finding:
         """Return whether both vehicles feel the same wind."""
         low, high = self.interval
         values = {"correlation": self.correlation, "low": low, "high": high}
-        if 1.0 - SURE < self.probability < SURE:
+        if 1.0 - SURE < self.probability < SURE or (self.is_shifted and self.probability < SURE):
             return Finding("gusts_undecided", "gusts", values)
         return Finding("gusts_shared" if self.probability >= SURE else "gusts_separate", "gusts", values)
 
@@ -48,7 +53,20 @@ def correlation_of_winds(pairs: Sequence[tuple[Array, Array]], series: WindSerie
     weight /= weight.sum()
     low, high = np.interp((0.025, 0.975), np.cumsum(weight) - 0.5 * weight, CORRELATIONS)
     above = float(weight[CORRELATIONS > 0.5].sum() + 0.5 * weight[CORRELATIONS == 0.5].sum())
-    return CommonWind(correlation=float(weight @ CORRELATIONS), interval=(float(low), float(high)), probability=above)
+    shifted = max(_correlation_at_shift(pairs, k) for k in range(-LONGEST_SHIFT, LONGEST_SHIFT + 1)) > 0.5
+    interval = float(low), float(high)
+    mean = float(weight @ CORRELATIONS)
+    return CommonWind(correlation=mean, interval=interval, probability=above, is_shifted=shifted)
+
+
+def _correlation_at_shift(pairs: Sequence[tuple[Array, Array]], rows: int) -> float:
+    """Return the correlation of the winds of all pairs, without their means, with the second ones so many rows later."""
+    products = np.zeros(3)
+    for both in (pair for pair in pairs if len(pair[0]) > 2 * abs(rows)):
+        one, other = (wind - wind.mean(axis=0) for wind in both)
+        one, other = (one[rows:], other[: len(other) - rows]) if rows >= 0 else (one[:rows], other[-rows:])
+        products += [(one * other).sum(), (one**2).sum(), (other**2).sum()]
+    return float(products[0] / max(sqrt(products[1] * products[2]), 1e-12))
 
 
 def winds_of_pairs(

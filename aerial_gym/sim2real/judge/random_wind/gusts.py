@@ -165,8 +165,7 @@ def find_random_wind(
         return RandomWind()
     series = wind_series(predictor, params, response, places)
     fit, common = fit_process(series), None
-    residuals = [left[:, places, None] for left in predictor.residuals(params)]
-    winds = [np.linalg.solve(gain, left)[:, :, 0] for gain, left in zip(response, residuals, strict=True)]
+    winds = equivalent_winds(predictor, params, response, places)
     if pairs := winds_of_pairs(predictor.flights, predictor.times, winds, series.step):
         common = correlation_of_winds(pairs, series, fit)
         if common.probability > 0.5:  # two logs of one wind count once
@@ -207,6 +206,14 @@ def wind_response(predictor: Predictor, params: ModelParams) -> list[Array]:
         moved = predictor.predict(params.with_effect("constant_wind", still + WIND_STEP * np.eye(3)[axis]))
         columns.append([(m - b) / WIND_STEP for m, b in zip(moved, base, strict=True)])
     return [np.stack([column[flight] for column in columns], axis=2) for flight in range(len(base))]
+
+
+def equivalent_winds(
+    predictor: Predictor, params: ModelParams, response: Sequence[Array], places: Sequence[int]
+) -> list[Array]:
+    """Return the wind that would cause the residual of each flight's force (channels ``places``), world, (T, 3)."""
+    residuals = [left[:, places, None] for left in predictor.residuals(params)]
+    return [np.linalg.solve(gain, left)[:, :, 0] for gain, left in zip(response, residuals, strict=True)]
 
 
 def wind_series(

@@ -9,7 +9,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.pairs.clock import (
     OFFSETS,
     _finding_on_clock,
-    agreeing_contradictions,
+    contradictions_of_several_pairs,
     log_likelihood_gains,
 )
 from aerial_gym.sim2real.logs.recording import PairMember
@@ -77,11 +77,14 @@ def test_a_weak_wake_at_another_offset_confirms_nothing() -> None:
 
 
 def test_one_pair_without_a_named_wake_shows_no_clock() -> None:
-    def at(pair: str, offset: float) -> Finding:
+    def contradicted(pair: str, offset: float) -> Finding:
         return Finding("clock_contradicted", pair, {"offset_s": offset, "half_width_s": 0.02})
 
     unchecked = Finding("clock_unchecked", "b")
-    assert agreeing_contradictions([at("a", -0.54), unchecked]) == [Finding("clock_unchecked", "a"), unchecked]
-    both = [at("a", 0.24), at("b", 0.27)]
-    assert agreeing_contradictions([*both, at("c", -0.6)]) == [*both, Finding("clock_unchecked", "c")]
-    assert agreeing_contradictions([Finding("clock_confirmed", "b")]) == [unchecked]
+    assert contradictions_of_several_pairs([contradicted("a", -0.54), unchecked]) == [
+        Finding("clock_unchecked", "a"),
+        unchecked,
+    ]
+    both = [contradicted("a", 0.24), contradicted("b", 0.27)]
+    assert contradictions_of_several_pairs([*both, contradicted("c", -0.6)]) == [*both, Finding("clock_unchecked", "c")]
+    assert contradictions_of_several_pairs([Finding("clock_confirmed", "b")]) == [unchecked]

@@ -177,6 +177,17 @@ def fly_in_wind(number: int, std: float = 0.0, *, gain: float = np.inf) -> Fligh
     )  # fmt: skip
 
 
+def in_steady_wind(number: int, speed: float) -> Flight:
+    """Return a flight in gusts and a wind along world x, with the heading turned by as many quarters as its number."""
+    gusty, turn = fly_in_wind(number, 1.2, gain=2.0), Rotation.from_euler("z", 0.5 * np.pi * number)
+    along = turn.apply([speed, 0.0, 0.0], inverse=True) * np.array([0.5, 0.4, 0.3])
+    attitude = np.tile(turn.as_quat(), (gusty.time.size, 1))
+    return replace(
+        gusty, attitude=attitude, specific_force=gusty.specific_force + along,
+        lin_vel=0.0 * gusty.lin_vel, position=0.0 * gusty.position + 1.0,
+    )  # fmt: skip
+
+
 def look(flights: list[Flight], params: ModelParams = DRAGGED, **more: object) -> RandomWind:
     predictor = make_predictor(flights)
     count = len(predictor.channels)
@@ -240,6 +251,8 @@ def test_gusts_suffice_only_if_no_other_cause_acts_beside_them() -> None:
     steady = np.array([1.0, 0.0, 0.0])
     assert not sufficient([replace(one, specific_force=one.specific_force + steady) for one in gusty])
     assert not sufficient([replace(one, rotor_speed=0.97 * one.rotor_speed) for one in gusty])
+    assert sufficient([in_steady_wind(number, 0.0) for number in range(4)])
+    assert not sufficient([in_steady_wind(number, 2.0) for number in range(4)])  # its mean along body axes is zero
     turning = [replace(one, ang_vel=np.outer(np.sin(6.0 * one.time), [1.0, 0.0, 0.0])) for one in gusty]
     assert not sufficient(turning)
     assert not sufficient(gusty, left=[fly_in_wind(number) for number in range(4)])  # the effects explain all of it
