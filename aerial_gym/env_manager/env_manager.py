@@ -99,6 +99,8 @@ class EnvManager:
         single = len(kinds) == 1 and kinds[0].count == 1
         if single and env.payload is not None:
             raise ConfigError("payload: several vehicles carry it. Give a single one the effect slung_payload")
+        if single and env.network is not None:
+            raise ConfigError("network: it joins several vehicles. Give the environment robots, or leave network out")
         sizes = {"E": num_envs, "A": env.num_assets} | ({"R": kinds[0].robot.num_rotors} if single else {})
         self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
         bounds = self._declare_bounds(root=single)

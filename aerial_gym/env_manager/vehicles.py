@@ -255,6 +255,7 @@ class Vehicles:
             group.sensor_manager.reset(group.random.mask)
             group.imus.reset(group.random.mask)
             group.collision.measure()
+            group.bodies.plain("vehicle_collisions").masked_fill_(group.random.mask, False)
         self._collision.measure()
         if self._network is not None:
             self._network.exchange(begins=True)
@@ -329,12 +330,12 @@ def check_kinds(
                 "episode. Give the environment reset_together: true"
             )
     if env.payload is not None:
-        faults += payload_faults(kinds, env, sim)
+        faults += payload_faults(kinds, env, sim, {**env.randomize, **randomize})
     if faults:
         raise ConfigError(*faults)
 
 
-def payload_faults(kinds: Sequence[VehicleKind], env: EnvironmentCfg, sim: SimCfg) -> list[str]:
+def payload_faults(kinds: Sequence[VehicleKind], env: EnvironmentCfg, sim: SimCfg, randomize: Randomize) -> list[str]:
     """Return the reasons against a payload of these vehicles, one sentence each."""
     faults, count = [], sum(kind.count for kind in kinds)
     if len(kinds) > 1 or count > MOST_CARRIERS:
@@ -350,6 +351,8 @@ def payload_faults(kinds: Sequence[VehicleKind], env: EnvironmentCfg, sim: SimCf
     for kind in kinds:
         if kind.robot.joints is not None:
             faults.append(f"robot {kind.name}: a vehicle with joints carries no payload of the environment")
-        effects = (name for name in kind.robot.effects if isinstance(EFFECTS.get(name), LoadEffect | FluidEffect))
+        drawn = (name.split(".")[1] for name in {**kind.robot.randomize, **randomize} if name.startswith("effects."))
+        given = sorted(name for name in {*kind.robot.effects, *drawn} if name in EFFECTS)
+        effects = (name for name in given if isinstance(EFFECTS.get(name), LoadEffect | FluidEffect))
         faults += [f"robot {kind.name}: effect {name} does not go with payload. Leave one out" for name in effects]
     return faults

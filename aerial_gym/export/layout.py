@@ -136,6 +136,9 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
 
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise ConfigError(f"name {name!r}: C allows letters, digits and _, no digit first")
+    learners = [one for one in (cfg.ppo, cfg.apg, cfg.distill) if one is not None]
+    if sets := [key for one in learners for key in one.sets if key in policy.shapes]:
+        raise ConfigError(f"policy of {cfg.task}: attends to {', '.join(sets)} (sets), which export cannot write")
     seen: list[ObservationTerm] = []
     first = 0
     images = tuple(_image_description(key, shape, task) for key, shape in policy.shapes.items() if len(shape) == 3)

@@ -100,6 +100,11 @@ class Task:
             raise ConfigError(
                 "task: share_reward needs an environment with reset_together: true. Give it that, or leave it out"
             )
+        if cfg.curriculum is not None and group.kind.count > 1 and not env.cfg.reset_together:
+            raise ConfigError(
+                "task: its curriculum changes obstacles, which stay where vehicles restart alone. Give the environment "
+                "reset_together: true, or leave curriculum out"
+            )
         num_commands, command = env.robot_manager.num_actions, env.robot_manager.action_names
         cfg = with_rotor_range(cfg, env.robot_manager.cfg, command)
         self.cfg, self.env = cfg, env
@@ -352,7 +357,7 @@ class Task:
             return mask
         if mask is self._all:
             return None
-        return self._by_vehicle(mask)[:, 0] if self._together else self._by_vehicle(mask)
+        return self._by_vehicle(mask).any(dim=1) if self._together else self._by_vehicle(mask)
 
     def _by_vehicle(self, values: Tensor) -> Tensor:
         """Return rows by environment and vehicle; of single vehicles the values as they are."""

@@ -62,7 +62,7 @@ def are_gusts_sufficient(train: Predictor, declared: ModelParams, selection: Sel
         return False
     mean, span = np.concatenate(train.residuals(declared)).mean(axis=0), sum(float(time[-1]) for time in train.times)
     std = np.hypot(selection.tolerated, np.sqrt(2.0 * wind.corr_time / span) * wind.channel_rms(train, within))
-    places = np.flatnonzero(forces)
+    places = [place for place, is_force in enumerate(forces) if is_force]
     response = [part[:, places] for part in wind_response(train, within)]
     steady = np.concatenate(equivalent_winds(train, within, response, places)).mean(axis=0)
     size, time = wind.vertical or (1.0, 1.0)

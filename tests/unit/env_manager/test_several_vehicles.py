@@ -392,6 +392,15 @@ def test_the_nearest_shape_can_belong_to_a_farther_ball() -> None:
         assert env.gtd["vehicle_collisions"].tolist() == [[v in touches for v in range(4)]] * E
 
 
+def test_a_reset_clears_the_collisions_of_the_last_episode() -> None:
+    env = build(ONE_KIND)
+    env.reset()
+    env.gtd.plain("vehicle_collisions").fill_(True)
+    env.reset(torch.tensor([[True] + [False] * (V - 1)] * E))
+    assert not env.gtd["vehicle_collisions"][:, 0].any()
+    assert env.gtd["vehicle_collisions"][:, 1:].all()
+
+
 def test_vehicles_without_shapes_pass_through_each_other() -> None:
     bodiless = replace(ROBOTS.get("base_quadrotor"), collision=CollisionCfg())
     env = build([{"name": bodiless, "kind": "bodiless", "count": 2}])

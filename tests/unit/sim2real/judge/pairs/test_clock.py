@@ -77,14 +77,17 @@ def test_a_weak_wake_at_another_offset_confirms_nothing() -> None:
 
 
 def test_one_pair_without_a_named_wake_shows_no_clock() -> None:
-    def contradicted(pair: str, offset: float) -> Finding:
+    def contradiction(pair: str, offset: float) -> Finding:
         return Finding("clock_contradicted", pair, {"offset_s": offset, "half_width_s": 0.02})
 
     unchecked = Finding("clock_unchecked", "b")
-    assert contradictions_of_several_pairs([contradicted("a", -0.54), unchecked]) == [
+    assert contradictions_of_several_pairs([contradiction("a", -0.54), unchecked]) == [
         Finding("clock_unchecked", "a"),
         unchecked,
     ]
-    both = [contradicted("a", 0.24), contradicted("b", 0.27)]
-    assert contradictions_of_several_pairs([*both, contradicted("c", -0.6)]) == [*both, Finding("clock_unchecked", "c")]
+    both = [contradiction("a", 0.24), contradiction("b", 0.27)]
+    assert contradictions_of_several_pairs([*both, contradiction("c", -0.6)]) == [
+        *both,
+        Finding("clock_unchecked", "c"),
+    ]
     assert contradictions_of_several_pairs([Finding("clock_confirmed", "b")]) == [unchecked]
