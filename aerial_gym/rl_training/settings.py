@@ -24,7 +24,6 @@ Section = TypeVar("Section", bound=LearnerCfg)
 
 ALIKE = {
     "dce_navigation_task": "navigation_task",
-    "forest_flight_task": "lidar_navigation_task",
     "position_setpoint_task_acceleration_sim2real": "position_setpoint_task_sim2real",
     "position_setpoint_task_morphy_paper": "position_setpoint_task_morphy",
     "position_setpoint_task_morphy_stiff": "position_setpoint_task_morphy",
