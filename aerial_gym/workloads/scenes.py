@@ -57,7 +57,9 @@ def make_scene(name: str, num_envs: int, *, device: torch.device, vehicles: int 
     """Return a scene by name, or a registered environment with vehicles as its first reset leaves it."""
     if name in SCENES:
         if vehicles > 1:
-            raise ConfigError(f"--vehicles {vehicles} with --scene {name}: has none. Use a registered environment")
+            raise ConfigError(
+                f"--vehicles {vehicles} with --scene {name}: a scene without vehicles. Use an environment"
+            )
         return SCENES[name](num_envs, device)
     if name not in ENVIRONMENTS:
         known = (*sorted(SCENES), *ENVIRONMENTS.names())

@@ -23,6 +23,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from aerial_gym.errors import ConfigError
+from aerial_gym.workloads.measure import require_at_least
 from benchmarks.markdown import table
 from benchmarks.scores.score_undeclared import BANDWIDTH_HZ, code_digest, judge_verdict, run_jobs
 from benchmarks.undeclared.effects import cause_names
@@ -63,7 +65,10 @@ class PairScoreCmd:
 
     def run(self) -> int:
         """Score the cases and print the scores; return the exit status."""
+        require_at_least(1, cases=self.cases, workers=self.workers)
         kinds = self.kinds or tuple(HIDDEN)
+        if unknown := [kind for kind in kinds if kind not in HIDDEN]:
+            raise ConfigError(f"--kinds {', '.join(unknown)}: take some of {', '.join(HIDDEN)}")
         jobs = [PairJob(kind=kind, seed=self.seed + i) for i in range(self.cases) for kind in kinds]
         console, rows = Console(stderr=True), []
         scored = run_jobs(jobs, processes=self.workers, out=self.out, score=score_pair)

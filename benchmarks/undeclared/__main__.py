@@ -11,6 +11,7 @@ from typing import Literal
 
 import tyro
 
+from aerial_gym.errors import AerialGymError
 from benchmarks.undeclared import PlantFailure, make_case
 
 
@@ -77,4 +78,8 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except AerialGymError as error:
+        print(f"benchmarks.undeclared: {error}", file=sys.stderr)
+        sys.exit(2)

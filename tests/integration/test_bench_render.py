@@ -48,7 +48,7 @@ def test_each_of_several_vehicles_takes_a_frame(capsys: pytest.CaptureFixture[st
     assert figures["frames_per_s"] == pytest.approx(6 / figures["image_s"])
     status, _, err = run(capsys, "render", *QUICK, "--scene", "boxes", "--vehicles", "2")
     assert status == 2
-    assert "--vehicles 2 with --scene boxes: has none. Use a registered environment" in err
+    assert "--vehicles 2 with --scene boxes: a scene without vehicles. Use an environment" in err
 
 
 @pytest.mark.parametrize("scene", [pytest.param("boxes", marks=pytest.mark.slow), "clutter"])

@@ -101,6 +101,8 @@ class Places(Command):
             raise ConfigError(
                 f"command places: {len(begins)} starts and {len(targets)} targets: needs one of each for all {count} vehicles"
             )
+        if starts is not None and env.cfg.payload is not None:
+            raise ConfigError("command places: starts would leave the payload behind. Leave starts out, or payload")
         self._places_vehicles = starts is not None
         if not (travel_s >= 0.0 and min(*start_offset, *target_offset) >= 0.0):
             raise ConfigError(

@@ -223,6 +223,18 @@ def test_places_need_one_for_each_vehicle() -> None:
         task_registry.make_task("formation_task", num_envs=2, device="cpu", settings=["task.num_vehicles=2"])
 
 
+def test_starts_that_leave_a_payload_behind_are_refused() -> None:
+    starts = ["task.command.params.starts=[[0,0,3],[1,0,3],[0,1,3]]"]
+    with pytest.raises(ConfigError, match="starts would leave the payload behind"):
+        task_registry.make_task("team_payload_task", num_envs=2, device="cpu", settings=starts)
+
+
+def test_several_vehicles_refuse_a_curriculum_of_obstacles_that_stay() -> None:
+    settings = ["task.num_vehicles=2"]
+    with pytest.raises(ConfigError, match="its curriculum changes obstacles"):
+        task_registry.make_task("lidar_navigation_task", num_envs=2, device="cpu", settings=settings)
+
+
 def test_the_way_leads_through_the_door() -> None:
     task = begin("formation_task", 2)
     own, bodies = task.values.own, task.env.rows.bodies
