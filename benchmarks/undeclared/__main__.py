@@ -11,7 +11,6 @@ from typing import Literal
 
 import tyro
 
-from aerial_gym.errors import AerialGymError
 from benchmarks.undeclared import PlantFailure, make_case
 
 
@@ -68,18 +67,10 @@ def main(arguments: list[str]) -> int:
     """Fly one case, or score many; return the exit status."""
     if "--cases" not in arguments:
         return tyro.cli(CaseCmd, args=arguments, description=__doc__).run()
-    if "--pairs" in arguments:
-        from benchmarks.scores.score_pairs import PairScoreCmd
+    from benchmarks.scores.command import run_score
 
-        return tyro.cli(PairScoreCmd, args=arguments, description=__doc__).run()
-    from benchmarks.scores.score_loggers import LoggerScoreCmd
-
-    return tyro.cli(LoggerScoreCmd, args=arguments, description=__doc__).run()
+    return run_score(arguments, pairs="--pairs" in arguments, description=__doc__)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(sys.argv[1:]))
-    except AerialGymError as error:
-        print(f"benchmarks.undeclared: {error}", file=sys.stderr)
-        sys.exit(2)
+    sys.exit(main(sys.argv[1:]))
