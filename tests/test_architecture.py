@@ -137,6 +137,7 @@ def test_unit_tests_mirror_the_package() -> None:
 def test_undeclared_plant_shares_no_code_with_the_package() -> None:
     files = sorted((ROOT.parent / "benchmarks" / "undeclared").glob("*.py"))
     files += [ROOT.parent / "benchmarks" / "preflight" / name for name in ("faults.py", "flights.py")]
+    files += [ROOT.parent / "benchmarks" / "fleet" / "flights.py"]
     assert [path.name for path in files if "aerial_gym" in {name.split(".")[0] for name in module_imports(path)}] == []
 
 
