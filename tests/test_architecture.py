@@ -32,7 +32,7 @@ ROOMS = (
     ("judge",),
     ("wording",),
     ("report",),
-    ("flight_replay", "teststand"),
+    ("flight_evidence", "flight_replay", "teststand"),
     ("preflight",),
     ("loop",),
 )

@@ -85,6 +85,7 @@ IMPOSED = {
     "ExportedPilot": "public pilot made of an exported file",
     "Imported": "public result of an import",
     "NamedEffect": "public part of a verdict",
+    "RefusedFlight": "public result for a log that cannot be compared",
     "RunningNormalizer": "running mean and variance, as in the field",
     "StuckRotor": "class of the registered effect `stuck_rotor`",
     "stuck_rotor": "registered effect; its name stands in robot files",

@@ -88,6 +88,10 @@ class Tolerances:
         parts = [(name, part) for name, of in LAYOUT.items() for part in _part_names(of, num_rotors)]
         return tuple(f"{name}_{part}" if part else name for name, part in parts)
 
+    def standard_deviations(self, num_rotors: int) -> Array:
+        """Return the standard deviations of the N tolerances, (N,); 0 for those that come from each log."""
+        return np.array([getattr(self, name, 0.0) for name, of in LAYOUT.items() for _ in _part_names(of, num_rotors)])
+
     def implausible_deviations(
         self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf
     ) -> list[Finding]:

@@ -47,6 +47,12 @@ def finding_on_untestable_effect(
         or _finding_on_slope(effect, robot, train)
     ):
         return reason
+    return finding_on_refused_effect(name, robot)
+
+
+def finding_on_refused_effect(name: str, robot: RobotCfg) -> Finding | None:
+    """Return a finding on the reason why a robot file cannot have an effect, whatever the logs; None if it can."""
+    effect = EFFECTS.get(name)
     try:
         check_effect_on_rotors(effect, robot.rotor_traits)
         check_effect_on_joints(effect, bends=robot.joints is not None)

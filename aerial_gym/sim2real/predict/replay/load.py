@@ -51,6 +51,11 @@ class LoadLink:
         return np.concatenate((direction, load[:, 3:] - along * direction), axis=1)
 
 
+def num_initial_steps(flight: Flight) -> int:
+    """Return the number of steps of a flight that fits of the initial link can use."""
+    return min(int(np.ceil(float(flight.time[-1]) / STEP_S)) + 1, round(max(FOUND_S) / STEP_S))
+
+
 class LoadReplay:
     """Replay of the link in all flights for any load parameters."""
 
@@ -71,7 +76,8 @@ class LoadReplay:
             hanging = self._start[:, :3]
             self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
             self._axes[:, 2] = hanging
-            self._num_found = [min(count, round(span / STEP_S)) for span in FOUND_S]
+            longest = max(map(num_initial_steps, flights))
+            self._num_found = [min(longest, round(span / STEP_S)) for span in FOUND_S]
             grid = self._time[::2][: max(self._num_found) + 1, None]
             self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
@@ -87,9 +93,10 @@ class LoadReplay:
             start = self._start if felt is None else self._fit_initial_links(model, felt)
             motion = self._acceleration
             swings = integrate_swing(effect, params[0], start, motion, step=STEP_S, gravity=model.gravity)[0].numpy()
-            if not np.isfinite(swings).all():  # invalid pendulum parameters, which a fit rejects
-                return torch.full((sum(map(len, self._times)), 6), torch.nan, dtype=torch.float64)
+            finite = np.isfinite(swings).all(axis=(0, 2))  # not for invalid pendulum parameters, which a fit rejects
+            swings[:, ~finite] = 0.0
             self._results[key] = self._interpolate_links_to_rows(swings)
+            self._results[key][torch.from_numpy(np.repeat(~finite, list(map(len, self._times))))] = torch.nan
             if len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)

@@ -84,7 +84,9 @@ class BandResponse:
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
         force = wrench[:3] / vehicle.mass[0] - self.lever_arm_acceleration(vehicle.com[0], late)
-        torque = model.inertia_inverse[0] @ (wrench[3:] - late.of_true_motion(gyroscopic) @ self._motion)
+        torque = self._by_flight(
+            model.inertia_inverse[0], wrench[3:] - self._by_flight(late.of_true_motion(gyroscopic), self._motion)
+        )
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
     def _wrench_in_band(
@@ -106,17 +108,17 @@ class BandResponse:
         terms = self._rows_in_band(
             f"rotors {used}", late, rotor_speed, lambda speed: map_terms(vehicle, speed)[used].permute(1, 0, 2)
         )
-        wrench = factors.transpose(0, 1).flatten(1) @ terms.flatten(0, 1)
+        wrench = self._by_flight(factors.transpose(0, 1).flatten(1), terms.flatten(0, 1))
         for name, more in acting.thrusts:
-            wrench = wrench + along @ band_rows(f"thrust of {name}", more, slice(None))
+            wrench = wrench + self._by_flight(along, band_rows(f"thrust of {name}", more, slice(None)))
         linear = ((name, rows, params[0]) for name, rows, params in acting.linear)
         for name, rows, params in (*((name, rows, None) for name, rows in acting.wrenches), *linear):
             turned = part.stop == 6 and name in hubs and bool(offset.any())
             own = band_rows(name, rows, slice(6) if turned else part)
-            own = own if params is None else params @ own
+            own = own if params is None else self._by_flight(params, own)
             wrench = wrench + own[-len(wrench) :]
             if turned:
-                wrench[-3:] += cross_product_matrix(offset) @ own[:3]
+                wrench[-3:] += self._by_flight(cross_product_matrix(offset), own[:3])
         return wrench
 
     def lever_arm_acceleration(self, place: Tensor, late: SensorDelays) -> Tensor:
@@ -124,10 +126,17 @@ class BandResponse:
         lever = late.of_true_motion((_lever_matrix() @ place).T)
         lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
         if not any(lead):
-            return lever @ self._motion
+            return self._by_flight(lever, self._motion)
         if lead != self._lead:
             self._lead, self._late_motion = lead, self._lowpass_rows(self._motion_rows, lead)
-        return lever @ self._late_motion
+        return self._by_flight(lever, self._late_motion)
+
+    def _by_flight(self, factors: Tensor, columns: Tensor) -> Tensor:
+        """Return ``factors @ columns`` (..., T), one product per flight: the order of its sums depends on the shape."""
+        spans = self._data.kept_spans
+        if len(spans) == 1:
+            return factors @ columns
+        return torch.cat([factors @ columns[..., span].contiguous() for span in spans], dim=-1)
 
     def _rows_in_band(
         self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]
