@@ -1,0 +1,98 @@
+"""Differences between firmware versions over a fleet.
+
+Flights of firmware B have ``x_i = mean + u + w_i + d``. The vehicle's deviation u cancels in vehicles that flew both versions;
+others add what the variance between vehicles leaves. The mean is fitted anew, with the prior of the model.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from aerial_gym.fleet.statistics.change import AMBIGUOUS, mixture_moments
+from aerial_gym.fleet.statistics.discovery import benjamini_hochberg
+from aerial_gym.fleet.statistics.model import FleetModel
+from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
+from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_by_size, log_factors_by_size
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.statistics import normal_quantile
+
+
+@dataclass(frozen=True, kw_only=True)
+class CohortDifference:
+    """Difference of one effect between two firmware versions, in physical units."""
+
+    firmware: tuple[str, str]  # Reference A and the compared version B
+    effect: str
+    rotor: int
+    parameters: tuple[str, ...]
+    difference: tuple[float, ...]  # B less A
+    low: tuple[float, ...]  # Ends of its 95 % interval
+    high: tuple[float, ...]
+    log_e: float  # Log Bayes factor against no difference
+    rejected: bool  # Whether equality is rejected over all effects and versions, by Benjamini-Hochberg
+    leading: bool  # Whether no other effect explains the two versions better by 20 to 1
+    flights: tuple[int, int]
+    vehicles: tuple[int, int]
+    vehicles_of_both: int
+
+
+def compare_cohorts(
+    model: FleetModel, vehicles: Sequence[VehicleFlights], columns: Columns, level: float = 0.01
+) -> list[CohortDifference]:
+    """Return the differences of each firmware version from the most flown one, strongest evidence first.
+
+    Vehicles are read one at a time, once for each version; flights of unknown firmware are left out.
+    """
+    counts = Counter(name for one in vehicles for name in one.firmware if name)
+    reference, *others = sorted(counts, key=lambda name: (-counts[name], name)) or [""]
+    rows = [row for other in others for row in _differences(model, vehicles, columns, (reference, other))]
+    rejected = benjamini_hochberg(np.array([row.log_e for row in rows]), level)
+    rows = [replace(row, rejected=bool(is_rejected)) for row, is_rejected in zip(rows, rejected, strict=True)]
+    return sorted(rows, key=lambda row: -row.log_e)
+
+
+def _differences(
+    model: FleetModel, vehicles: Sequence[VehicleFlights], columns: Columns, firmware: tuple[str, str]
+) -> list[CohortDifference]:
+    width, flown = model.mean.size, []
+    # sums over vehicles of the information about (mean, d), with the deviations of the vehicle integrated out
+    product, gradient = np.zeros((2 * width, 2 * width)), np.zeros(2 * width)
+    for one in vehicles:
+        chosen = one.select([k for k, name in enumerate(one.firmware) if name in firmware])
+        is_second = np.array([name == firmware[1] for name in chosen.firmware])
+        flown.append((int((~is_second).sum()), int(is_second.sum())))
+        if is_second.size:
+            scan = ChangeScan.from_flights(
+                chosen.product, chosen.gradient, model.mean, model.var_flight, np.sqrt(model.var_vehicle)
+            )
+            own, right = scan.cohort_moments(is_second)
+            product += own
+            gradient += right
+    first, both = slice(0, width), product[:width, :width] + np.eye(width)
+    hypotheses = Hypotheses.from_columns(columns, product.diagonal()[width:])
+    rows = []
+    for cause, places in zip(hypotheses.cause, hypotheses.columns, strict=True):
+        own = places + width
+        back = np.linalg.solve(both, np.column_stack((product[first, own], gradient[first] - model.mean)))
+        information = product[np.ix_(own, own)] - product[own, first] @ back[:, :-1]
+        right = gradient[own] - product[own, first] @ back[:, -1]
+        logs, (means, covs) = log_factors_by_size(information, right), change_by_size(information, right)
+        mean, cov = mixture_moments(np.exp(logs - logsumexp(logs)), means, covs)
+        scale = np.array([columns[k].scale for k in places])
+        half = normal_quantile(0.975) * np.sqrt(cov.diagonal()) * scale
+        rows.append((hypotheses.causes[cause], places, mean * scale, half, float(logsumexp(logs) - np.log(len(SIZES)))))
+    best = max((row[-1] for row in rows), default=0.0)
+    counts: Array = np.array(flown)
+    return [
+        CohortDifference(
+            firmware=firmware, effect=effect, rotor=rotor, parameters=tuple(columns[k].parameter for k in places),
+            difference=tuple(mean.tolist()), low=tuple((mean - half).tolist()), high=tuple((mean + half).tolist()),
+            log_e=log_e, rejected=False, leading=log_e >= best - AMBIGUOUS,
+            flights=tuple(counts.sum(axis=0).tolist()), vehicles=tuple((counts > 0).sum(axis=0).tolist()),
+            vehicles_of_both=int((counts > 0).all(axis=1).sum()),
+        )
+        for (effect, rotor), places, mean, half, log_e in rows
+    ]  # fmt: skip
