@@ -11,11 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from aerial_gym.fleet.statistics.change import AMBIGUOUS, mixture_moments
+from aerial_gym.fleet.statistics.change import AMBIGUOUS
 from aerial_gym.fleet.statistics.discovery import benjamini_hochberg
 from aerial_gym.fleet.statistics.model import FleetModel
 from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
-from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_by_size, log_factors_by_size
+from aerial_gym.fleet.statistics.scan import (
+    SIZES,
+    ChangeScan,
+    Hypotheses,
+    change_posterior,
+    log_factors_by_size,
+    mixture_moments,
+)
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.statistics import normal_quantile
 
@@ -72,18 +79,18 @@ def _differences(
             product += own
             gradient += right
     first, both = slice(0, width), product[:width, :width] + np.eye(width)
-    hypotheses = Hypotheses.from_columns(columns, product.diagonal()[width:])
+    hypotheses = Hypotheses.from_columns(columns, product.diagonal()[width:] > 0.0)
     rows = []
     for cause, places in zip(hypotheses.cause, hypotheses.columns, strict=True):
         own = places + width
         back = np.linalg.solve(both, np.column_stack((product[first, own], gradient[first] - model.mean)))
         information = product[np.ix_(own, own)] - product[own, first] @ back[:, :-1]
         right = gradient[own] - product[own, first] @ back[:, -1]
-        logs, (means, covs) = log_factors_by_size(information, right), change_by_size(information, right)
-        mean, cov = mixture_moments(np.exp(logs - logsumexp(logs)), means, covs)
+        mean, cov = mixture_moments(*change_posterior(information, right))
+        log_e = float(logsumexp(log_factors_by_size(information, right)) - np.log(len(SIZES)))
         scale = np.array([columns[k].scale for k in places])
         half = normal_quantile(0.975) * np.sqrt(cov.diagonal()) * scale
-        rows.append((hypotheses.causes[cause], places, mean * scale, half, float(logsumexp(logs) - np.log(len(SIZES)))))
+        rows.append((hypotheses.causes[cause], places, mean * scale, half, log_e))
     best = max((row[-1] for row in rows), default=0.0)
     counts: Array = np.array(flown)
     return [

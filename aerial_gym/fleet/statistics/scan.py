@@ -4,8 +4,8 @@ With a change d in the columns C, flight i has ``x_i = base + g_i d``. The base 
 matrix P and the gradient q of d. Given ``d ~ N(0, s²)``: ``2 log BF = s² q' (1 + s² P)^-1 q - log det(1 + s² P)``.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -29,21 +29,22 @@ class Hypotheses:
     columns: tuple[Indices, ...]  # Columns of each hypothesis
 
     @classmethod
-    def from_columns(cls, columns: Columns, information: Array) -> "Hypotheses":
-        """Return the hypotheses whose columns have information, (K,)."""
+    def from_columns(cls, columns: Columns, shown: Flags) -> "Hypotheses":
+        """Return the hypotheses on the shown columns, (K,)."""
         groups: dict[tuple[str, int], dict[int, list[int]]] = {}
-        for place, column in enumerate(columns):
-            if column.effect and information[place] > 0.0:
+        for place in np.flatnonzero(shown).tolist():
+            column = columns[place]
+            if column.effect:
                 groups.setdefault((column.effect, column.rotor), {}).setdefault(column.start, []).append(place)
         causes = sorted(groups)
-        pairs = [(k, np.array(places)) for k, cause in enumerate(causes) for places in groups[cause].values()]
-        number, places = zip(*pairs, strict=True) if pairs else ((), ())
-        return cls(causes=tuple(causes), cause=np.array(number, dtype=int), columns=tuple(places))
+        places = tuple(np.array(own) for cause in causes for own in groups[cause].values())
+        numbers = np.repeat(np.arange(len(causes)), [len(groups[cause]) for cause in causes])
+        return cls(causes=tuple(causes), cause=numbers, columns=places)
 
     @property
     def log_prior(self) -> Array:
         """Return the logarithm of each prior probability, (H,): equal for causes, then for the starts of a cause."""
-        return -np.log(np.bincount(self.cause)[self.cause] * max(len(self.causes), 1))
+        return -np.log(np.bincount(self.cause)[self.cause] * len(self.causes))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,12 +54,6 @@ class ChangeScan:
     product: Array  # (N, K, K)
     gradient: Array  # At the mean of the base's prior, (N, K)
     root: Array  # Prior standard deviations of the base, (K,)
-    lower: Array = field(init=False)  # Cholesky factor of the base's precision in units of ``root``, (K, K)
-    white: Array = field(init=False)  # ``lower^-1 root gradient``, (K,)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "lower", whitening(self.product.sum(axis=0), self.root))
-        object.__setattr__(self, "white", solve_lower(self.lower, self.root * self.gradient.sum(axis=0)))
 
     @classmethod
     def from_flights(cls, product: Array, gradient: Array, mean: Array, var_flight: Array, root: Array) -> "ChangeScan":
@@ -68,67 +63,61 @@ class ChangeScan:
 
     def without_flight(self, flight: int) -> "ChangeScan":
         """Return the scan without one flight."""
-        keep = np.arange(self.product.shape[0]) != flight
+        keep = np.arange(len(self.product)) != flight
         return ChangeScan(product=self.product[keep], gradient=self.gradient[keep], root=self.root)
 
-    def log_factors(self, patterns: Array, hypotheses: Hypotheses) -> Array:
-        """Return log Bayes factors of changes that follow patterns g over the flights, (J, N), as (J, H)."""
-        rows = [
-            self._log_factors(*self._sums(part), hypotheses)
-            for part in np.split(patterns, range(CHUNK, len(patterns), CHUNK))
-        ]
-        return np.concatenate(rows)
+    @cached_property
+    def lower(self) -> Array:
+        """Return the Cholesky factor of the base's posterior precision in units of ``root``, (K, K)."""
+        return whitening(self.product.sum(axis=0), self.root)
+
+    @cached_property
+    def white(self) -> Array:
+        """Return the whitened gradient of the base, (K,)."""
+        return solve_lower(self.lower, self.root * self.gradient.sum(axis=0))
+
+    def base(self, white: Array | None = None) -> Array:
+        """Return the base's posterior mean from the prior's, (K,), or shifts (any, K) for whitened gradients (any, K)."""
+        rows = np.atleast_2d(self.white if white is None else white)
+        solved = lapack.dtrtrs(self.lower, rows.reshape(-1, self.root.size).T, lower=1, trans=1)[0].T * self.root
+        return solved[0] if white is None else solved.reshape(rows.shape)
+
+    def base_cov(self, places: Indices) -> Array:
+        """Return the posterior covariance of the base in some columns, (P, P)."""
+        side = solve_lower(self.lower, np.diag(self.root)[:, places])
+        return side.T @ side
+
+    def log_factors(self, patterns: Array, hypotheses: Hypotheses, flights: slice = slice(None)) -> Array:
+        """Return log Bayes factors (J, H) of changes that follow patterns g, (J, N), over the flights of a slice."""
+        table, widths = np.zeros((len(patterns), len(hypotheses.columns))), [own.size for own in hypotheses.columns]
+        for width in sorted(set(widths)):
+            members = np.flatnonzero(np.equal(widths, width))
+            places = np.array([hypotheses.columns[k] for k in members])
+            product, gradient, _ = self.change_moments(patterns, places, flights)
+            table[:, members] = logsumexp(log_factors_by_size(product, gradient), axis=-1) - np.log(len(SIZES))
+        return table
 
     def log_factors_of_flights(self, hypotheses: Hypotheses) -> Array:
         """Return log Bayes factors of a change in one flight alone, (N, H)."""
-        parts = range(0, self.product.shape[0], CHUNK)
-        chunks = [(self.product[k : k + CHUNK], self.gradient[k : k + CHUNK]) for k in parts]
-        return np.concatenate([self._log_factors(product, product, right, hypotheses) for product, right in chunks])
+        count = len(self.product)
+        chunks = [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
+        return np.concatenate([self.log_factors(np.eye(part.stop - part.start), hypotheses, part) for part in chunks])
 
-    def _sums(self, patterns: Array) -> tuple[Array, Array, Array]:
-        """Return ``sum g A``, ``sum g² A`` and ``sum g b`` of each pattern, (J, K, K) and (J, K)."""
-        first, second = (np.tensordot(weight, self.product, axes=1) for weight in (patterns, patterns**2))
-        return first, second, patterns @ self.gradient
+    def change_moments(
+        self, patterns: Array, places: Indices, flights: slice = slice(None)
+    ) -> tuple[Array, Array, Array]:
+        """Return P, (J, h, P, P), q, (J, h, P), and the whitened coupling to the base, (J, h, P, K), of changes.
 
-    def _log_factors(self, first: Array, second: Array, right: Array, hypotheses: Hypotheses) -> Array:
-        log_factors = np.zeros((len(first), len(hypotheses.columns)))
-        for members, product, gradient in self._change_moments(first, second, right, hypotheses):
-            log_factors[:, members] = logsumexp(log_factors_by_size(product, gradient), axis=-1) - np.log(len(SIZES))
-        return log_factors
-
-    def _change_moments(
-        self, first: Array, second: Array, right: Array, hypotheses: Hypotheses
-    ) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield hypotheses of equal size with P, (J, h, P, P), and q, (J, h, P)."""
-        used = np.unique(np.concatenate(hypotheses.columns))
-        sides = (self.root[:, None] * first[:, :, used]).transpose(1, 0, 2)
-        whitened = solve_lower(self.lower, sides.reshape(self.root.size, -1)).reshape(sides.shape).transpose(1, 2, 0)
-        right = right[:, used] - whitened @ self.white
-        widths = np.array([places.size for places in hypotheses.columns])
-        for width in np.unique(widths):
-            members = np.flatnonzero(widths == width)
-            places = np.array([hypotheses.columns[k] for k in members])
-            own = np.searchsorted(used, places)
-            sides = whitened[:, own]  # (J, h, P, K)
-            product = second[:, places[:, :, None], places[:, None, :]] - sides @ sides.swapaxes(-1, -2)
-            yield members, product, right[:, own]
-
-    def base(self) -> Array:
-        """Return the posterior mean of the base without a change, from the prior's mean, (K,)."""
-        return self._back(self.white)
-
-    def _back(self, right: Array) -> Array:
-        return (
-            self.root.reshape((-1,) + (1,) * (right.ndim - 1)) * lapack.dtrtrs(self.lower, right, lower=1, trans=1)[0]
-        )
-
-    def change_moments(self, pattern: Array, places: Indices) -> tuple[Array, Array, Array]:
-        """Return P, (P, P), and q, (P,), of a change with a pattern (N,), and the shift of the base per change, (K, P)."""
-        first = np.tensordot(pattern, self.product[:, :, places], axes=1)
-        second = np.tensordot(pattern**2, self.product[np.ix_(range(pattern.size), places, places)], axes=1)
-        side = solve_lower(self.lower, self.root[:, None] * first)
-        right = pattern @ self.gradient[:, places] - side.T @ self.white
-        return second - side.T @ side, right, -self._back(side)
+        Args:
+            patterns: Shares of the change in the flights of the slice, (J, N).
+            places: Columns of h hypotheses of equal size, (h, P).
+        """
+        own, width = self.product[flights], self.root.size
+        first = np.tensordot(patterns, own[:, :, places.ravel()], axes=1) * self.root[:, None]
+        second = np.tensordot(patterns**2, own[:, places[:, :, None], places[:, None, :]], axes=1)
+        side = solve_lower(self.lower, first.transpose(1, 0, 2).reshape(width, -1)).T.reshape(-1, *places.shape, width)
+        right = np.tensordot(patterns, self.gradient[flights][:, places], axes=1) - side @ self.white
+        return second - side @ side.swapaxes(-1, -2), right, side
 
     def cohort_moments(self, changed: Flags) -> tuple[Array, Array]:
         """Return the information (2 K, 2 K) and gradient (2 K,) of the prior's mean and a change in some flights, (N,)."""
@@ -137,22 +126,27 @@ class ChangeScan:
         side = solve_lower(self.lower, self.root[:, None] * np.concatenate((total, own), axis=1))
         return np.block([[total, own], [own, own]]) - side.T @ side, right - side.T @ self.white
 
-    def base_cov(self, places: Indices) -> Array:
-        """Return the posterior covariance of the base in some columns, without a change, (P, P)."""
-        side = solve_lower(self.lower, np.diag(self.root)[:, places])
-        return side.T @ side
-
 
 def log_factors_by_size(product: Array, gradient: Array) -> Array:
     """Return log Bayes factors (any, sizes) for each prior deviation of ``SIZES``, from P (any, P, P) and q (any, P)."""
     values, vectors = np.linalg.eigh(product)
-    along = np.square(np.einsum("...pk,...p->...k", vectors, gradient))[..., None, :]
+    along = np.square((gradient[..., None, :] @ vectors)[..., 0, :])[..., None, :]
     variance = np.square(SIZES)[:, None]
     spread = 1.0 + variance * np.maximum(values, 0.0)[..., None, :]
     return 0.5 * (variance * along / spread - np.log(spread)).sum(axis=-1)
 
 
-def change_by_size(product: Array, gradient: Array) -> tuple[Array, Array]:
-    """Return means (sizes, P) and covariances (sizes, P, P) of a change, for each prior deviation of ``SIZES``."""
-    cov = np.linalg.inv(product + np.eye(gradient.size) / np.square(SIZES)[:, None, None])
-    return cov @ gradient, cov
+def change_posterior(product: Array, gradient: Array) -> tuple[Array, Array, Array]:
+    """Return probability (any, sizes), mean (any, sizes, P) and covariance (any, sizes, P, P) of a change by prior size."""
+    logs = log_factors_by_size(product, gradient)
+    cov = np.linalg.inv(product[..., None, :, :] + np.eye(gradient.shape[-1]) / np.square(SIZES)[:, None, None])
+    mean = (cov @ gradient[..., None, :, None])[..., 0]
+    return np.exp(logs - logsumexp(logs, axis=-1, keepdims=True)), mean, cov
+
+
+def mixture_moments(weight: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of a mixture with weights (M,), means (M, P) and covariances (M, P, P)."""
+    weight = weight / weight.sum()
+    total = weight @ mean
+    away = mean - total
+    return total, np.tensordot(weight, cov + away[:, :, None] * away[:, None, :], axes=1)
