@@ -8,9 +8,8 @@ Letters: N flights of a vehicle, K columns, H hypotheses of a change, J onsets, 
 from aerial_gym.fleet.statistics.change import Change, ChangeResult, find_change
 from aerial_gym.fleet.statistics.cohorts import CohortDifference, compare_cohorts
 from aerial_gym.fleet.statistics.discovery import benjamini_hochberg
-from aerial_gym.fleet.statistics.fit import draw_vehicles, fit_fleet
+from aerial_gym.fleet.statistics.fit import FleetModel, VehiclePosterior, draw_vehicles, fit_fleet, vehicle_posterior
 from aerial_gym.fleet.statistics.limits import time_to_limit
-from aerial_gym.fleet.statistics.model import FleetModel, VehiclePosterior, vehicle_posterior
 from aerial_gym.fleet.statistics.moments import VehicleFlights
 
 __all__ = [

@@ -5,13 +5,14 @@ vehicles is 1, which makes it an e-value. It counts what remains without the fli
 The prior of the vehicle's base is as broad as that of a change, so that no change explains a steady deviation better.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.special import logsumexp
 
-from aerial_gym.fleet.statistics.model import FleetModel
+from aerial_gym.fleet.statistics.fit import FREEDOM, FleetModel
 from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
 from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_posterior, mixture_moments
 from aerial_gym.sim2real.arrays import Array, Indices
@@ -26,6 +27,7 @@ ODD_LOG_E = float(
 )  # Log evidence of an odd flight: at most one in a hundred unchanged vehicles reaches it
 LISTED = 3  # Number of causes that are always listed
 IMPROBABLE = 1e-3  # Posterior probability of an onset that is left out of averages
+SCATTER = 2.0 ** np.arange(-3, 13)  # Factors on the variance between the flights of one vehicle
 TELLING = 2  # Number of flights with the most support for a change, each left out in turn
 
 
@@ -35,7 +37,6 @@ class Change:
 
     effect: str
     rotor: int  # 0 unless the effect is on one rotor
-    start: int  # Number of the start of the effect's linearisation
     kind: Kind  # A step, or a drift that grows linearly in time
     log_evidence: float  # Log Bayes factor of this cause against no change
     onset: int  # Index of the first changed flight, the posterior's median
@@ -82,13 +83,13 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
     search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times())
     table, odd = search.log_evidence(), search.log_evidence_of_flights()
-    causes, log_e = (), float(logsumexp(table))
+    causes, log_e, var_flight = (), float(logsumexp(table)), model.var_flight[shown]
     if log_e > 0.0:
         causes = search.causes(table, model.mean[shown], own)
-        log_e = min(log_e, *(search.log_evidence_without(flight) for flight in search.telling_flights(table)))
+        log_e = search.log_e(table, var_flight)
+    is_odd = logsumexp(odd) > ODD_LOG_E and search.log_e_of_odd_flight(odd, var_flight) > max(log_e, ODD_LOG_E)
     return replace(
-        result, log_e=log_e, causes=causes,
-        odd_flight=int(odd.max(axis=1).argmax()) if logsumexp(odd) > max(log_e, ODD_LOG_E) else None,
+        result, log_e=log_e, causes=causes, odd_flight=int(odd.max(axis=1).argmax()) if is_odd else None,
         firmware_change=firmware_change(flights.firmware, causes[0]) if causes else None,
     )  # fmt: skip
 
@@ -107,16 +108,6 @@ def change_patterns(kind: Kind, onsets: Indices, time: Array) -> Array:
         return changed.astype(float)
     start = time[onsets - 1][:, None]
     return changed * (time - start) / np.maximum(time[-1] - start, 1e-300)
-
-
-def subtract_change(flights: VehicleFlights, change: Change, columns: Columns) -> VehicleFlights:
-    """Return the flights without a change."""
-    cause = (change.effect, change.rotor, change.start)
-    own = {c.parameter: k for k, c in enumerate(columns) if (c.effect, c.rotor, c.start) == cause}
-    places = [own[name] for name in change.parameters]
-    step = np.array(change.change) / np.array([columns[k].scale for k in places])
-    pattern = change_patterns(change.kind, np.array([change.onset]), flights.usable_times())[0]
-    return replace(flights, gradient=flights.gradient - pattern[:, None] * (flights.product[:, :, places] @ step))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,10 +134,42 @@ class ChangeSearch:
         """Return log Bayes factor plus log prior of a change in one flight alone, (N, H)."""
         return self.scan.log_factors_of_flights(self.hypotheses) + self.hypotheses.log_prior - np.log(self.time.size)
 
-    def log_evidence_without(self, flight: int) -> float:
-        """Return the log evidence of any change without one flight."""
-        rest = replace(self, scan=self.scan.without_flight(flight), time=np.delete(self.time, flight))
-        return float(logsumexp(rest.log_evidence())) if rest.time.size > 1 else 0.0
+    def log_e(self, table: Array, var_flight: Array) -> float:
+        """Return the log evidence of a change that remains without its most telling flight and with uncertain scatter."""
+        part, count = self.likely(logsumexp(table, axis=(0, 1))), self.time.size
+        kept = [np.arange(count), *(np.delete(np.arange(count), flight) for flight in self.telling_flights(table))]
+        parts = [part.select(flights) for flights in kept if flights.size > 1]
+        return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence) for one in parts)
+
+    def log_e_of_odd_flight(self, table: Array, var_flight: Array) -> float:
+        """Return the log evidence that one flight deviates alone, with uncertain scatter."""
+        part = self.likely(logsumexp(table, axis=0))
+        return part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)
+
+    def likely(self, log_evidence: Array) -> "ChangeSearch":
+        """Return the search of the hypotheses that are not told apart from the best one, by evidence (H,)."""
+        return replace(
+            self, hypotheses=self.hypotheses.select(np.flatnonzero(log_evidence >= log_evidence.max() - AMBIGUOUS))
+        )
+
+    def select(self, flights: Indices) -> "ChangeSearch":
+        """Return the search of some flights, by indices."""
+        scan = replace(self.scan, product=self.scan.product[flights], gradient=self.scan.gradient[flights])
+        return replace(self, scan=scan, time=self.time[flights])
+
+    def log_evidence_with_scatter(self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]") -> float:
+        """Return the log evidence of any change if the variance between this vehicle's flights is not known.
+
+        In the columns that may have changed it is ``factor var_flight``, with an inverse gamma prior of the factor.
+        """
+        places = np.unique(np.concatenate(self.hypotheses.columns))
+        steady, changed = [], []
+        for factor in SCATTER:
+            scan, constant = self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])
+            prior = -0.5 * FREEDOM * (np.log(factor) + 1.0 / factor)
+            steady.append(prior + constant + scan.log_marginal)
+            changed.append(steady[-1] + logsumexp(evidence(replace(self, scan=scan))))
+        return float(logsumexp(changed) - logsumexp(steady))
 
     def telling_flights(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
@@ -189,7 +212,7 @@ class ChangeSearch:
         level_slope = cov[places.size : 2 * places.size, 2 * places.size :].diagonal() * units**2
         names = ("change", "std", "level", "level_std", "slope", "slope_std")
         return Change(
-            effect=own[0].effect, rotor=own[0].rotor, start=own[0].start, kind=kind, log_evidence=log_evidence,
+            effect=own[0].effect, rotor=own[0].rotor, kind=kind, log_evidence=log_evidence,
             onset=onset, onset_low=low, onset_high=high, parameters=tuple(column.parameter for column in own),
             level_slope_cov=tuple(level_slope.tolist()), last_time=float(self.time[-1]),
             **dict(zip(names, rows, strict=True)),
@@ -197,7 +220,7 @@ class ChangeSearch:
 
     def onset_posterior(self, kind: Kind, places: Indices) -> tuple[Indices, Array]:
         """Return onsets and their posterior probabilities; many flights are searched again about the probable ones."""
-        only = Hypotheses(causes=(("", 0),), cause=np.zeros(1, dtype=int), columns=(places,))
+        only = Hypotheses(causes=(("", 0),), cause=np.zeros(1, dtype=int), columns=(places,), log_prior=np.zeros(1))
         low, high = 1, self.time.size - 1
         while True:
             onsets = self.onsets(low, high)

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from aerial_gym.fleet.statistics.change import AMBIGUOUS
 from aerial_gym.fleet.statistics.discovery import benjamini_hochberg
-from aerial_gym.fleet.statistics.model import FleetModel
+from aerial_gym.fleet.statistics.fit import FleetModel
 from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
 from aerial_gym.fleet.statistics.scan import (
     SIZES,

@@ -4,7 +4,8 @@ With a change d in the columns C, flight i has ``x_i = base + g_i d``. The base 
 matrix P and the gradient q of d. Given ``d ~ N(0, s²)``: ``2 log BF = s² q' (1 + s² P)^-1 q - log det(1 + s² P)``.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +28,7 @@ class Hypotheses:
     causes: tuple[tuple[str, int], ...]  # Effect and rotor
     cause: Indices  # Index of each hypothesis' cause, (H,)
     columns: tuple[Indices, ...]  # Columns of each hypothesis
+    log_prior: Array  # Logarithm of each prior probability, (H,): equal for causes, then for the starts of a cause
 
     @classmethod
     def from_columns(cls, columns: Columns, shown: Flags) -> "Hypotheses":
@@ -39,12 +41,13 @@ class Hypotheses:
         causes = sorted(groups)
         places = tuple(np.array(own) for cause in causes for own in groups[cause].values())
         numbers = np.repeat(np.arange(len(causes)), [len(groups[cause]) for cause in causes])
-        return cls(causes=tuple(causes), cause=numbers, columns=places)
+        log_prior = -np.log(np.bincount(numbers)[numbers] * max(len(causes), 1))
+        return cls(causes=tuple(causes), cause=numbers, columns=places, log_prior=log_prior)
 
-    @property
-    def log_prior(self) -> Array:
-        """Return the logarithm of each prior probability, (H,): equal for causes, then for the starts of a cause."""
-        return -np.log(np.bincount(self.cause)[self.cause] * len(self.causes))
+    def select(self, hypotheses: Sequence[int] | Indices) -> "Hypotheses":
+        """Return some hypotheses with their prior probabilities, by indices."""
+        columns = tuple(self.columns[k] for k in hypotheses)
+        return replace(self, cause=self.cause[hypotheses], columns=columns, log_prior=self.log_prior[hypotheses])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,11 +64,6 @@ class ChangeScan:
         product, gradient = integrate_flights(product, gradient - product @ mean, var_flight)
         return cls(product=product, gradient=gradient, root=root)
 
-    def without_flight(self, flight: int) -> "ChangeScan":
-        """Return the scan without one flight."""
-        keep = np.arange(len(self.product)) != flight
-        return ChangeScan(product=self.product[keep], gradient=self.gradient[keep], root=self.root)
-
     @cached_property
     def lower(self) -> Array:
         """Return the Cholesky factor of the base's posterior precision in units of ``root``, (K, K)."""
@@ -75,6 +73,23 @@ class ChangeScan:
     def white(self) -> Array:
         """Return the whitened gradient of the base, (K,)."""
         return solve_lower(self.lower, self.root * self.gradient.sum(axis=0))
+
+    @property
+    def log_marginal(self) -> float:
+        """Return the log likelihood without a change, base integrated out, up to a constant of the flights."""
+        return float(0.5 * self.white @ self.white - np.log(self.lower.diagonal()).sum())
+
+    def with_scatter(self, places: Indices, extra: Array) -> tuple["ChangeScan", float]:
+        """Return the scan with extra variance between flights in some columns, (P,), and the change of the constant.
+
+        The extra variance may be negative, down to that which is integrated out.
+        """
+        cross, right = self.product[:, :, places], self.gradient[:, places, None]
+        block = np.eye(places.size) + extra[:, None] * cross[:, places]
+        solved = np.linalg.solve(block, extra[:, None] * np.concatenate((cross.swapaxes(1, 2), right), axis=2))
+        product, gradient = self.product - cross @ solved[..., :-1], self.gradient - (cross @ solved[..., -1:])[..., 0]
+        constant = 0.5 * ((right[..., 0] * solved[..., -1]).sum() - np.linalg.slogdet(block)[1].sum())
+        return ChangeScan(product=product, gradient=gradient, root=self.root), float(constant)
 
     def base(self, white: Array | None = None) -> Array:
         """Return the base's posterior mean from the prior's, (K,), or shifts (any, K) for whitened gradients (any, K)."""
