@@ -1,0 +1,42 @@
+"""Storage of a flight's information matrix and gradient. Letters: K columns."""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+if TYPE_CHECKING:
+    from aerial_gym.sim2real.arrays import Array
+
+_CODEC = pa.Codec("zstd", compression_level=3)
+
+
+def pack_moments(product: "Array", gradient: "Array") -> bytes:
+    """Return the upper triangle of a matrix (K, K), then a vector (K,), as compressed float32."""
+    upper = product[np.triu_indices(gradient.size)]
+    return _CODEC.compress(np.concatenate((upper, gradient)).astype("<f4").tobytes(), asbytes=True)
+
+
+def unpack_moments(data: bytes, size: int) -> "tuple[Array, Array]":
+    """Return the matrix (K, K) and the vector (K,) of ``pack_moments``, as float64; ``size``: K."""
+    count = size * (size + 1) // 2
+    raw = _CODEC.decompress(data, decompressed_size=4 * (count + size), asbytes=True)
+    values, product = np.frombuffer(raw, "<f4").astype(np.float64), np.zeros((size, size))
+    product[np.triu_indices(size)] = values[:count]
+    return product + np.triu(product, 1).T, values[count:]
+
+
+def columns_text(columns: Iterable[Any]) -> str:
+    """Return columns of the evidence as JSON; infinite bounds become null."""
+    rows = [asdict(column) for column in columns]
+    return json.dumps([{name: None if value in (inf, -inf) else value for name, value in row.items()} for row in rows])
+
+
+def columns_digest(text: str) -> str:
+    """Return the digest of ``columns_text``."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,151 @@
+"""Pass 1 in a worker: the rows of a batch of logs. The result of a log does not depend on its batch."""
+
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib import import_module
+from math import isfinite, nan
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from aerial_gym.errors import AerialGymError
+from aerial_gym.fleet.moments import columns_digest, columns_text, pack_moments
+from aerial_gym.fleet.sources import LogReference, LogStore, hash_of_log
+from aerial_gym.fleet.vehicles import Fleet
+
+if TYPE_CHECKING:
+    from aerial_gym.fleet.tables import Row
+
+PASS_ONE = "aerial_gym.sim2real.flight_evidence"
+"""Module with ``flight_evidences``, ``model_version`` and ``log_airframe``; tests give another one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PassOneSettings:
+    """Inputs of a worker that are the same for all logs."""
+
+    store: LogStore
+    fleet: Fleet
+    module: str = PASS_ONE
+    mapping: str | None = None
+    scratch: Path | None = None  # Folder of fetched logs; None for that of the system
+
+    def make_worker(self) -> "PassOne":
+        """Return a worker."""
+        return PassOne(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightRows:
+    """Rows of one log."""
+
+    flight: "Row"
+    evidence: "tuple[Row, ...]" = ()
+    columns: str = ""  # JSON
+    unread: str = ""  # Reason why the store did not deliver the log: it gets no row, and the next run tries again
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LocalLog:
+    """A log that has been fetched."""
+
+    reference: LogReference
+    path: Path
+    log_hash: str
+    airframe: str
+    robot: str  # Name; "" without one
+
+    def text(self, content: str) -> str:
+        """Return a text with the log's own path in place of that of its copy."""
+        return content.removeprefix(f"{self.path}: ").replace(str(self.path), self.reference.path)
+
+
+class PassOne:
+    """Worker that keeps the kernels loaded from batch to batch."""
+
+    def __init__(self, settings: PassOneSettings) -> None:
+        self._settings, self._fleet, self._module = settings, settings.fleet, import_module(settings.module)
+        self.version: str = self._module.model_version()
+
+    def __call__(self, references: Iterable[LogReference]) -> list[FlightRows]:
+        """Return the rows of logs, in their order."""
+        from aerial_gym.interop import one_thread
+
+        rows = dict[int, FlightRows]()
+        with one_thread(), TemporaryDirectory(dir=self._settings.scratch, prefix="aerial_gym_logs_") as folder:
+            logs = list[_LocalLog]()
+            for reference in references:
+                try:
+                    logs.append(self._fetch(reference, Path(folder)))
+                except Exception as error:  # of any file system's own type
+                    rows[reference.rank] = FlightRows(flight={"path": reference.path}, unread=str(error) or repr(error))
+            for robot in sorted({log.robot for log in logs}):
+                same = [log for log in logs if log.robot == robot]
+                for log, result in zip(same, self._results(robot, same), strict=True):
+                    rows[log.reference.rank] = self._rows(log, result)
+        return _without_repeated_columns([rows[rank] for rank in sorted(rows)])
+
+    def _fetch(self, reference: LogReference, folder: Path) -> _LocalLog:
+        path, airframe = self._settings.store.fetch(reference, folder), ""
+        digest = hash_of_log(path)
+        if self._fleet.robot_needs_airframe(reference.path):
+            with suppress(AerialGymError):  # of which pass 1 states the reason
+                airframe = self._module.log_airframe(path)
+        robot = self._fleet.assign(reference.path, airframe)[1]
+        return _LocalLog(reference=reference, path=path, log_hash=digest, airframe=airframe, robot=robot)
+
+    def _results(self, robot: str, logs: Sequence[_LocalLog]) -> "Sequence[Any]":
+        if not robot:
+            return [None] * len(logs)
+        paths = [log.path for log in logs]
+        return self._module.flight_evidences(self._fleet.robots[robot], paths, mapping=self._settings.mapping)
+
+    def _rows(self, log: _LocalLog, result: Any) -> FlightRows:
+        """Return the rows of a log: of its evidence, of its refusal (``reason``), or for want of a robot (None)."""
+        airframe = getattr(result, "airframe", "") or log.airframe
+        vehicle, _ = self._fleet.assign(log.reference.path, airframe)
+        key = {"log_hash": log.log_hash, "robot_hash": self._fleet.hashes.get(log.robot, "")}
+        key["model_version"] = self.version
+        flight: dict[str, Any] = key | {
+            "path": log.reference.path, "vehicle": vehicle, "firmware": "", "start_time": nan,
+            "order": float(log.reference.rank), "duration_s": 0.0, "status": "refused", "reason": "", "checks": "[]",
+            "events": "[]", "rows": 0, "square": 0.0, "columns": "", "moments": b"", "airframe": airframe,
+            "size": log.reference.size, "modified": log.reference.modified,
+        }  # fmt: skip
+        if result is None:
+            known = ", ".join(self._fleet.robots)
+            return FlightRows(
+                flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"}
+            )
+        if hasattr(result, "reason"):
+            return FlightRows(flight=flight | {"reason": log.text(result.reason)})
+        columns = columns_text(result.columns)
+        flight |= {
+            "firmware": result.firmware, "start_time": result.start_time, "duration_s": result.duration_s, "status": "ok",
+            "checks": log.text(_findings_text(result.checks)), "events": log.text(_findings_text(result.events)),
+            "rows": result.rows, "square": result.square, "columns": columns_digest(columns),
+            "moments": pack_moments(result.product, result.gradient),
+        }  # fmt: skip
+        if isfinite(result.start_time):
+            flight["order"] = result.start_time
+        names = ("effect", "rotor", "start", "params", "cov", "score")
+        evidence = (key | {"vehicle": vehicle} | {name: getattr(one, name) for name in names} for one in result.effects)
+        return FlightRows(flight=flight, evidence=tuple(evidence), columns=columns)
+
+
+def _without_repeated_columns(rows: Sequence[FlightRows]) -> list[FlightRows]:
+    """Return rows that state equal columns only once, as they are most of a row that a worker sends."""
+    stated, kept = set[str](), []
+    for row in rows:
+        kept.append(replace(row, columns="") if row.columns in stated else row)
+        stated.add(row.columns)
+    return kept
+
+
+def _findings_text(findings: Iterable[Any]) -> str:
+    from aerial_gym.sim2real.json_values import plain
+
+    content = [{"code": one.code, "subject": one.subject, "values": plain(one.values)} for one in findings]
+    return json.dumps(content, ensure_ascii=False, default=str)

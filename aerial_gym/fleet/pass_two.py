@@ -1,0 +1,288 @@
+"""Pass 2: the model of the fleet, the state of each vehicle, and the verdicts. Letters: N flights, K columns."""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from importlib import import_module
+from io import BytesIO
+from math import exp, inf, isfinite
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow.dataset as arrow_dataset
+
+from aerial_gym.config.storage import write_atomic
+from aerial_gym.fleet.engine import Engine
+from aerial_gym.fleet.moments import unpack_moments
+from aerial_gym.fleet.sources import natural_order
+from aerial_gym.fleet.tables import FleetTables, Row
+from aerial_gym.sim2real.json_values import map_leaves
+from aerial_gym.sim2real.progress import Progress, silent
+
+STATISTICS = "aerial_gym.fleet.statistics"
+WORDING = "aerial_gym.fleet.wording"
+"""Modules with the functions of the statistics and of their sentences; tests give others."""
+
+VEHICLES_AT_ONCE = 8
+FIT_FLIGHTS = (
+    20  # Flights of a vehicle, equally spaced, that are read for the model of the fleet, so that memory is flat
+)
+FEW = "too_few_flights"  # Verdict
+FEWEST_FLIGHTS = 4  # Two before a change and two after it, as no change may rest on one flight
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Flights of one robot file, model version and set of columns, whose moments add."""
+
+    robot_hash: str
+    model_version: str
+    digest: str  # Of the columns
+
+    def key(self) -> dict[str, str]:
+        """Return the part of the key that its rows share."""
+        return {"robot_hash": self.robot_hash, "model_version": self.model_version}
+
+    def name(self) -> str:
+        """Return a name for files."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PassTwoSettings:
+    """Settings of the verdicts."""
+
+    level: float = 0.01  # False discovery rate
+    limits: Mapping[str, float] = field(default_factory=dict)  # Value that a drift may not cross, by EFFECT.PARAMETER
+    module: str = STATISTICS
+    wording: str = WORDING
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleResult:
+    """Rows of one vehicle, before the verdicts of the fleet are compared."""
+
+    vehicle: str
+    log_e: float
+    verdict: dict[str, Any]
+    parameters: "tuple[Row, ...]"
+    last_hash: str  # Hash of the log of its last flight
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleReader:
+    """Reader of the flights of some vehicles of a group."""
+
+    out: Path
+    group: Group
+    columns: Sequence[Any]
+
+    def read(
+        self, vehicles: Sequence[str], module: Any, most: int | None = None
+    ) -> Iterator[tuple[Any, list[str], float]]:
+        """Yield the flights of each vehicle in order of time, with the hashes of their logs and the last start time.
+
+        ``most``: largest number of flights of a vehicle; of more, equally spaced ones are taken.
+        """
+        rows = FleetTables(self.out).dataset("flights").to_table(
+            columns=["vehicle", "path", "order", "firmware", "start_time", "log_hash", "moments"],
+            filter=_flights_of(self.group) & arrow_dataset.field("vehicle").isin(list(vehicles)),
+        )  # fmt: skip
+        by_vehicle: dict[str, list[dict[str, Any]]] = {vehicle: [] for vehicle in vehicles}
+        for row in rows.to_pylist():
+            by_vehicle[row["vehicle"]].append(row)
+        for vehicle, flights in by_vehicle.items():
+            flights.sort(key=lambda row: (row["order"], natural_order(row["path"])))
+            if most is not None and len(flights) > most:
+                flights = [flights[k] for k in np.linspace(0, len(flights) - 1, most).round().astype(int)]
+            moments = [unpack_moments(row["moments"], len(self.columns)) for row in flights]
+            yield (
+                module.VehicleFlights(
+                    vehicle=vehicle,
+                    product=np.array([product for product, _ in moments]),
+                    gradient=np.array([gradient for _, gradient in moments]),
+                    time=_times(flights),
+                    firmware=tuple(row["firmware"] for row in flights),
+                ),
+                [row["log_hash"] for row in flights],
+                flights[-1]["start_time"],
+            )
+
+
+class VehicleJudge:
+    """Worker of pass 2: the state of vehicles and the evidence that they have changed."""
+
+    def __init__(self, reader: VehicleReader, model: Any, settings: PassTwoSettings) -> None:
+        self._reader, self._model, self._settings = reader, model, settings
+        self._module = import_module(settings.module)
+
+    def __call__(self, vehicles: Sequence[str]) -> list[VehicleResult]:
+        """Return the rows of vehicles."""
+        from aerial_gym.interop import one_thread
+
+        with one_thread():
+            return [self._judge(*one) for one in self._reader.read(vehicles, self._module)]
+
+    def _judge(self, flights: Any, hashes: list[str], last_time: float) -> VehicleResult:
+        columns, key = self._reader.columns, {"vehicle": flights.vehicle} | self._reader.group.key()
+        posterior = self._module.vehicle_posterior(self._model, flights, columns)
+        last = {"flights": len(hashes), "firmware": flights.firmware[-1], "last_time": last_time}
+        parameters = tuple(
+            key | {"effect": column.effect, "rotor": column.rotor, "parameter": column.parameter} | last
+            | {"value": float(value), "std": float(std)}
+            for column, value, std in zip(columns, posterior.mean, posterior.std, strict=True)
+            if column.effect
+        )  # fmt: skip
+        result = self._module.find_change(self._model, flights, columns)
+        return VehicleResult(
+            vehicle=flights.vehicle, log_e=float(result.log_e), parameters=parameters, last_hash=hashes[-1],
+            verdict=key | self._verdict(result, flights),
+        )  # fmt: skip
+
+    def _verdict(self, result: Any, flights: Any) -> dict[str, Any]:
+        """Return a row of ``verdicts`` under the assumption that the fleet rejects 'no change'."""
+        few = len(flights.firmware) < FEWEST_FLIGHTS
+        best = result.causes[0] if result.causes else None
+        row: dict[str, Any] = {
+            "verdict": FEW if few or best is None else "changed" if len(result.candidates) == 1 else "ambiguous",
+            "causes": _json_text([asdict(one) | {"candidate": one in result.candidates} for one in result.causes]),
+            "log_e": float(result.log_e), "p_value": min(1.0, exp(-max(result.log_e, -1.0))),
+            "text": import_module(self._settings.wording).text_of_change(result, flights.vehicle),
+        }  # fmt: skip
+        if best is not None:
+            row |= {
+                "onset_flight": best.onset + 1, "onset_low": best.onset_low + 1, "onset_high": best.onset_high + 1,
+                "onset_time": float(flights.time[best.onset]), "kind": best.kind, "crosses_limit_at": self._crossing(best),
+            }  # fmt: skip
+        return row
+
+    def _crossing(self, change: Any) -> float | None:
+        times = [
+            self._module.time_to_limit(change, limit, parameter)
+            for (effect, _, parameter), limit in (
+                (name.partition("."), value) for name, value in self._settings.limits.items()
+            )
+            if effect == change.effect and parameter in change.parameters
+        ]
+        return min((one[0] for one in times if one is not None), default=None)
+
+
+def _flights_of(group: Group) -> arrow_dataset.Expression:
+    where = arrow_dataset.field("status") == "ok"
+    for name, value in (group.key() | {"columns": group.digest}).items():
+        where &= arrow_dataset.field(name) == value
+    return where
+
+
+def _times(flights: Sequence[Mapping[str, Any]]) -> Any:
+    """Return the start times [s], (N,); the numbers of the flights if a log does not state it."""
+    times = np.array([row["start_time"] for row in flights], dtype=float)
+    return times if np.isfinite(times).all() else np.arange(1.0, len(flights) + 1.0)
+
+
+def _json_text(content: Any) -> str:
+    """Return JSON with null for numbers that are not finite."""
+    return json.dumps(map_leaves(content, lambda one: None if isinstance(one, float) and not isfinite(one) else one))
+
+
+def stored_columns(tables: FleetTables, digest: str) -> list[Any]:
+    """Return the columns of a digest; infinite bounds are stored as null."""
+    ends = {"low": -inf, "high": inf}
+    return [
+        SimpleNamespace(**{name: ends[name] if value is None else value for name, value in column.items()})
+        for column in tables.known_columns()[digest]
+    ]
+
+
+def judge_fleet(
+    tables: FleetTables, robots: Collection[str], model_version: str, engine: Engine, settings: PassTwoSettings,
+    report: Progress = silent, only: Collection[str] | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Write vehicles and verdicts; return the verdicts, with the last log of each vehicle.
+
+    Args:
+        robots: Hashes of the present robots; flights under others are not judged.
+        only: Vehicles with new flights. They are compared with the stored model, and the others keep their verdicts. None for
+            all, with a new model.
+    """
+    results, others = list[VehicleResult](), np.empty(0)
+    groups = _vehicles_by_group(tables, robots, model_version)
+    total = sum(map(len, groups.values())) if only is None else len(only)
+    for group, flights in groups.items():
+        reader = VehicleReader(out=tables.out, group=group, columns=stored_columns(tables, group.digest))
+        model = _model_of_group(reader, flights, settings, renew=only is None)
+        vehicles = [vehicle for vehicle in flights if only is None or vehicle in only]
+        batches = (vehicles[k : k + VEHICLES_AT_ONCE] for k in range(0, len(vehicles), VEHICLES_AT_ONCE))
+        for judged in engine(batches, partial(VehicleJudge, reader, model, settings)):
+            results += judged
+            report(f"vehicles {len(results)}/{total}", len(results) / total)
+    if only is not None:
+        stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), model_version=model_version)
+        others = np.array(
+            [row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] != FEW], float
+        )
+    verdicts = decide(results, others, settings)
+    where = f"model_version = '{model_version}'"
+    if only is not None:
+        names = ", ".join("'" + vehicle.replace("'", "''") + "'" for vehicle in sorted(only))
+        where += f" AND vehicle IN ({names})"
+    tables.replace("vehicles", [row for one in results for row in one.parameters], where)
+    tables.replace("verdicts", verdicts, where)
+    return verdicts
+
+
+def _model_of_group(
+    reader: VehicleReader, flights: Mapping[str, int], settings: PassTwoSettings, *, renew: bool
+) -> Any:
+    """Return the model of a group, from a limited number of vehicles and flights: the stored one if it is not too old.
+
+    It is fitted again when the number of flights has doubled, which bounds the effort and the age. ``flights``: by vehicle.
+    """
+    module, count = import_module(settings.module), sum(flights.values())
+    file = reader.out / "models" / f"{reader.group.name()}.npz"
+    if not renew and file.is_file():
+        with np.load(file) as stored:
+            arrays = dict(stored)
+        if count < 2 * arrays.pop("flights"):
+            return module.FleetModel(**arrays)
+    drawn = [reader.read([name], module, FIT_FLIGHTS) for name in module.draw_vehicles(flights)]
+    model = module.fit_fleet([one for part in drawn for one, _, _ in part], reader.columns)
+    content = BytesIO()
+    np.savez(content, flights=count, **vars(model))
+    file.parent.mkdir(exist_ok=True)
+    write_atomic(file, content.getvalue())
+    return model
+
+
+def decide(results: Sequence[VehicleResult], others: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:
+    """Return the verdicts of vehicles; 'no change' is rejected with the false discovery rate over them and ``others``."""
+    enough = np.array([one.verdict["verdict"] != FEW for one in results], dtype=bool)
+    own = np.array([one.log_e for one in results])[enough]
+    rejected = import_module(settings.module).benjamini_hochberg(np.concatenate((own, others)), settings.level)
+    flags = np.zeros(len(results), dtype=bool)
+    flags[enough] = rejected[: own.size]
+    return [_decided(one, bool(flag)) for one, flag in zip(results, flags, strict=True)]
+
+
+def _decided(result: VehicleResult, rejected: bool) -> dict[str, Any]:
+    row, vehicle = result.verdict | {"rejected": rejected, "last_hash": result.last_hash}, result.vehicle
+    if row["verdict"] == FEW:
+        return row | {"text": f"vehicle {vehicle}: too few flights to judge a change"}
+    return row if rejected else row | {"verdict": "no_change", "text": f"vehicle {vehicle}: no change shown"}
+
+
+def _vehicles_by_group(tables: FleetTables, robots: Collection[str], model_version: str) -> dict[Group, dict[str, int]]:
+    """Return the vehicles of each group with their numbers of flights, in the order of their first flights."""
+    groups = dict[Group, dict[str, int]]()
+    names = ("robot_hash", "columns", "vehicle")
+    for row in tables.rows("flights", names, model_version=model_version, status="ok"):
+        if row["robot_hash"] not in robots:
+            continue
+        group = Group(robot_hash=row["robot_hash"], model_version=model_version, digest=row["columns"])
+        vehicles = groups.setdefault(group, {})
+        vehicles[row["vehicle"]] = vehicles.get(row["vehicle"], 0) + 1
+    return groups

@@ -1,0 +1,135 @@
+"""The fleet's tables: Delta tables in one folder, with their settings in ``fleet.json``.
+
+One program writes at a time (``lock.py``). A flight counts as done once its row is in ``flights``, which is written last.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.dataset as arrow_dataset
+from deltalake import DeltaTable, WriterProperties, write_deltalake
+from pyarrow.fs import LocalFileSystem, SubTreeFileSystem
+
+from aerial_gym.config.storage import write_atomic
+from aerial_gym.errors import ConfigError
+from aerial_gym.fleet.migration import migrate
+from aerial_gym.fleet.schemas import KEY, SCHEMA_VERSION, SCHEMAS
+
+Row = Mapping[str, Any]
+_FILE_ROWS = WriterProperties(compression="ZSTD", max_row_group_size=1024)
+"""Small row groups, so that a reader of a few vehicles skips most of a file."""
+
+
+class FleetTables:
+    """Tables in a folder; ``schemas.py`` has their columns."""
+
+    def __init__(self, out: Path) -> None:
+        """Open existing tables; raise ``ConfigError`` if there are none, or if a newer version has written them."""
+        self.out = out
+        if not (out / "fleet.json").is_file():
+            raise ConfigError(f"{out}: holds no fleet tables. Make them with: aerial-gym fleet run --out {out}")
+        if (version := self.description()["schema_version"]) > SCHEMA_VERSION:
+            raise ConfigError(
+                f"{out}: its tables have schema {version}, and this version of aerial-gym knows {SCHEMA_VERSION}. "
+                "Update aerial-gym, or give another --out"
+            )
+
+    @classmethod
+    def create(cls, out: Path, settings: Mapping[str, object]) -> "FleetTables":
+        """Open the tables for writing: make them, or migrate older ones. Other settings than theirs raise ``ConfigError``."""
+        if (out / "fleet.json").is_file():
+            tables = cls(out)
+            tables._check_settings(settings)
+            migrate(out, tables.description()["schema_version"])
+        for name, schema in SCHEMAS.items():
+            DeltaTable.create(out / name, schema, mode="ignore")
+        write_atomic(out / "fleet.json", json.dumps({"schema_version": SCHEMA_VERSION, "settings": settings}, indent=1))
+        return cls(out)
+
+    def _check_settings(self, settings: Mapping[str, object]) -> None:
+        known = self.description()["settings"]
+        faults = [
+            f"{self.out}: was made with {name} = {known.get(name)!r}, not {value!r}; give another --out, or the same {name}"
+            for name, value in settings.items()
+            if known.get(name) != value
+        ]
+        if faults:
+            raise ConfigError(*faults)
+
+    def description(self) -> dict[str, Any]:
+        """Return the content of ``fleet.json``."""
+        return json.loads((self.out / "fleet.json").read_text(encoding="utf-8"))
+
+    def dataset(self, name: str) -> arrow_dataset.Dataset:
+        """Return a table as an Arrow dataset, of its present version."""
+        files = SubTreeFileSystem(
+            str(self.out / name), LocalFileSystem()
+        )  # the default one can abort Python at its end
+        return DeltaTable(self.out / name).to_pyarrow_dataset(filesystem=files)
+
+    def rows(self, name: str, columns: Iterable[str], **equal: object) -> Iterator[dict[str, Any]]:
+        """Yield rows of a table, batch by batch; ``equal``: values of columns that rows must have."""
+        rule = None
+        for column, value in equal.items():
+            one = arrow_dataset.field(column) == value
+            rule = one if rule is None else rule & one
+        for batch in self.dataset(name).to_batches(columns=list(columns), filter=rule):
+            yield from batch.to_pylist()
+
+    def keys(self, name: str) -> set[tuple[str, ...]]:
+        """Return the keys of flights in a table."""
+        keys = set[tuple[str, ...]]()
+        for batch in self.dataset(name).to_batches(columns=list(KEY)):
+            distinct = pa.table(batch).group_by(list(KEY)).aggregate([])
+            keys.update(zip(*(column.to_pylist() for column in distinct.select(KEY).columns), strict=True))
+        return keys
+
+    def append(self, name: str, rows: Iterable[Row]) -> None:
+        """Append rows in one commit."""
+        table = _table(name, rows)
+        if table.num_rows:
+            write_deltalake(self.out / name, table, mode="append", writer_properties=_FILE_ROWS)
+
+    def replace(self, name: str, rows: Iterable[Row], where: str) -> None:
+        """Replace the rows that satisfy an SQL condition, in one commit."""
+        table = _table(name, rows)
+        if table.num_rows:
+            write_deltalake(self.out / name, table, mode="overwrite", predicate=where, writer_properties=_FILE_ROWS)
+        else:
+            DeltaTable(self.out / name).delete(where)
+
+    def known_columns(self) -> dict[str, Any]:
+        """Return the columns of the evidence by digest."""
+        file = self.out / "columns.json"
+        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+    def add_columns(self, columns: Mapping[str, str]) -> None:
+        """Add columns of the evidence: JSON by digest."""
+        known = self.known_columns()
+        if columns.keys() - known.keys():
+            content = known | {digest: json.loads(text) for digest, text in columns.items()}
+            write_atomic(self.out / "columns.json", json.dumps(content, sort_keys=True))
+
+    def discard_incomplete(self) -> None:
+        """Delete evidence whose flight was not written because the program was killed, and refusals for want of a robot."""
+        DeltaTable(self.out / "flights").delete("robot_hash = ''")
+        lost = self.keys("evidence") - self.keys("flights")
+        for log_hash, robot_hash, version in sorted(lost):
+            rule = f"log_hash = '{log_hash}' AND robot_hash = '{robot_hash}' AND model_version = '{version}'"
+            DeltaTable(self.out / "evidence").delete(rule)
+
+    def compact(self) -> None:
+        """Join small files, and remove those that no reader of the last day can still use."""
+        for name in SCHEMAS:
+            table = DeltaTable(self.out / name)
+            table.optimize.compact(writer_properties=_FILE_ROWS)
+            table.vacuum(retention_hours=24, dry_run=False, enforce_retention_duration=False)
+
+
+def _table(name: str, rows: Iterable[Row]) -> pa.Table:
+    now = datetime.now(UTC)
+    return pa.Table.from_pylist([{**row, "written_at": now} for row in rows], schema=SCHEMAS[name])
