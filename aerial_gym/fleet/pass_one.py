@@ -18,7 +18,7 @@ from aerial_gym.fleet.vehicles import Fleet
 if TYPE_CHECKING:
     from aerial_gym.fleet.tables import Row
 
-PASS_ONE = "aerial_gym.sim2real.flight_evidence"
+PASS_ONE = "aerial_gym.sim2real.flight_evidence.evidence"
 """Module with ``flight_evidences``, ``model_version`` and ``log_airframe``; tests give another one."""
 
 
