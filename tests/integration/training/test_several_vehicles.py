@@ -28,7 +28,7 @@ class Hover:
 def settings(**changes: object) -> TrainingCfg:
     cfg = load_settings(TRAINING_CONFIGS / "ppo_formation.yaml")
     ppo = replace(cfg.ppo, hidden_layers=(32, 32), num_minibatches=4, **changes)
-    return replace(cfg, ppo=ppo, num_envs=64, device="cpu", max_time_s=None, max_env_steps=200_000, settings=(EPISODE,))
+    return replace(cfg, ppo=ppo, num_envs=64, device="cpu", max_time_s=None, max_env_steps=40_000, settings=(EPISODE,))
 
 
 def fresh_task(*more: str) -> Task:
