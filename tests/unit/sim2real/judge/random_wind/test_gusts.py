@@ -3,6 +3,7 @@ are drawn from the spectrum (sums of cosines), not by the recursion that the sim
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -156,6 +157,7 @@ DRAGGED = ModelParams(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
 IN_AIR = replace(ROBOT, effects={"rotor_drag": {"dx": 0.3, "dy": 0.24, "dz": 0.18}}, effects_source="flown with it")
 
 
+@cache
 def fly_in_wind(number: int, std: float = 0.0, *, gain: float = np.inf) -> Flight:
     """Return a hovering flight whose accelerometer feels a wind through the drag: ``f = d (w - v) / m`` along each axis.
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,7 @@ def waves(*sizes: float) -> Callable[[float], Array]:
     return lambda time: np.array([size * np.sin((7.0 + 2.0 * k) * time) for k, size in enumerate(sizes)])
 
 
+@cache
 def px4_flight(level: str) -> tuple[RobotCfg, Flight]:
     """A flight of PX4 at one level, with logged parameters; the action of an attitude is roll, pitch and the present yaw."""
     robot = replace(robot_by_name("x500"), battery=None)
