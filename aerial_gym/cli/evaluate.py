@@ -10,6 +10,7 @@ from aerial_gym.config.set_option import SetOption
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training import Evaluation
+    from aerial_gym.rl_training.policies.policy import Policy
     from aerial_gym.rl_training.policy_task import PolicyTask
 
 
@@ -52,6 +53,11 @@ class EvaluateCmd(PolicyOptions):
     """Measure success and crash rates of a policy, its returns by term, the ends of its episodes, and position errors."""
 
     num_envs: int = 512  # Random starts
+
+    evader: Path | None = None
+    """Run folder of a self-play, or one checkpoint in it: its evader flees in further flights, as many as from the rule.
+    Default: the evader of --policy, if it learned one."""
+
     firmware: str | None = None  # Firmware that flies the vehicle in place of the controller: betaflight or crazyflie
     watch: Path | None = None  # CSV file for the last 64 steps of rows with NaN or infinity; play --replay shows it
     json: bool = False  # Print one JSON object
@@ -78,6 +84,7 @@ class EvaluateCmd(PolicyOptions):
         from aerial_gym.rl_training.policies.load import check_fits
 
         policy, trained_on, flown = self.load()
+        evader = self._load_evader()
         with (
             replace(flown, firmware=self.firmware).make(self.num_envs) as task,
             progress_bar() as progress,
@@ -86,7 +93,18 @@ class EvaluateCmd(PolicyOptions):
             check_fits(policy, task, trained_on)
             if self.watch is not None:
                 task.watch()
-            result = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
+            result = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps), evader=evader)
             if self.watch is not None:
                 task.dump(self.watch)
         return result
+
+    def _load_evader(self) -> "Policy | None":
+        """Return the learned evader; None if there is none."""
+        from aerial_gym.export.pilot import STEPS
+        from aerial_gym.rl_training.policies.load import find_checkpoint, load_evader
+
+        if self.evader is None:
+            exported = self.policy.suffix in STEPS
+            if exported or not getattr(find_checkpoint(self.policy)[1].learner, "opponents", 0):
+                return None
+        return load_evader(self.evader or self.policy, device=self.device)

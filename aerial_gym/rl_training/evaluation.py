@@ -12,8 +12,10 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import usual_settings
-from aerial_gym.rl_training.policies.policy import Pilot
+from aerial_gym.rl_training.policies.policy import Pilot, Policy
+from aerial_gym.rl_training.policies.pursuit import PursuitPilot
 from aerial_gym.task import Task
+from aerial_gym.task.commands.evader import IS_LEARNED
 from aerial_gym.task.step.judge import COLLISIONS, GATE_PASSED
 
 SUCCESS_RADIUS_M = 0.1  # A flight succeeds, and has settled, within this distance of its target [m], if no task says
@@ -40,6 +42,7 @@ class Evaluation:
     success_time_mean_s: float | None  # Mean time at which flights succeeded [s], as of a race; None if none did
     gates_passed_mean: float | None  # Mean number of gates passed per flight; None without gates
     collision_rate: float | None  # Share of flights in which the vehicle touched another one; None with one vehicle
+    learned_evader_success_rate: float | None = None  # Success rate against a learned evader; None without one
     return_mean: float  # Mean sum of rewards
     success_radius_m: float  # The radius [m]
     reward_terms: dict[str, float]  # Mean return of each reward term of the task; their sum is `return_mean`
@@ -52,6 +55,7 @@ class Evaluation:
             ("mean final error", self.final_error_mean_m, " m"), ("mean settling time", self.settling_time_mean_s, " s"),
             ("mean time to success", self.success_time_mean_s, " s"), ("mean gates passed", self.gates_passed_mean, ""),
             ("collision rate", self.collision_rate, ""),
+            ("success rate against the learned evader", self.learned_evader_success_rate, ""),
         ):  # fmt: skip
             parts += [] if value is None else [f"{name} {value:.3g}{unit}"]
         return "; ".join(parts)
@@ -146,10 +150,18 @@ def fly_episodes(
 
 @torch.no_grad()
 def evaluate(
-    policy: Pilot, task: Task, *, success_radius: float | None = None, on_step: Callable[[int, int], None] | None = None
-) -> Evaluation:
-    """Return the figures of one episode in every environment of ``task``; arguments and errors as of ``fly_episodes``."""
+    policy: Pilot, task: Task, *, success_radius: float | None = None,
+    on_step: Callable[[int, int], None] | None = None, evader: Policy | None = None,
+) -> Evaluation:  # fmt: skip
+    """Return the figures of one episode in every environment of ``task``; arguments and errors as of ``fly_episodes``.
+    A learned ``evader`` flees in further episodes, as many."""
     flown = fly_episodes(policy, task, success_radius=success_radius, on_step=on_step)
+    escaped = None
+    if evader is not None:
+        escaped = fly_episodes(
+            PursuitPilot(policy, evader, task), task, success_radius=success_radius, on_step=on_step
+        ).succeeded
+        task.values.own[IS_LEARNED].zero_()  # later flights are from the rule
     count, steps, dt = task.num_envs, task.cfg.episode_len_steps, task.env.dt
     error = flown.final_error[~flown.crashed & flown.final_error.isfinite()]
     settling = (flown.last_outside * dt)[~flown.crashed & (flown.last_outside < steps)]
@@ -164,6 +176,7 @@ def evaluate(
         settling_time_p95_s=_percentile95_or_none(settling),
         success_time_mean_s=_mean_or_none((flown.ended_at * dt)[flown.succeeded]),
         collision_rate=None if flown.collided is None else float(flown.collided.sum()) / count,
+        learned_evader_success_rate=None if escaped is None else float(escaped.sum()) / count,
         gates_passed_mean=None if flown.gates_passed is None else float(flown.gates_passed.mean()),
         return_mean=float(flown.total.mean()), success_radius_m=flown.success_radius,
         reward_terms=_part(means, "reward/"), ended_by=_part(means, "ended/"),

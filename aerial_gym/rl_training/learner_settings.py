@@ -97,8 +97,14 @@ class PpoCfg(ReturnCfg):
 
     entropy_coef: float = 0.0  # Weight of the entropy bonus, >= 0
 
+    opponents: int = 0
+    """Number of past policies that each side of a self-play keeps as opponents; 0: the evader of ``pursuit_task`` flees by
+    its rule. ``ppo`` only, in one process."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
+        require(self, "opponents", 0 <= self.opponents <= MAX_MADE, f"must be >= 0 and at most {MAX_MADE:,}")
+        require(self, "opponents", not (self.opponents and self.memory), "self-play needs policies without memory")
         require_positive(
             self, "learning_rate", "max_learning_rate", "end_learning_rate", "kl_threshold", "clip_range", "value_coef"
         )

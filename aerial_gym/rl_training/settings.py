@@ -103,8 +103,10 @@ class TrainingCfg:
                 refuse(f"TrainingCfg.{name} = {getattr(self, name)}: {rule}")
         learner = self.learner
         special = learner.memory or learner.critic_keys or learner.sets or learner.policy_keys != ("observations",)
-        if special and not trainer.any_inputs:
-            refuse(f"TrainingCfg: memory, policy_keys, critic_keys and sets need trainer ppo, not {self.trainer}")
+        if (special or getattr(learner, "opponents", 0)) and not trainer.any_inputs:
+            refuse(
+                f"TrainingCfg: memory, policy_keys, critic_keys, sets and opponents need trainer ppo, not {self.trainer}"
+            )
         if self.ppo is None:
             return
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches

@@ -26,6 +26,7 @@ class Learner:
     GAUGES: ClassVar[tuple[str, ...]]  # Names of the numbers of the last update
 
     captures = True  # Whether `iterate` is held in a CUDA graph on a GPU
+    segments = 1  # Segments of every environment in an iteration
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
         self._cfg, self._task, self.network, self.ranks = cfg, task, network, ranks
@@ -44,6 +45,11 @@ class Learner:
         observation, _ = self._task.reset()
         self._task.stagger()
         self._observation = {key: observation[key].clone() for key in self.keys}
+
+    @property
+    def other_networks(self) -> Mapping[str, ActorCritic]:
+        """Return the networks besides ``network`` that learn and are saved, by name."""
+        return {}
 
     @property
     def keys(self) -> Iterable[str]:

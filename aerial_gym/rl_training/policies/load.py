@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from aerial_gym.config.storage import read_archive
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
+from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import LIMIT, NetworkBodyCfg, RunningNormalizer
 from aerial_gym.rl_training.policies.catalog import policy_path
@@ -81,6 +82,29 @@ def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: 
     if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
         raise ConfigError(f"checkpoint {where}: holds no network")
     return TRAINERS.get(cfg.trainer).policy(payload, cfg, where=where)
+
+
+EVADER = "evader"  # Observation group of a learned evader, and its networks in a checkpoint
+
+
+def evader_settings(cfg: TrainingCfg) -> TrainingCfg:
+    """Return the settings of the evader of a self-play: those of the pursuers with observations of its own."""
+    keys = {"policy_keys": (EVADER,), "critic_keys": (EVADER,) if cfg.section(PpoCfg).separate_value_network else ()}
+    return replace(cfg, ppo=replace(cfg.section(PpoCfg), sets={}, **keys))
+
+
+@usual_settings
+def load_evader(source: str | Path, *, device: str | torch.device = "cpu") -> Policy:
+    """Return the evader of a self-play, from its run folder or a checkpoint in it.
+
+    Raises:
+        ConfigError: If there is no such run or checkpoint or device, or it holds no evader.
+    """
+    file, cfg = find_checkpoint(source)
+    evader = read_archive(file, "checkpoint").get(EVADER)
+    if evader is None:
+        raise ConfigError(f"{file}: holds no evader. Train one: --task pursuit_task --set ppo.opponents=8")
+    return native_policy(evader, evader_settings(cfg), where=str(file)).to(resolve_device(device))
 
 
 def native_policy(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> Policy:

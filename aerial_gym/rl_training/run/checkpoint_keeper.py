@@ -109,7 +109,9 @@ class CheckpointKeeper:
         self._interval = min(FIRST_INTERVAL_S, self._cfg.checkpoint_every_s) if first else self._cfg.checkpoint_every_s
 
     def _check_weights(self, state: Mapping[str, Any]) -> None:
-        bad = [name for name, tensor in state.get("model", {}).items() if not bool(tensor.isfinite().all())]
+        networks = [state, *(part for part in state.values() if isinstance(part, Mapping) and "model" in part)]
+        weights = [entry for each in networks for entry in each.get("model", {}).items()]
+        bad = [name for name, tensor in weights if not bool(tensor.isfinite().all())]
         if bad:
             known = self._folder.checkpoints()
             left = f"The last checkpoint before that is {known[-1]}" if known else "There is no checkpoint before that"

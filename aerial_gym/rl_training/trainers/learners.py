@@ -43,7 +43,12 @@ class PpoTrainer(NativeTrainer):
         reason = fusion_refusal(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
         if reason is not None and task.device.type == "cuda":
             _log.info("the networks run as torch operations: %s", reason)
-        return (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks)
+        kind = FusedPpo if reason is None else Ppo
+        if cfg.section(PpoCfg).opponents:
+            from aerial_gym.rl_training.learning.self_play import SelfPlay
+
+            return SelfPlay(cfg, task, network, ranks, kind=kind)
+        return kind(cfg, task, network, ranks)
 
 
 class ApgTrainer(NativeTrainer):

@@ -12,6 +12,7 @@ from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.interop import record_graph
 from aerial_gym.registry.state import check_state, copy_tensors, restore_tensors
 from aerial_gym.rl_training.learning.learner import SUMS, Learner
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.load import find_checkpoint, load_initial_weights
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.run.training_run import TrainingRun
@@ -130,7 +131,7 @@ class NativeTraining(Generic[AnyLearner]):
 
     def advance(self) -> Report:
         """Iterate, on a GPU several times without waiting, and return the numbers, on a GPU those of the call before."""
-        per_iteration = self.task.num_envs * self.cfg.learner.horizon * self._ranks.size
+        per_iteration = self.learner.segments * self.task.num_envs * self.cfg.learner.horizon * self._ranks.size
         limit = self.cfg.max_env_steps
         for _ in range(LOOK_EVERY if self.task.device.type == "cuda" and self.learner.captures else 1):
             self._repeat()
@@ -160,13 +161,9 @@ class NativeTraining(Generic[AnyLearner]):
 
     def state(self) -> dict[str, Any]:
         """Return all that is needed to go on bit for bit; waits for the device."""
-        network = self.learner.network
         return {
-            "model": copy_tensors(network.state_dict()),
-            "network": {
-                "shapes": {key: list(shape) for key, shape in network.shapes.items()},
-                "num_actions": network.actor.num_actions,
-            },
+            **_network_state(self.learner.network),
+            **{name: _network_state(network) for name, network in self.learner.other_networks.items()},
             "learner": copy_tensors(self.learner.state_tensors()),
             "generator": self.learner.generator.get_state(),
             # without images (E, S, H, W), which the next step rewrites
@@ -186,6 +183,8 @@ class NativeTraining(Generic[AnyLearner]):
     def load(self, state: Mapping[str, Any]) -> None:
         """Resume from a result of ``state``."""
         self.learner.network.load_state_dict(state["model"])
+        for name, network in self.learner.other_networks.items():
+            network.load_state_dict(state[name]["model"])
         if "learner" in state:  # absent for a rank new to the run, which keeps its initial state
             own = self.learner.state_tensors()
             check_state(state["learner"], own)
@@ -196,6 +195,14 @@ class NativeTraining(Generic[AnyLearner]):
         self.learner.copy_tensors_from_leader()
         self.env_steps = int(state["env_steps"])
         self._recent = deque([self.learner.sums.tolist()])
+
+
+def _network_state(network: ActorCritic) -> dict[str, Any]:
+    shapes = {key: list(shape) for key, shape in network.shapes.items()}
+    return {
+        "model": copy_tensors(network.state_dict()),
+        "network": {"shapes": shapes, "num_actions": network.actor.num_actions},
+    }
 
 
 class _HostNumbers:

@@ -17,6 +17,7 @@ from aerial_gym.task.values import Values
 from aerial_gym.task.vehicles.names import ALL
 
 LEAST_DISTANCE = 0.1  # Distance below which repulsion no longer grows [m]
+ACTION, IS_LEARNED = "evader_action", "evader_is_learned"  # Buffers with which a policy takes the place of the rule
 
 
 @COMMANDS.register_class("evader")
@@ -25,14 +26,18 @@ class Evader(Command):
 
     Its direction is that of ``sum of (e - p) / |e - p|³ + sum of n / d²``, with its place e, the places p of the vehicles, and
     the distances d and inward normals n of the six faces of the bounds. It follows with a first-order lag, and stays
-    ``margin`` inside the bounds.
+    ``margin`` inside the bounds. Where ``evader_is_learned`` is true, a policy gives the wanted velocity (``evader_action``)
+    in place of this rule, with the same largest speed and lag.
 
     Source:
         de Souza, Newbury, Cosgun, Castillo, Vidolov, Kulic (2021), Decentralized multi-agent pursuit using deep reinforcement
         learning, IEEE Robotics and Automation Letters 6(3); there in a plane, and with weights.
     """
 
-    reads = (TARGET, "target_velocity", "evader_start", f"{ALL}robot_position", "env_bounds_min", "env_bounds_max")
+    reads = (
+        TARGET, "target_velocity", "evader_start", f"{ALL}robot_position", "env_bounds_min", "env_bounds_max", ACTION,
+        IS_LEARNED,
+    )  # fmt: skip
 
     def __init__(self, values: Values, env: EnvManager, *, speed: float, lag_s: float, margin: float) -> None:
         """Take its speed [m/s], time constant [s] and least distance from the bounds [m], all > 0."""
@@ -45,6 +50,10 @@ class Evader(Command):
             )
         self._speed, self._margin, self._dt, self._share = speed, margin, env.dt, 1.0 - exp(-env.dt / lag_s)
         self._target(moving=True)
+        values.declare(
+            ACTION, (3,), frame="world", meaning="velocity that a learned evader wants, in shares of its speed"
+        )
+        values.declare(IS_LEARNED, dtype=torch.bool, meaning="whether a policy moves the evader, in place of its rule")
         start = values.declare("evader_start", (3,), unit="m", frame="world", meaning="where the evader begins")
         self._starts = make_goals(
             start, env, (0.6, 0.2, 0.3), (0.8, 0.8, 0.7), self.name, random=env.rows.random.shared
@@ -64,7 +73,9 @@ class Evader(Command):
         for face, inward in ((low, 1.0), (high, -1.0)):
             distance = (inward * (place - face)).clamp_min(LEAST_DISTANCE)
             push = push + inward / (distance * distance)
-        wanted = self._speed * push / push.norm(dim=-1, keepdim=True).clamp_min(LEAST_DISTANCE)
+        rule = push / push.norm(dim=-1, keepdim=True).clamp_min(LEAST_DISTANCE)
+        action = values[ACTION] / values[ACTION].norm(dim=-1, keepdim=True).clamp_min(1.0)
+        wanted = self._speed * torch.where(values[IS_LEARNED].unsqueeze(-1), action, rule)
         velocity = values["target_velocity"] + self._share * (wanted - values["target_velocity"])
         moved = torch.minimum(torch.maximum(place + self._dt * velocity, low + self._margin), high - self._margin)
         begun = values["begun"].unsqueeze(-1)
