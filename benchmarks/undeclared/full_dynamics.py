@@ -247,12 +247,13 @@ class FullPlant(Plant):
     def _external_force(self, state: Array) -> Array:
         """Return the forces on the centre of mass that are neither of rotors nor of drag [N], body frame, (F, 3)."""
         extra, force, rot = self._extra, np.zeros((len(state), 3)), rotation_matrices(state)
+        origin = state[:, POS] - rot @ self.vehicle.com  # wakes act between body origins
         if extra.downwash[0] and self._surroundings.other is not None:
-            apart = self._surroundings.other[self._index] - state[:, POS]
+            apart = self._surroundings.other[self._index] - origin
             wake = np.exp(-0.5 * (apart[:, 0] ** 2 + apart[:, 1] ** 2) / extra.downwash[1] ** 2)
             force[:, 2] -= extra.downwash[0] * wake * (apart[:, 2] > 0.0)
         if extra.downwash_law and self._surroundings.other is not None:
-            force[:, 2] -= downwash_force(extra.downwash_law, self._surroundings.other[self._index] - state[:, POS])
+            force[:, 2] -= downwash_force(extra.downwash_law, self._surroundings.other[self._index] - origin)
         if extra.attraction[3]:
             apart = (np.asarray(extra.attraction[:3]) - state[:, POS]) / extra.attraction[4]
             force += extra.attraction[3] * apart * np.exp(0.5 - 0.5 * (apart * apart).sum(axis=1, keepdims=True))

@@ -14,7 +14,7 @@ from tests.physics.vehicles import F64, asymmetric_robot, random_state
 ROWS = 6
 KINDS = {name: EFFECTS.get(name) for name in EFFECTS if isinstance(EFFECTS.get(name), RotorEffect | WrenchEffect)}
 AT_HUBS = [name for name, one in KINDS.items() if one.at_hubs]
-OF_CENTRE = ["rotor_drag", "quadratic_drag", "downwash"]
+OF_CENTRE = ["rotor_drag", "quadratic_drag"]
 
 
 def evaluate_effect(effect: Effect, condition: Condition) -> Tensor:

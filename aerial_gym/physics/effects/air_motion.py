@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import normal_draws, uniform_draws
 from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, SubstepStart
 from aerial_gym.physics.effects.condition import Condition
@@ -118,9 +118,10 @@ the middle: Gauss curves whose widths have the ratio r correlate by ``sqrt(2 r /
 class Downwash(WrenchEffect):
     """Downwash: the wake of a vehicle above pushes this one down.
 
-    ``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other
-    vehicle, and 0 above it. In the simulator the other vehicle is at ``downwash_position`` (GTD), by default infinitely
-    high over the environment's origin. Several vehicles of an environment feel one another instead (``effects.wakes``).
+    ``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d of the body origins
+    of both vehicles, and 0 above the other one. In the simulator the other vehicle is at ``downwash_position`` (GTD), by
+    default infinitely high over the environment's origin. Several vehicles of an environment feel one another instead
+    (``effects.wakes``).
     Source: Gaussian profile of a developed jet: Pope (2000), Turbulent Flows, section 5.1; such forces between multirotors
     are measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The decay of the jet with height is left
     out.
@@ -157,7 +158,8 @@ class Downwash(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6)."""
-        force = -self.push(condition.other_position - condition.position, params).unsqueeze(-1) * condition.up
+        origin = condition.position - quat_rotate(condition.attitude, condition.vehicle.com)
+        force = -self.push(condition.other_position - origin, params).unsqueeze(-1) * condition.up
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
 
 

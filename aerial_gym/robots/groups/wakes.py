@@ -1,8 +1,9 @@
 """Wakes between the vehicles of an environment: one pass before each launch of the physics.
 
 The law is that of the effect ``downwash``, which states the force of a vehicle that hovers and is like the one that feels it.
-Another source is taken as geometrically similar: lengths scale with its rotors, the momentum of its wake with its lift. Lift is
-the upward part of its thrust at present. The momentum flux through any height then stays that of the source.
+Distances are those between body origins. Another source is taken as geometrically similar: lengths scale with its rotors, the
+momentum of its wake with its lift. Lift is the upward part of its thrust at present. The momentum flux through any height then
+stays that of the source.
 
 A launch takes the sources of one kind, and each of its threads one vehicle that feels them. The thread computes the lift of all
 sources of its environment itself: neighbours share the loads, and a launch for the lifts would cost more.
@@ -24,7 +25,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.math.quaternion import world_up
 from aerial_gym.math.rows import dot
-from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, vector_type
+from aerial_gym.math.warp_functions import load_quat, load_vec4, vector_type
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.wakes import WakeSum
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
@@ -56,13 +57,11 @@ def make_wake_kernel(effect: WakeSum, source: Vehicle) -> wp.Kernel:
         own_count: int,  # V
         is_own: wp.bool,  # whether vehicles of one kind feel each other
         begins: wp.bool,  # whether the sum starts from zero
-        com: wp.array[wp.vec3],  # (B,) from the body origin, body [m]
         # state
         position: wp.array[wp.vec3],  # (E S,) body origins of the sources, world [m]
         attitude: wp.array[wp.quat],  # (E S,) body to world, xyzw
         rotor_speed: wp.array[rotors],  # (E S,) [rad/s] or [N]
-        own_position: wp.array[wp.vec3],  # (B,)
-        own_attitude: wp.array[wp.quat],  # (B,)
+        own_position: wp.array[wp.vec3],  # (B,) body origins, world [m]
         # out
         params_out: wp.array2d[float],  # (B, P + 1) read up to P, the sum of forces [N] is written behind
         memory_out: wp.array[float],  # (B,) the same sum, where the physics reads it
@@ -74,14 +73,14 @@ def make_wake_kernel(effect: WakeSum, source: Vehicle) -> wp.Kernel:
         for k in range(wp.static(num_params)):
             params[k] = params_out[own, k]
         total = wp.where(begins, 0.0, params_out[own, wp.static(num_params)])
-        center = own_position[own] + rotate(load_quat(own_attitude, own), com[own])
+        origin = own_position[own]
         for j in range(count):
             i = env * count + j
             if wp.static(num_rotors == 4):  # noqa: SIM108 (Warp compiles one branch)
                 speed = load_vec4(rotor_speed, i)
             else:
                 speed = rotor_speed[i]
-            felt = push((position[i] - center) * shrink, params) * lift(load_quat(attitude, i), speed) * share
+            felt = push((position[i] - origin) * shrink, params) * lift(load_quat(attitude, i), speed) * share
             total += wp.where(is_own and j == v, 0.0, felt)  # without a branch, loads of several sources overlap
         params_out[own, wp.static(num_params)] = total
         memory_out[own] = total
@@ -89,7 +88,7 @@ def make_wake_kernel(effect: WakeSum, source: Vehicle) -> wp.Kernel:
     return sum_wakes
 
 
-MEMORY = 13  # Place of `memory_out` among the arguments of the kernel
+MEMORY = 11  # Place of `memory_out` among the arguments of the kernel
 
 
 class Wakes:
@@ -122,7 +121,7 @@ class Wakes:
             make_wake_kernel(effect, other.model.vehicle), dim=(slots.num_envs, slots.counts[feels]),
             inputs=[
                 slots.counts[source], shrink, shrink * shrink / weight, slots.counts[feels], feels == source, source == 0,
-                own.com, sources.position, sources.attitude, sources.rotor_speed, state.position, state.attitude,
+                sources.position, sources.attitude, sources.rotor_speed, state.position,
             ],
             outputs=[params, memory], device=params.device,
         )  # fmt: skip

@@ -69,8 +69,7 @@ def test_the_wakes_of_all_others_add_up(backend: str) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_two_vehicles_feel_what_the_effect_states(law: str) -> None:
-    """The lower one of two flies as a single vehicle with the upper one at ``downwash_position``, for one substep. The wake
-    acts at the place of the centre of mass."""
+    """The lower one of two flies as a single vehicle with the upper one at ``downwash_position``, for one substep."""
     places = (0.1, -0.2, 1.5), (0.0, 0.0, 2.2)
     robot = with_wake(**{law: LAWS[law], "com_offset": {"x": 0.01, "y": -0.005, "z": 0.0}})
     law_of_rotors = {"controller_name": "rotor_speed_control"}
@@ -85,6 +84,25 @@ def test_two_vehicles_feel_what_the_effect_states(law: str) -> None:
         env.fly(1)
     assert wakes(pair, law=law)[0, 0] > 0.01
     torch.testing.assert_close(pair.gtd["robot_linvel"][:, 0], alone.gtd["robot_linvel"], rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_a_wake_acts_between_body_origins(backend: str) -> None:
+    """Origin below origin gives the full force, wherever the centre of mass is and however the lower vehicle is turned."""
+    robot = with_wake(**WAKE, com_offset={"x": 0.2, "y": 0.0, "z": 0.0})
+    options = {"backend": backend, "controller_name": "rotor_speed_control"}
+    pair, alone = build_wakes(2, robot, **options), build(robot_name=robot, **options)
+    alone.reset()
+    hover(pair, (0.0, 0.0, 2.0), (0.0, 0.0, 1.0))
+    pair.gtd["robot_orientation"][:, 1] = torch.tensor([0.0, 0.0, 0.70710678, 0.70710678])
+    for key in ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel", "rotor_speed"):
+        alone.gtd[key].copy_(pair.gtd[key][:, 1])
+    alone.gtd["downwash_position"][:] = torch.tensor([0.0, 0.0, 2.0])
+    alone.robot_manager.take_writes()
+    for env in (pair, alone):
+        env.fly(1)
+    torch.testing.assert_close(wakes(pair)[:, 1], torch.full((3,), 0.5), rtol=1e-4, atol=0.0)
+    torch.testing.assert_close(pair.gtd["robot_linvel"][:, 1], alone.gtd["robot_linvel"], rtol=1e-4, atol=1e-6)
 
 
 def test_the_wake_follows_the_lift_of_its_source() -> None:
