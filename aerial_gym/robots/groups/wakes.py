@@ -40,8 +40,12 @@ def wake_lift(vehicle: Vehicle, attitude: Tensor, rotor_speed: Tensor) -> Tensor
     return torch.where(lift > 0.0, lift, 0.0)  # NaN as well: it stays with its vehicle
 
 
-def make_wake_kernel(effect: WakeSum, source: Vehicle) -> wp.Kernel:
-    """Return the kernel that sums a law over the other vehicles of a source's kind; its thrust curve is that of the first."""
+MOST_UNROLLED = 8  # Most sources in a row without a loop, whose loads overlap
+
+
+def make_wake_kernel(effect: WakeSum, source: Vehicle, count: int) -> wp.Kernel:
+    """Return the kernel that sums a law over ``count`` vehicles of a source's kind, with the thrust curve of the first one."""
+    width = max(each for each in range(1, MOST_UNROLLED + 1) if count % each == 0)
     num_params, num_rotors = len(effect.wake.parameters), source.num_rotors
     numbers, rotors = vector_type(num_params), vector_type(num_rotors)
     first = source.map_rows(lambda rows: rows[:1])
@@ -74,14 +78,17 @@ def make_wake_kernel(effect: WakeSum, source: Vehicle) -> wp.Kernel:
             params[k] = params_out[own, k]
         total = wp.where(begins, 0.0, params_out[own, wp.static(num_params)])
         origin = own_position[own]
-        for j in range(count):
-            i = env * count + j
-            if wp.static(num_rotors == 4):  # noqa: SIM108 (Warp compiles one branch)
-                speed = load_vec4(rotor_speed, i)
-            else:
-                speed = rotor_speed[i]
-            felt = push((position[i] - origin) * shrink, params) * lift(load_quat(attitude, i), speed) * share
-            total += wp.where(is_own and j == v, 0.0, felt)  # without a branch, loads of several sources overlap
+        for begin in range(0, count, wp.static(width)):
+            for k in range(wp.static(width)):
+                i = env * count + begin + k
+                if wp.static(num_rotors == 4):  # noqa: SIM108 (Warp compiles one branch)
+                    speed = load_vec4(rotor_speed, i)
+                else:
+                    speed = rotor_speed[i]
+                felt = push((position[i] - origin) * shrink, params) * lift(load_quat(attitude, i), speed) * share
+                total += wp.where(
+                    is_own and begin + k == v, 0.0, felt
+                )  # without a branch, loads of several sources overlap
         params_out[own, wp.static(num_params)] = total
         memory_out[own] = total
 
@@ -118,7 +125,7 @@ class Wakes:
         weight = float(own.declared.mass[0]) * STANDARD_GRAVITY
         state, sources = own.tensors.state, other.tensors.state
         return ReusableLaunch(
-            make_wake_kernel(effect, other.model.vehicle), dim=(slots.num_envs, slots.counts[feels]),
+            make_wake_kernel(effect, other.model.vehicle, slots.counts[source]), dim=(slots.num_envs, slots.counts[feels]),
             inputs=[
                 slots.counts[source], shrink, shrink * shrink / weight, slots.counts[feels], feels == source, source == 0,
                 sources.position, sources.attitude, sources.rotor_speed, state.position,

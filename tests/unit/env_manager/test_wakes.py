@@ -67,6 +67,19 @@ def test_the_wakes_of_all_others_add_up(backend: str) -> None:
     assert "downwash_position" not in env.gtd
 
 
+@pytest.mark.parametrize("count", [7, 12])
+def test_the_wakes_of_many_add_up(count: int) -> None:
+    """``sum over j above i of force exp(-d_ij² / 2 sigma²)`` for hovering vehicles, in a block of 7 and in two of 6."""
+    env = build_wakes(count, controller_name="rotor_speed_control")
+    env.gtd["rotor_speed"].fill_(float(hover_speed(env.robot_manager.declared, 9.81).flatten()[0]))
+    place = torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
+    hover(env, *[tuple(row) for row in place.tolist()])
+    env.fly(1)
+    square = (place[:, None, :2] - place[None, :, :2]).square().sum(-1)
+    push = 0.5 * torch.exp(-0.5 * square / 0.3**2) * (place[None, :, 2] > place[:, None, 2])
+    torch.testing.assert_close(wakes(env), push.sum(1).expand(3, -1), rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_two_vehicles_feel_what_the_effect_states(law: str) -> None:
     """The lower one of two flies as a single vehicle with the upper one at ``downwash_position``, for one substep."""
