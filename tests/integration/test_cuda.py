@@ -137,6 +137,23 @@ def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker:
         assert close.float().mean() > 0.995, key  # a pixel at an edge may see the one or the other side
 
 
+def replay_from_start(env: EnvManager, step: Callable[[], None], steps: int, *, capture: bool) -> None:
+    """Run a step several times from the start with seed 5, as a recorded graph on request."""
+    replay = step
+    for _ in range(3):
+        step()
+    if capture:
+        graph = torch.cuda.CUDAGraph()
+        torch.cuda.synchronize()
+        with torch.cuda.graph(graph):
+            step()
+        replay = graph.replay
+    env.restart(5)
+    env.reset()
+    for _ in range(steps):
+        replay()
+
+
 def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
     result = []
     for capture in (False, True):
@@ -150,19 +167,7 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
             env.step(actions)
             env.reset(mask & (env.gtd["sim_steps"] == 12))
 
-        replay = step
-        for _ in range(3):
-            step()
-        if capture:
-            graph = torch.cuda.CUDAGraph()
-            torch.cuda.synchronize()
-            with torch.cuda.graph(graph):
-                step()
-            replay = graph.replay
-        env.restart(5)
-        env.reset()
-        for _ in range(20):
-            replay()
+        replay_from_start(env, step, 20, capture=capture)
         result.append(env.gtd["robot_linvel"].clone())
     torch.testing.assert_close(result[1], result[0], rtol=1e-4, atol=1e-4)
 
@@ -189,19 +194,9 @@ def test_a_captured_step_of_vehicles_that_sense_each_other_is_the_eager_step_and
             env.reset(mask & (env.kinds["camera"].gtd["sim_steps"][:, :1] == 3))
             env.render()
 
-        replay = step
         if device != "cpu":
             assert_without_waits(step)
-        if capture:
-            graph = torch.cuda.CUDAGraph()
-            torch.cuda.synchronize()
-            with torch.cuda.graph(graph):
-                step()
-            replay = graph.replay
-        env.restart(5)
-        env.reset()
-        for _ in range(6):
-            replay()
+        replay_from_start(env, step, 6, capture=capture)
         result.append({
             f"{name}.{key}": value.cpu().clone() for name, group in env.kinds.items()
             for key, value in group.gtd.items() if key.startswith("neighbour_") or key.endswith("_pixels")
