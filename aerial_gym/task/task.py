@@ -105,6 +105,12 @@ class Task:
                 "task: its curriculum changes obstacles, which stay where vehicles restart alone. Give the environment "
                 "reset_together: true, or leave curriculum out"
             )
+        alone = [name for name, each in cfg.terminations.items() if each.vehicles]
+        if alone and not (group.kind.count > 1 and env.cfg.reset_together):
+            raise ConfigError(
+                f"task.terminations.{alone[0]}.vehicles: needs several vehicles that end together. Give num_vehicles and an "
+                "environment with reset_together: true, or leave it out"
+            )
         num_commands, command = env.robot_manager.num_actions, env.robot_manager.action_names
         cfg = with_rotor_range(cfg, env.robot_manager.cfg, command)
         self.cfg, self.env = cfg, env
@@ -295,9 +301,15 @@ class Task:
 
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
-        steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
         random = self._random.shared if self._together else self._random  # vehicles that end together have one age
-        age.copy_(uniform_draw(random.on_host().stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
+        ages = uniform_draw(random.on_host().stream(Purpose.AGE), dtype=torch.float64)
+        self.set_ages(ages.mul_(self.cfg.episode_len_steps))
+
+    def set_ages(self, ages: Tensor) -> None:
+        """Set the ages of all episodes [steps], (E,). Vehicles that end together get that of the first one."""
+        if self._together:
+            ages = ages.view(-1, self.num_vehicles)[:, :1].expand(-1, self.num_vehicles).flatten()
+        self._gtd["sim_steps"].copy_(ages)
 
     def step(self, actions: Tensor | ArrayLike) -> StepResult:
         """Advance by one action, (E, V), a tensor or an array.

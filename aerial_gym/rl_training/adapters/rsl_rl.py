@@ -38,7 +38,7 @@ class RslRlEnv(VecEnv):
 
     @episode_length_buf.setter
     def episode_length_buf(self, age: Tensor) -> None:
-        self._task.env.rows.bodies["sim_steps"].copy_(age)
+        self._task.set_ages(age)
 
     def get_observations(self) -> TensorDict:
         """Return the present observations by key."""

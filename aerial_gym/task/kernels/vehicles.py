@@ -73,13 +73,13 @@ def make_nearest_launch(
 
 @wp.kernel(enable_backward=False)
 def _combine_rows(
-    own_ends: wp.array2d[wp.bool],  # (B, K + 1)
+    own_ends: wp.array2d[wp.bool],  # (B, K)
     own_rewards: wp.array2d[float],  # (B, T)
     # params
-    least: wp.array[wp.int32],  # (K + 1,) vehicles for which it must be true
+    least: wp.array[wp.int32],  # (K,) vehicles for which it must be true
     num_vehicles: int,
     # out
-    ends_out: wp.array2d[wp.bool],  # (B, K + 1)
+    ends_out: wp.array2d[wp.bool],  # (B, K)
     rewards_out: wp.array2d[float],  # (B, T)
 ):
     """Write counts and means over the vehicles of a row's environment, in the order of their numbers.

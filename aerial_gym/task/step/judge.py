@@ -77,7 +77,7 @@ class Judge:
         if num_vehicles > 1:
             needs_all = [each.needs_all for _, each in terminations.values()]
             self._common = CommonEnds(
-                self._own_outcome, values, reads=reads, needs_all=[*needs_all, False], num_rewards=len(rewards),
+                self._own_outcome, values, reads=reads, needs_all=[*needs_all, False, False], num_rewards=len(rewards),
                 shares_reward=cfg.share_reward, num_vehicles=num_vehicles,
             )  # fmt: skip
             reads |= self._common.reads
@@ -177,14 +177,19 @@ class Judge:
         return result
 
     def _own_outcome(self, given: Mapping[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        """Return the conditions of the terminations and that of non-finite numbers of each vehicle, and its reward terms."""
+        """Return the conditions of terminations, of the time limit and of non-finite numbers of each vehicle, and its reward
+        terms."""
         values = {**given, **self._command.current_values(given)}
         finite, _, _ = self._observer.observe(values, None)
         rewards = list(self._term_rewards(values).values())
         for reward in rewards:
             finite = finite & reward.isfinite()
         bad = ~finite | (values["non_finite"] != 0)
-        return [*(term.evaluate(values) for term, _ in self._terminations.values()), bad], rewards
+        ends = [term.evaluate(values) for term, _ in self._terminations.values()]
+        return [*ends, self._is_time_up(values), bad], rewards
+
+    def _is_time_up(self, values: Mapping[str, Tensor]) -> Tensor:
+        return values["sim_steps"] >= self._cfg.episode_len_steps
 
     def _episode_ends(self, values: Mapping[str, Tensor]) -> EpisodeEnds:
         no = torch.zeros_like(values["crashes"])
@@ -199,7 +204,7 @@ class Judge:
                     result = result | flags[name]
             return result
 
-        time_up = values["sim_steps"] >= self._cfg.episode_len_steps
+        time_up = values[ENDS][:, -2] if ENDS in values else self._is_time_up(values)
         crash, arrived = any_end("crash", "now"), any_end("success", "counts") | values.get(ARRIVED, no)
         now = any_end(None, "now")
         ended = now | time_up

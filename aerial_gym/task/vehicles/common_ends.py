@@ -29,7 +29,7 @@ class CommonEnds:
         """Declare the buffers.
 
         Args:
-            evaluate: Returns the conditions, K + 1 of bool (B,), and the weighted terms of the reward, T of (B,).
+            evaluate: Returns the conditions, K + 2 of bool (B,), and the weighted terms of the reward, T of (B,).
             reads: Its inputs, by name.
             needs_all: Of each condition whether it must be true for all vehicles.
             shares_reward: Whether the vehicles get the mean of their terms.

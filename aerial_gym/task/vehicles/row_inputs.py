@@ -39,6 +39,9 @@ class VehicleInputs:
             spec, source = gtd.spec(name), gtd.plain(name)
             if spec.shape[:1] != ("E",):
                 return source
+            if spec.shape[:2] == ("E", "V"):
+                view = source.flatten(0, 1)
+                return values.declare(name, tuple(view.shape[1:]), dtype=view.dtype, meaning=spec.meaning, view=view)
             return self._copy(name, values, source.unsqueeze(1), tuple(source.shape[1:]), spec.meaning)
         if not name.startswith(ALL):
             return None

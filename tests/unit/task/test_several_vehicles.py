@@ -166,6 +166,42 @@ def test_vehicles_are_reset_one_by_one_where_they_do_not_end_together() -> None:
     assert task.env.random.episode.tolist() == [0] * E  # those of the environments go on
 
 
+def test_vehicles_that_end_together_do_so_at_unequal_ages() -> None:
+    """The oldest one decides, and an adapter that sets ages gives all vehicles of an environment one age."""
+    task = begin("formation_task", 3, seed=1)
+    age = task.env.gtd["sim_steps"]
+    age[1, 2] = task.cfg.episode_len_steps
+    *_, terminated, truncated, info = task.step(torch.zeros(3 * ROWS, 4))
+    ended = torch.arange(3).repeat_interleave(ROWS) == 1
+    assert torch.equal(terminated | truncated, ended)
+    assert torch.equal(info["timeouts"] | info["successes"], ended)
+    task.set_ages(torch.arange(3 * ROWS))
+    assert age.tolist() == [[first] * ROWS for first in (0, ROWS, 2 * ROWS)]
+
+
+def test_the_tension_of_a_cable_is_that_of_the_own_vehicle() -> None:
+    task = begin("team_payload_task", 2, seed=1)
+    own, every = (task.values.find(name, "the test") for name in ("payload_tension", "all_payload_tension"))
+    task.env.gtd["payload_tension"][:] = torch.arange(6.0).view(2, 3)
+    task._around.refresh()
+    assert own.tolist() == list(range(6))
+    assert every[4].tolist() == [3.0, 4.0, 5.0]
+
+
+def test_racers_start_apart() -> None:
+    task = begin("race_of_four_task", 64, seed=1)
+    place, (hull,) = task.env.gtd["robot_position"], task.env.vehicles.slots.hulls
+    apart = torch.cdist(place, place) + torch.eye(4) * 1e3
+    assert apart.min() - 2.0 * hull >= 0.1 - 1e-6
+
+
+@pytest.mark.parametrize("task", ["position_setpoint_task", "race_of_four_task"])
+def test_a_condition_for_several_vehicles_needs_several_that_end_together(task: str) -> None:
+    given = "task.terminations.late={term: far_from_target, kind: crash, vehicles: any, params: {distance: 9.0}}"
+    with pytest.raises(ConfigError, match="terminations.late.vehicles: needs several vehicles that end together"):
+        task_registry.make_task(task, num_envs=1, device="cpu", settings=[given])
+
+
 def test_neighbours_are_the_nearest_in_the_own_frame() -> None:
     several = replace(
         FORMATION, observations={"policy": (ObservationCfg(term="nearest_vehicles", params={"count": 2}),)}
