@@ -11,6 +11,7 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.sim2real.identify.candidates.library import has_several_starts, law_relatives, linearisation_points
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_refused_effect
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates
@@ -50,21 +51,22 @@ def evidence_columns(robot: RobotCfg, tolerances: Tolerances) -> tuple[EvidenceC
     """Return the K columns of a robot: parameters in the order of ``candidate_points``, then the tolerances."""
     columns, starts = list[EvidenceColumn](), dict[str, int]()
     for name, params in candidate_points(robot):
-        effect, values = EFFECTS.get(name), params.effects[name]
+        effect, values = EFFECTS.get(name), params.effects[name].copy()
+        if isinstance(effect, LoadEffect):  # linearised with a load, whose mass is 0 where it changes nothing
+            values[0] = effect.neutral(robot)[0]
         rotor = round(float(values[0])) if effect.parameters[0].kind == "rotor" else 0
         starts[name] = starts.get(name, 0) + 1
         start = starts[name] if has_several_starts(name, robot) and not rotor else 0
         for k in continuous_places(name):
             low, high = effect.bounds(robot)[k]
             parameter = effect.parameters[k]
-            owner = {"effect": name, "parameter": parameter.name, "rotor": rotor, "start": start}
-            bounds = {"neutral": float(values[k]), "low": low, "high": high}
-            columns.append(EvidenceColumn(**owner, scale=parameter.scale, **bounds))
+            unit = {"scale": parameter.scale, "neutral": float(values[k]), "low": low, "high": high}
+            columns.append(EvidenceColumn(effect=name, parameter=parameter.name, rotor=rotor, start=start, **unit))
     names, sizes = tolerances.names(robot.num_rotors), tolerances.standard_deviations(robot.num_rotors).tolist()
     for name, size in zip(names, sizes, strict=True):
         if size:
-            bounds = {"neutral": 0.0, "low": -np.inf, "high": np.inf}
-            columns.append(EvidenceColumn(effect="", parameter=name, rotor=0, start=0, scale=size, **bounds))
+            unit = {"scale": size, "neutral": 0.0, "low": -np.inf, "high": np.inf}
+            columns.append(EvidenceColumn(effect="", parameter=name, rotor=0, start=0, **unit))
     return tuple(columns)
 
 

@@ -161,6 +161,7 @@ class _Batch:
         )
         sums = sum(more, first)
         failures = [self._finder.find_first_failure(flight) for flight in content.flights]
+        identity = content.flights[0].identity
         notes = dict.fromkeys(note for flight in content.flights for note in flight.notes)
         return FlightEvidence(
             columns=self._columns,
@@ -169,9 +170,9 @@ class _Batch:
             checks=(*notes, *content.left_out),
             events=tuple(replace(one.finding, subject="") for one in failures if one is not None),
             duration_s=sum(float(flight.time[-1]) for flight in content.flights),
-            airframe="",
-            firmware="",
-            start_time=float("nan"),
+            airframe=identity.airframe,
+            firmware=identity.firmware,
+            start_time=np.nan if identity.start_time is None else identity.start_time,
         )
 
 

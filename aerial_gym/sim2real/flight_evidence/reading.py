@@ -75,7 +75,8 @@ def flight_parts(flight: Flight) -> list[Flight]:
 def comparison_settings(flight: Flight, bandwidth: float, tolerances: Tolerances) -> ComparisonSettings:
     """Return the settings of a flight; raise ``DataError`` if nothing can be compared."""
     band = comparison_band([flight], bandwidth)
-    own = tolerances_after_gains(tolerances_after_move(tolerances, flight.notes), [flight.notes])
+    own = replace(tolerances, acc_bias=float(np.hypot(tolerances.acc_bias, tolerances.acc_of_flight)))
+    own = tolerances_after_gains(tolerances_after_move(own, flight.notes), [flight.notes])
     held = (
         *(name for name in sorted(row_arrays(flight)) if name not in ("lost", "on_ground")),
         *(flight.ceiling_height is None, flight.wind is None, flight.accelerometer, flight.gyro, flight.torques),

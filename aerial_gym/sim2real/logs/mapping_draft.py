@@ -31,6 +31,7 @@ from aerial_gym.sim2real.logs.readers.mapping import (
     LogMapping,
     to_package_frames,
 )
+from aerial_gym.sim2real.logs.signals import turns_over_rows
 
 TIME_UNITS = ("si", "ms", "us", "ns")
 USUAL_RATE = 200.0  # Of several units of time, the one counts whose rate is nearest by ratio [Hz]
@@ -270,8 +271,7 @@ def _with_motion(draft: MappingDraft, numbers: pd.DataFrame, time: Array) -> Map
 
 def _turn_rates(attitude: Array, time: Array, width: int) -> Array:
     """Return the mean angular velocity over ``width`` rows, body axes of the quaternion, (T - width, 3)."""
-    turns = Rotation.from_quat(attitude)
-    return (turns[:-width].inv() * turns[width:]).as_rotvec() / (time[width:] - time[:-width])[:, None]
+    return turns_over_rows(attitude, width) / (time[width:] - time[:-width])[:, None]
 
 
 def _means(values: Array, width: int) -> Array:

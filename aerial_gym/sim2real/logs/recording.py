@@ -45,6 +45,15 @@ class PairMember:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogIdentity:
+    """Vehicle, firmware and start of a log, as far as the log states them."""
+
+    airframe: str = ""  # Serial number of the autopilot, or the name that its owner gave the vehicle
+    firmware: str = ""  # Name and version
+    start_time: float | None = None  # Unix time of the first row [s]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Recording:
     """Common data of a log and its flight, in world ENU, body FLU and SI units; None: not measured."""
 
@@ -70,6 +79,7 @@ class Recording:
 
     parameters: Mapping[str, float | str] = field(default_factory=dict)  # Of the firmware, by name
     log_format: str = "csv"
+    identity: LogIdentity = field(default_factory=LogIdentity)
     command_curve: tuple[float, float, float] | None = None
     """Numbers a, b, n of the scale ``w = a + b u^n`` from shares u to ``rotor_command``; None for other commands."""
 

@@ -174,6 +174,12 @@ def quaternion_signs(attitude: Array) -> Array:
     return np.concatenate(([1.0], np.cumprod(flips)))
 
 
+def turns_over_rows(attitude: Array, rows: int) -> Array:
+    """Return the rotation vectors [rad], body, (T - rows, 3), from each attitude (T, 4) to that so many rows later."""
+    turned = _multiply(attitude[:-rows] * (-1.0, -1.0, -1.0, 1.0), attitude[rows:])  # faster than scipy's rotations
+    return Rotation.from_quat(turned).as_rotvec()
+
+
 def integrate_rates(time: Array, ang_vel: Array) -> Array:
     """Return the attitude (T, 4), level at first, from body rates [rad/s], (T, 3), by the mean rate of each step."""
     turns = Rotation.from_rotvec(0.5 * (ang_vel[1:] + ang_vel[:-1]) * np.diff(time)[:, None])

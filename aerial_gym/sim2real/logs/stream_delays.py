@@ -175,7 +175,7 @@ def _rotation_pair(log: FlightLog) -> tuple[Array, Array] | None:
     """Return the gyro and the angular velocity by the attitude, (T, 3) each; None without both."""
     if log.ang_vel is None or log.attitude_integrated:
         return None
-    return log.ang_vel, rate_by_differences(Rotation.from_quat(log.attitude), sample_rate(log))
+    return log.ang_vel, rate_by_differences(log.attitude, sample_rate(log))
 
 
 def _velocity_pairs(log: FlightLog, *, vertical: bool) -> Iterator[tuple[str, str, Array, Array, Array | None]]:

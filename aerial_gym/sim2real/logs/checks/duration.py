@@ -1,11 +1,11 @@
 """Check that a flight log is long and fast enough for a comparison with the simulator, without torch."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.signals import turns_over_rows
 
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0  # Fewest rows per second of a comparison
@@ -27,7 +27,7 @@ def check_duration_and_rate(log: FlightLog) -> None:
 def _unit_of_time(log: FlightLog) -> str:
     """Return the unit of the time column (ms, us or ns) from the ratio of motion to rate; empty if it is seconds."""
     step = np.diff(log.time)[:, None]
-    turned = (Rotation.from_quat(log.attitude[:-1]).inv() * Rotation.from_quat(log.attitude[1:])).as_rotvec()
+    turned = turns_over_rows(log.attitude, 1)
     pairs = [(turned, log.ang_vel)]
     if log.position is not None:
         pairs.append((np.diff(log.position, axis=0), log.lin_vel))

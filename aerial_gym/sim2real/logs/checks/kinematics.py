@@ -15,7 +15,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.recording import AT_REST, LATE_S, FlightLog, sample_rate, take_rows
-from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
+from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows, turns_over_rows
 from aerial_gym.sim2real.statistics import student_quantile
 
 CHECK_BANDWIDTH_HZ = 4.0  # Low-pass frequency of the comparison [Hz], below the limits of all logs
@@ -231,9 +231,9 @@ def findings_on_gains(log: FlightLog) -> list[Finding]:
     ]
 
 
-def rate_by_differences(attitude: Rotation, rate: float) -> Array:
-    """Return the angular velocity [rad/s], body, (T, 3), by central differences of an attitude at a rate [Hz]."""
-    inner = (attitude[:-2].inv() * attitude[2:]).as_rotvec() * (0.5 * rate)
+def rate_by_differences(attitude: Array, rate: float) -> Array:
+    """Return the angular velocity [rad/s], body, (T, 3), by central differences of an attitude (T, 4) at a rate [Hz]."""
+    inner = turns_over_rows(attitude, 2) * (0.5 * rate)
     return np.concatenate((inner[:1], inner, inner[-1:]))
 
 
@@ -243,7 +243,7 @@ def _readings_and_motions_by_other_sensors(log: FlightLog) -> Iterator[tuple[str
     if log.ang_vel is not None:
         mean = np.concatenate((log.ang_vel[:1], log.ang_vel, log.ang_vel[-1:]))
         mean = (mean[:-2] + 4.0 * mean[1:-1] + mean[2:]) / 6.0  # over the span of the differences, by Simpson's rule
-        yield "gyro", "attitude", mean, rate_by_differences(turn, rate), np.zeros(3)
+        yield "gyro", "attitude", mean, rate_by_differences(log.attitude, rate), np.zeros(3)
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = turn.apply(change + AT_REST, inverse=True)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog
+from aerial_gym.sim2real.logs.signals import turns_over_rows
 
 SURPRISE = 1e-3  # Share of ordinary rows whose errors may exceed the reference error of a clock step
 WINDOW_ROWS = 50  # Rows per window; the errors of one flight then differ by a tenth between lags
@@ -62,8 +63,7 @@ def check_for_alternating_flights(log: FlightLog) -> None:
 def errors_of_integrated_rates(log: FlightLog, lag: int) -> dict[str, Array]:
     """Return change over ``lag`` rows minus integrated rate, as norms (T - lag,): attitude rad, position m, velocity m/s."""
     passed = (log.time[lag:] - log.time[:-lag])[:, None]
-    attitude = Rotation.from_quat(log.attitude)
-    turned = (attitude[:-lag].inv() * attitude[lag:]).as_rotvec()
+    turned = turns_over_rows(log.attitude, lag)
     motion = {"attitude": turned - _mean_rate_over_lag(log.ang_vel, lag, turned) * passed}
     if log.position is not None:
         moved = log.position[lag:] - log.position[:-lag]

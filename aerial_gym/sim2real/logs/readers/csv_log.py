@@ -31,7 +31,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import (
 from aerial_gym.sim2real.logs.readers.log_readers import read_csv_export
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, LogMapping, to_package_frames
 from aerial_gym.sim2real.logs.readers.setpoints import setpoints_in_package_axes
-from aerial_gym.sim2real.logs.recording import FlightLog, StreamTiming, absent_pairs, position_at_times
+from aerial_gym.sim2real.logs.recording import FlightLog, LogIdentity, StreamTiming, absent_pairs, position_at_times
 from aerial_gym.sim2real.logs.signals import integrate_rates, without_bad_quaternions
 
 LONGEST_FACTS = 1_000_000  # Largest length of the line with facts [B]; the parameters of a firmware have 50,000
@@ -50,13 +50,14 @@ class FlightFacts:
     torques: bool = True
     streams: Mapping[str, StreamTiming] = field(default_factory=dict)
     log_format: str = "csv"
+    identity: LogIdentity = field(default_factory=LogIdentity)
     parameters: Mapping[str, object] = field(default_factory=dict)
     command_curve: tuple[float, float, float] | None = None
 
     def line(self) -> str:
         """Return the facts as a comment before the header line."""
         streams = {name: vars(timing) for name, timing in self.streams.items()}
-        return FACTS + json.dumps({**vars(self), "streams": streams}) + "\n"
+        return FACTS + json.dumps({**vars(self), "streams": streams, "identity": vars(self.identity)}) + "\n"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,8 @@ Log Messages* of its documentation for fields; ``AP_Logger.h``, ``LogEvent``, fo
 ``ArduPlane/Log.cpp``, ``Log_Write_Attitude``, for the axes of a tail-sitter.
 """
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -106,7 +107,7 @@ class DataflashReader(LogReader):
             parameters=parameters,
             parameter_changes=changes,
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
-            metadata={"firmware": texts[0][1]} if texts else {},
+            metadata={"firmware": texts[0][1], "board": _board_text(text for _, text in texts)} if texts else {},
             notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),) * (lost >= SMALLEST_DAMAGE),
         )
 
@@ -131,6 +132,11 @@ class DataflashReader(LogReader):
             ),
             *_channels_of_arming_and_landing(log),
         ]
+
+
+def _board_text(texts: Iterable[str]) -> str:
+    """Return the text that names the board with its serial number of three words; empty without one."""
+    return next((text for text in texts if re.search(r"[0-9A-F]{8} [0-9A-F]{8} [0-9A-F]{8}$", text.strip())), "")
 
 
 def _parameters_and_changes(

@@ -15,6 +15,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flight_spans import SHORTEST_S, FlightSpan, flight_spans
+from aerial_gym.sim2real.logs.identity import log_identity
 from aerial_gym.sim2real.logs.raw_log import QUANTITIES, SETPOINTS, LogChannel, RawLog, Topic
 from aerial_gym.sim2real.logs.readers.binary_log import flight_of_streams, streams_of_log
 from aerial_gym.sim2real.logs.readers.csv_log import read_csv_log
@@ -72,8 +73,9 @@ class LogFlights:
             )  # fmt: skip
             asked = {name: (one.time, one.values) for name, one in self.streams.items() if name in SETPOINTS}
             log = replace(
-                log, setpoints=asked, parameters=self.raw.parameters_in_force(span.start), log_format=self.raw.format
-            )
+                log, setpoints=asked, parameters=self.raw.parameters_in_force(span.start), log_format=self.raw.format,
+                identity=log_identity(self.raw, float(log.time[0])),
+            )  # fmt: skip
         return log if self.mapping is None else _with_mapping(log, self.mapping)
 
     def select(self, number: int | None) -> "LogFlights":
