@@ -2,26 +2,29 @@
 
 from aerial_gym.fleet.statistics import Change, ChangeResult
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.statistics import normal_quantile
 from aerial_gym.sim2real.wording.words import half_width_text, join_words, value_text
 
-THRUST_SHARES = {
+QUANTITIES = {
     "weak_motor": "thrust",
     "thrust_coefficient": "thrust",
     "motor_gain": "speed",
     "torque_ratio": "drag torque",
 }
+"""Quantities that effects scale, where the effect's name does not say it."""
 
 
 def text_of_change(result: ChangeResult, vehicle: str) -> str:
     """Return one sentence on the most probable change of a vehicle, with its alternatives."""
+    odd = "" if result.odd_flight is None else f"; flight {result.odd_flight + 1} deviates alone"
     if not result.causes:
-        return f"vehicle {vehicle}: too few flights to find a change"
+        return f"vehicle {vehicle}: too few flights to judge a change{odd}"
     best, *others = result.candidates
     text = f"vehicle {vehicle}{_rotor_text(best)}: {_size_text(best)} {_onset_text(best)}"
     if result.firmware_change:
-        text += f", with the change of firmware from {result.firmware_change[0]} to {result.firmware_change[1]}"
+        text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
     names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in others]
-    return f"{text}; or {join_words(names, 'or')}" if names else text
+    return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + odd
 
 
 def _rotor_text(change: Change) -> str:
@@ -29,22 +32,23 @@ def _rotor_text(change: Change) -> str:
 
 
 def _size_text(change: Change) -> str:
-    """Return the changes of an effect's parameters with half their 95 % intervals, in per cent for ratios."""
-    units = {parameter.name: parameter.unit for parameter in EFFECTS.get(change.effect).parameters}
-    name, parts = THRUST_SHARES.get(change.effect, change.effect.replace("_", " ")), []
-    for parameter, value, std in zip(change.parameters, change.change, change.std, strict=True):
-        is_ratio = units[parameter] == "-"
-        factor, unit = (100.0, "%") if is_ratio else (1.0, units[parameter])
-        half = 1.96 * factor * std
-        axis = f" {parameter}" if len(change.parameters) > 1 else ""
-        parts.append(
-            f"{'+' if value > 0.0 else ''}{value_text(factor * value, half)} {unit}{axis} ({half_width_text(half, unit)})"
-        )
-    return f"{join_words(parts)} {name}"
+    """Return the certain changes of an effect's parameters with half their 95 % intervals, in per cent for ratios."""
+    parameters = {parameter.name: parameter for parameter in EFFECTS.get(change.effect).parameters}
+    sizes = []
+    for name, value, std in zip(change.parameters, change.change, change.std, strict=True):
+        own, half = parameters[name], normal_quantile(0.975) * std
+        factor, unit = (100.0, "%") if own.unit == "-" and own.neutral == 1.0 else (1.0, own.unit.strip("-"))
+        size = f"{'+' if value > 0.0 else ''}{value_text(factor * value, factor * half)} {unit}".strip()
+        sizes.append((abs(value) > half, name, size, half_width_text(factor * half, unit)))
+    quantity = QUANTITIES.get(change.effect, change.effect.replace("_", " "))
+    if len(sizes) == 1:
+        return f"{sizes[0][2]} {quantity} ({sizes[0][3]})"
+    certain = [size for size in sizes if size[0]] or sizes
+    return f"{quantity} {join_words(f'{name} {size} ({half})' for _, name, size, half in certain)}"
 
 
 def _onset_text(change: Change) -> str:
     """Return the first changed flight, counted from 1, with its 90 % interval if it is not certain."""
     first, low, high = change.onset + 1, change.onset_low + 1, change.onset_high + 1
-    word = "since" if change.kind == "step" else "as a drift since"
+    word = "since" if change.kind == "step" else "by a drift since"
     return f"{word} flight {first}" + (f" (90 % interval {low} to {high})" if low < high else "")

@@ -60,7 +60,7 @@ class ChangeResult:
     vehicle: str
     flights: int
     log_e: float = 0.0  # Log evidence of any change against none, without the flight that supports it most
-    causes: tuple[Change, ...] = ()  # Empty if no change is more probable than not
+    causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
     odd_flight: int | None = None  # Index of a flight that deviates alone
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
 
@@ -83,14 +83,17 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
     search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times())
     table, odd = search.log_evidence(), search.log_evidence_of_flights()
-    causes, log_e, var_flight = (), float(logsumexp(table)), model.var_flight[shown]
+    log_e, var_flight, causes = (
+        float(logsumexp(table)),
+        model.var_flight[shown],
+        search.causes(table, model.mean[shown], own),
+    )
     if log_e > 0.0:
-        causes = search.causes(table, model.mean[shown], own)
         log_e = search.log_e(table, var_flight)
     is_odd = logsumexp(odd) > ODD_LOG_E and search.log_e_of_odd_flight(odd, var_flight) > max(log_e, ODD_LOG_E)
     return replace(
         result, log_e=log_e, causes=causes, odd_flight=int(odd.max(axis=1).argmax()) if is_odd else None,
-        firmware_change=firmware_change(flights.firmware, causes[0]) if causes else None,
+        firmware_change=firmware_change(flights.firmware, causes[0]),
     )  # fmt: skip
 
 
@@ -192,7 +195,8 @@ class ChangeSearch:
         of_cause = [table[:, :, self.hypotheses.cause == k] for k in range(len(self.hypotheses.causes))]
         evidence = np.array([logsumexp(part) for part in of_cause]) + np.log(len(of_cause))
         order = np.argsort(-evidence, kind="stable")
-        listed = [k for n, k in enumerate(order) if n < LISTED or evidence[k] >= evidence[order[0]] - AMBIGUOUS]
+        least = max(float(evidence.max()) - AMBIGUOUS, 0.0)
+        listed = [k for n, k in enumerate(order) if n < LISTED or evidence[k] >= least]
         return tuple(self._describe(k, of_cause[k], float(evidence[k]), mean, columns) for k in listed)
 
     def _describe(self, cause: int, table: Array, log_evidence: float, mean: Array, columns: Columns) -> Change:

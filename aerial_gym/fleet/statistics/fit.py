@@ -18,8 +18,8 @@ from aerial_gym.sim2real.arrays import Array
 
 MOST_VEHICLES = 64  # Vehicles of a fit; the relative standard error of a variance is then at most 18 %
 MOST_FLIGHTS = 20  # Flights of each vehicle in a fit
-VEHICLE_STD, FLIGHT_STD = 1.0, 0.1
-"""Prior standard deviations in units of scale. They count like one observed vehicle and like one flight."""
+VEHICLE_PRIOR, FLIGHT_PRIOR = (1.0, 0.1), (0.1, 1.0)
+"""Prior standard deviations in units of scale, with the number of observed vehicles or flights for which they count."""
 FREEDOM = 4.0  # Degrees of freedom of the variance between the flights of one vehicle
 ITERATIONS, CONVERGENCE = 60, 0.03  # Most updates, and the relative change of all variances that ends them
 
@@ -54,8 +54,8 @@ def fit_fleet(vehicles: Sequence[VehicleFlights], columns: Columns) -> FleetMode
     one = np.ones(len(columns))
     fitted = {
         "mean": 0.0 * one,
-        "var_vehicle": VEHICLE_STD**2 * one,
-        "var_flight": FLIGHT_STD**2 * one,
+        "var_vehicle": VEHICLE_PRIOR[0] ** 2 * one,
+        "var_flight": FLIGHT_PRIOR[0] ** 2 * one,
         "mean_var": one,
     }
     shown = np.flatnonzero(sum((np.einsum("nkk->k", part.product) for part in drawn), 0.0 * one))
@@ -95,7 +95,10 @@ class _Update:
 
     def __init__(self, columns: int, vehicles: int) -> None:
         self.mean, self.mean_var = np.zeros(columns), np.ones(columns)
-        self.var_vehicle, self.var_flight = np.full(columns, VEHICLE_STD**2), np.full(columns, FLIGHT_STD**2)
+        self.var_vehicle, self.var_flight = (
+            np.full(columns, VEHICLE_PRIOR[0] ** 2),
+            np.full(columns, FLIGHT_PRIOR[0] ** 2),
+        )
         self.weights = np.ones((vehicles, columns))  # Fleet's variance between flights per that of a vehicle
 
     def improve(self, flights: Sequence[tuple[Array, Array]]) -> float:
@@ -120,11 +123,12 @@ class _Update:
             weight[:] = (FREEDOM + count) / (FREEDOM + deviations)
         cov = np.linalg.inv(precision)
         self.mean, self.mean_var = self.mean + cov @ gradient, cov.diagonal()
-        factors = (_factor(self.var_vehicle, *vehicle, VEHICLE_STD), _factor(self.var_flight, *flight, FLIGHT_STD))
+        factors = (_factor(self.var_vehicle, *vehicle, VEHICLE_PRIOR), _factor(self.var_flight, *flight, FLIGHT_PRIOR))
         self.var_vehicle, self.var_flight = self.var_vehicle * factors[0], self.var_flight * factors[1]
         return float(np.abs(np.log(factors)).max(initial=0.0))
 
 
-def _factor(variance: Array, squares: Array, expected: Array, prior_std: float) -> Array:
-    """Return the factor of a variance's update, with one prior observation of deviation ``prior_std``."""
-    return np.sqrt((squares + np.square(prior_std / variance)) / (np.maximum(expected, 0.0) + 1.0 / variance))
+def _factor(variance: Array, squares: Array, expected: Array, prior: tuple[float, float]) -> Array:
+    """Return the factor of a variance's update."""
+    std, count = prior
+    return np.sqrt((squares + count * np.square(std / variance)) / (np.maximum(expected, 0.0) + count / variance))

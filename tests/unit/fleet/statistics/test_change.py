@@ -1,0 +1,167 @@
+"""Changes of vehicles: size, sign, kind, onset and cause, and what is no change."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aerial_gym.fleet.statistics import ChangeResult, VehicleFlights, benjamini_hochberg, find_change
+from tests.unit.fleet.statistics.synthetic import drift, make_columns, make_fleet, make_flights, make_model, step
+
+EFFECTS = [("com_offset", "x", 0), ("com_offset", "y", 0), ("weak_motor", "scale", 1), ("weak_motor", "scale", 2)]
+COLUMNS = make_columns(*EFFECTS, ("constant_wind", "x", 0), tolerances=1)
+MODEL = make_model(6, flight=[0.05, 0.05, 0.05, 0.05, 3.0, 0.05])
+THRUST = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])  # of rotor 2
+CLEAR = np.log(1000.0)
+
+
+@pytest.mark.parametrize("size", [-0.42, 0.42])
+@pytest.mark.parametrize(("kind", "pattern"), [("step", step), ("drift", drift)])
+def test_change_of_one_rotor(kind: str, pattern: Any, size: float) -> None:
+    """A thrust of -2.1 % or +2.1 % since flight 8 of 20: sign, size, kind, rotor and onset."""
+    result = _find(1, 20, change=pattern(20, 8, size * THRUST))
+    best = result.causes[0]
+    assert result.log_e > CLEAR
+    assert result.candidates == (best,)
+    assert result.odd_flight is None
+    assert (best.effect, best.rotor, best.kind, best.parameters) == ("weak_motor", 2, kind, ("scale",))
+    assert best.onset_low <= 8 <= best.onset_high
+    assert abs(best.onset - 8) <= 2
+    assert abs(best.change[0] - 0.05 * size) < 3.0 * best.std[0] < 0.006
+
+
+def test_parameters_of_an_effect_change_together() -> None:
+    size = np.array([0.3, -0.3, 0.0, 0.0, 0.0, 0.0])
+    best = _find(2, 12, change=step(12, 5, size)).causes[0]
+    assert (best.effect, best.parameters, best.onset) == ("com_offset", ("x", "y"), 5)
+    assert (np.abs(np.array(best.change) - [0.015, -0.015]) < 3.0 * np.array(best.std)).all()
+
+
+def test_interval_and_onset_of_a_drift() -> None:
+    """Over 100 drifts, the 95 % interval of change and of slope covers the truth as stated; half of the onsets err by at most two."""
+    rng, inside, errors = np.random.default_rng(3), [], []
+    for _ in range(100):
+        onset = int(rng.integers(4, 16))
+        flights = make_flights(rng, MODEL, 20, change=drift(20, onset, 0.6 * THRUST))
+        best = find_change(MODEL, flights, COLUMNS).causes[0]
+        true_slope = 0.03 / (60.0 * (20 - onset))
+        inside.append((abs(best.change[0] - 0.03) < 1.96 * best.std[0], abs(best.slope[0] - true_slope) < 1.96 * best.slope_std[0]))  # fmt: skip
+        errors.append((abs(best.onset - onset), best.onset_low <= onset <= best.onset_high))
+    assert (np.abs(np.mean(inside, axis=0) - 0.95) <= 3.0 * np.sqrt(0.95 * 0.05 / 100.0)).all()
+    assert np.median([error for error, _ in errors]) <= 2.0
+    assert np.mean([covered for _, covered in errors]) >= 0.9 - 3.0 * np.sqrt(0.9 * 0.1 / 100.0)
+
+
+def test_collinear_causes_are_ambiguous() -> None:
+    """Rotors 1 and 2 act through the same motion up to 0.1 %: both are candidates. With 30 % apart, one is."""
+    for difference, candidates in ((0.001, {1, 2}), (0.3, {2})):
+        mixing = np.eye(6)
+        mixing[:, 3] = mixing[:, 2] + difference * mixing[:, 3]
+        result = _find(4, 20, change=step(20, 8, 0.6 * THRUST), mixing=mixing)
+        assert result.log_e > CLEAR
+        assert {one.rotor for one in result.candidates if one.effect == "weak_motor"} == candidates
+
+
+def test_effect_that_varies_from_flight_to_flight_has_not_changed() -> None:
+    """Wind of 3 m/s in random directions in each flight, over 50 vehicles."""
+    results = [_find(seed, 12) for seed in range(100, 150)]
+    assert max(one.log_e for one in results) < np.log(20.0)
+
+
+def test_steady_deviation_is_no_change() -> None:
+    """A vehicle deviates by ten fleet standard deviations, which the first five of 12 flights cannot show."""
+    rng = np.random.default_rng(5)
+    flights = make_flights(rng, MODEL, 12, deviation=3.0 * THRUST)
+    visible = np.ones((12, 6))
+    visible[:5, 3] = 0.0
+    hidden = replace(
+        flights,
+        product=flights.product * visible[:, :, None] * visible[:, None, :],
+        gradient=flights.gradient * visible,
+    )
+    assert find_change(MODEL, hidden, COLUMNS).log_e < np.log(20.0)
+
+
+@pytest.mark.parametrize("number", [0, 6, 11])
+def test_one_odd_flight_is_no_change(number: int) -> None:
+    result = _find(6, 12, change=step(12, number, 3.0 * THRUST) - step(12, number + 1, 3.0 * THRUST))
+    assert result.log_e < np.log(20.0)
+    assert result.odd_flight == (None if number == 11 else number) or result.odd_flight == number
+
+
+def test_change_beside_an_odd_flight_is_found() -> None:
+    change = step(20, 9, 0.5 * THRUST) + 1.0 * (np.arange(20) == 3)[:, None] * THRUST
+    result = _find(7, 20, change=change)
+    assert result.log_e > CLEAR
+    assert abs(result.causes[0].onset - 9) <= 1
+
+
+def test_change_of_firmware_within_the_onset_is_named() -> None:
+    flights = make_flights(np.random.default_rng(8), MODEL, 12, change=step(12, 6, 0.6 * THRUST))
+    for place, expected in ((6, ("1.0", "1.1")), (3, None)):
+        updated = replace(flights, firmware=("1.0",) * place + ("1.1",) * (12 - place))
+        assert find_change(MODEL, updated, COLUMNS).firmware_change == expected
+    unknown = replace(flights, firmware=("1.0",) * 5 + ("",) + ("1.1",) * 6)
+    assert find_change(MODEL, unknown, COLUMNS).firmware_change is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_few_flights_show_no_change(count: int) -> None:
+    result = _find(9, count, change=step(count, 1, 3.0 * THRUST))
+    assert np.isfinite(result.log_e)
+    assert result.log_e < np.log(20.0)
+    assert (result.causes == ()) == (count < 2)
+
+
+def test_flights_without_information() -> None:
+    flights = make_flights(np.random.default_rng(10), MODEL, 5, mixing=np.zeros((6, 6)))
+    assert find_change(MODEL, flights, COLUMNS) == ChangeResult(vehicle="v", flights=5)
+
+
+def test_equal_and_missing_times() -> None:
+    """Flight numbers take the place of the times; equal times within others leave no drift undefined."""
+    flights = make_flights(np.random.default_rng(11), MODEL, 12, change=step(12, 6, 0.6 * THRUST))
+    some = np.repeat(np.arange(6.0), 2)
+    for time in (np.zeros(12), np.full(12, np.nan), some, np.where(np.arange(12) < 10, np.arange(12), 9.0)):
+        result = find_change(MODEL, replace(flights, time=time), COLUMNS)
+        assert result.log_e > CLEAR
+        assert result.causes[0].onset == 6
+        assert all(np.isfinite((*one.change, *one.std, *one.slope_std)).all() for one in result.causes)
+
+
+def test_order_of_columns_changes_nothing() -> None:
+    flights, order = (
+        make_flights(np.random.default_rng(12), MODEL, 12, change=step(12, 6, 0.6 * THRUST)),
+        [3, 5, 0, 2, 4, 1],
+    )
+    turned = replace(flights, product=flights.product[:, order][:, :, order], gradient=flights.gradient[:, order])
+    model = replace(MODEL, **{name: getattr(MODEL, name)[order] for name in ("mean", "var_vehicle", "var_flight")})
+    first, second = find_change(MODEL, flights, COLUMNS), find_change(model, turned, [COLUMNS[k] for k in order])
+    np.testing.assert_allclose(second.log_e, first.log_e, rtol=1e-9)
+    assert [(one.effect, one.rotor, one.onset) for one in second.causes] == [
+        (one.effect, one.rotor, one.onset) for one in first.causes
+    ]
+
+
+def test_vehicle_with_many_flights() -> None:
+    """Of 800 flights, the onset is found to within its interval, although only 64 onsets are compared at a time."""
+    best = _find(13, 800, change=step(800, 523, 0.2 * THRUST), rows=8).causes[0]
+    assert (best.effect, best.rotor, best.kind) == ("weak_motor", 2, "step")
+    assert best.onset_low <= 523 <= best.onset_high
+    assert best.onset_high - best.onset_low < 20
+
+
+def test_no_false_discoveries_in_a_large_fleet() -> None:
+    """Among 5,000 unchanged vehicles nothing is rejected at 1 %, and the mean e-value is at most 1."""
+    model = make_model(3, flight=0.1)
+    columns = make_columns("weak_motor", "torque_ratio", tolerances=1)
+    fleet = make_fleet(np.random.default_rng(14), model, 5000, 5, rows=6)
+    log_e = np.array([find_change(model, one, columns).log_e for one in fleet])
+    assert np.exp(log_e).mean() < 1.0
+    assert not benjamini_hochberg(log_e, 0.01).any()
+
+
+def _find(seed: int, count: int, **options: Any) -> ChangeResult:
+    flights: VehicleFlights = make_flights(np.random.default_rng(seed), MODEL, count, **options)
+    return find_change(MODEL, flights, COLUMNS)
