@@ -7,9 +7,10 @@ The prior of the vehicle's base is as broad as that of a change, so that no chan
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from aerial_gym.fleet.statistics.fit import FREEDOM, FleetModel
@@ -28,6 +29,8 @@ ODD_LOG_E = float(
 LISTED = 3  # Number of causes that are always listed
 IMPROBABLE = 1e-3  # Posterior probability of an onset that is left out of averages
 SCATTER = 2.0 ** np.arange(-3, 13)  # Factors on the variance between the flights of one vehicle
+FINE = 1001  # Points of the integral over these factors, between which the logarithms are splines
+FEWEST_FLIGHTS = 3  # Least number of flights of a change, since it must remain without one of them
 TELLING = 2  # Number of flights with the most support for a change, each left out in turn
 
 
@@ -51,6 +54,11 @@ class Change:
     slope_std: tuple[float, ...]
     level_slope_cov: tuple[float, ...]  # Covariances of level and slope
     last_time: float  # Time of the last flight
+
+    def count_flight(self, number: int) -> Self:
+        """Return the change with onsets that count a flight which was left out."""
+        onsets = {name: getattr(self, name) for name in ("onset", "onset_low", "onset_high")}
+        return replace(self, **{name: onset + (onset >= number) for name, onset in onsets.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,19 +90,24 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
     search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times())
-    table, odd = search.log_evidence(), search.log_evidence_of_flights()
-    log_e, var_flight, causes = (
-        float(logsumexp(table)),
-        model.var_flight[shown],
-        search.causes(table, model.mean[shown], own),
-    )
+    table, var_flight = search.log_evidence(), model.var_flight[shown]
+    log_e, searches = float(logsumexp(table)), [search]
+    causes = search.causes(table, model.mean[shown], own)
     if log_e > 0.0:
         log_e = search.log_e(table, var_flight)
-    is_odd = logsumexp(odd) > ODD_LOG_E and search.log_e_of_odd_flight(odd, var_flight) > max(log_e, ODD_LOG_E)
-    return replace(
-        result, log_e=log_e, causes=causes, odd_flight=int(odd.max(axis=1).argmax()) if is_odd else None,
-        firmware_change=firmware_change(flights.firmware, causes[0]),
-    )  # fmt: skip
+        searches.append(search.without_change(table))
+    odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
+    if odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS:
+        others = np.delete(np.arange(result.flights), number)
+        rest = find_change(model, flights.select(others), columns)
+        return replace(
+            rest,
+            flights=result.flights,
+            odd_flight=number,
+            causes=tuple(one.count_flight(number) for one in rest.causes),
+        )
+    change = firmware_change(flights.firmware, causes[0])
+    return replace(result, log_e=log_e, causes=causes, firmware_change=change)
 
 
 def firmware_change(firmware: tuple[str, ...], change: Change) -> tuple[str, str] | None:
@@ -129,8 +142,8 @@ class ChangeSearch:
     def log_evidence(self) -> Array:
         """Return log Bayes factor plus log prior of each kind, onset and hypothesis, (kinds, J, H)."""
         onsets = self.onsets()
-        patterns = [change_patterns(kind, onsets, self.time) for kind in KINDS]
-        factors = np.array([self.scan.log_factors(part, self.hypotheses) for part in patterns])
+        patterns = np.concatenate([change_patterns(kind, onsets, self.time) for kind in KINDS])
+        factors = self.scan.log_factors(patterns, self.hypotheses).reshape(len(KINDS), onsets.size, -1)
         return factors + np.log(onset_weights(onsets) / len(KINDS))[:, None] + self.hypotheses.log_prior
 
     def log_evidence_of_flights(self) -> Array:
@@ -140,14 +153,18 @@ class ChangeSearch:
     def log_e(self, table: Array, var_flight: Array) -> float:
         """Return the log evidence of a change that remains without its most telling flight and with uncertain scatter."""
         part, count = self.likely(logsumexp(table, axis=(0, 1))), self.time.size
-        kept = [np.arange(count), *(np.delete(np.arange(count), flight) for flight in self.telling_flights(table))]
-        parts = [part.select(flights) for flights in kept if flights.size > 1]
+        if count < FEWEST_FLIGHTS:
+            return min(float(logsumexp(table)), 0.0)
+        parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.telling_flights(table)]
         return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence) for one in parts)
 
-    def log_e_of_odd_flight(self, table: Array, var_flight: Array) -> float:
-        """Return the log evidence that one flight deviates alone, with uncertain scatter."""
-        part = self.likely(logsumexp(table, axis=0))
-        return part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)
+    def odd_flight(self, var_flight: Array) -> tuple[float, int]:
+        """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
+        table = self.log_evidence_of_flights()
+        if (log_e := float(logsumexp(table))) > ODD_LOG_E:
+            part = self.likely(logsumexp(table, axis=0))
+            log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)
+        return log_e, int(table.max(axis=1).argmax())
 
     def likely(self, log_evidence: Array) -> "ChangeSearch":
         """Return the search of the hypotheses that are not told apart from the best one, by evidence (H,)."""
@@ -166,25 +183,38 @@ class ChangeSearch:
         In the columns that may have changed it is ``factor var_flight``, with an inverse gamma prior of the factor.
         """
         places = np.unique(np.concatenate(self.hypotheses.columns))
-        steady, changed = [], []
+        steady, factors = [], []
         for factor in SCATTER:
             scan, constant = self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])
-            prior = -0.5 * FREEDOM * (np.log(factor) + 1.0 / factor)
-            steady.append(prior + constant + scan.log_marginal)
-            changed.append(steady[-1] + logsumexp(evidence(replace(self, scan=scan))))
-        return float(logsumexp(changed) - logsumexp(steady))
+            steady.append(constant + scan.log_marginal - 0.5 * FREEDOM * (np.log(factor) + 1.0 / factor))
+            factors.append(logsumexp(evidence(replace(self, scan=scan))))
+        logs = np.log(SCATTER)
+        fine = np.linspace(logs[0], logs[-1], FINE)
+        steady, factors = CubicSpline(logs, steady)(fine), CubicSpline(logs, factors)(fine)
+        return float(logsumexp(steady + factors) - logsumexp(steady))
 
     def telling_flights(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
+        base, change, shift = self._best_change(table)
+        gain = self._log_likelihood(base + shift + change) - self._log_likelihood(base)
+        return np.argsort(-gain, kind="stable")[:TELLING].tolist()
+
+    def without_change(self, table: Array) -> "ChangeSearch":
+        """Return the search of the flights without their most probable change."""
+        change = self._best_change(table)[1]
+        gradient = self.scan.gradient - (self.scan.product @ change[:, :, None])[:, :, 0]
+        return replace(self, scan=replace(self.scan, gradient=gradient))
+
+    def _best_change(self, table: Array) -> tuple[Array, Array, Array]:
+        """Return the base (K,), the most probable change of the flights, (N, K), and the shift of the base with it, (K,)."""
         kind, onset, hypothesis = np.unravel_index(table.argmax(), table.shape)
         places = self.hypotheses.columns[hypothesis]
         patterns = change_patterns(KINDS[kind], self.onsets()[[onset]], self.time)
         product, right, side = self.scan.change_moments(patterns, places[None])
         weight, mean, _ = change_posterior(product[0, 0], right[0, 0])
-        step, base = weight @ mean, self.scan.base()
-        changed = np.tile(base - self.scan.base(step @ side[0, 0])[0], (self.time.size, 1))
-        changed[:, places] += patterns[0][:, None] * step
-        return np.argsort(self._log_likelihood(base) - self._log_likelihood(changed), kind="stable")[:TELLING].tolist()
+        change = np.zeros(self.scan.gradient.shape)
+        change[:, places] = patterns[0][:, None] * (weight @ mean)
+        return self.scan.base(), change, -self.scan.base(weight @ mean @ side[0, 0])[0]
 
     def _log_likelihood(self, x: Array) -> Array:
         x = np.broadcast_to(x, self.scan.gradient.shape)

@@ -37,6 +37,8 @@ def time_to_limit(change: Change, limit: float, parameter: str = "") -> tuple[fl
 
 def _crossing(excess: float, slope: float, level_var: float, cov: float, slope_var: float, quantile: float) -> float:
     """Return the time at which ``excess + slope t`` equals ``quantile`` times its standard deviation, else infinity."""
+    if quantile == 0.0:
+        return -excess / slope
     square = quantile**2
     polynomial = (slope**2 - square * slope_var, 2.0 * (excess * slope - square * cov), excess**2 - square * level_var)
     roots = [root.real for root in np.roots(polynomial) if abs(root.imag) <= 1e-9 * max(abs(root), 1e-300)]

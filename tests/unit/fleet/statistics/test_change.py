@@ -27,8 +27,7 @@ def test_change_of_one_rotor(kind: str, pattern: Any, size: float) -> None:
     assert result.odd_flight is None
     assert (best.effect, best.rotor, best.kind, best.parameters) == ("weak_motor", 2, kind, ("scale",))
     assert best.onset_low <= 8 <= best.onset_high
-    assert abs(best.onset - 8) <= 2
-    assert abs(best.change[0] - 0.05 * size) < 3.0 * best.std[0] < 0.006
+    assert abs(best.change[0] - 0.05 * size) < 3.0 * best.std[0] < 0.01
 
 
 def test_parameters_of_an_effect_change_together() -> None:
@@ -39,18 +38,21 @@ def test_parameters_of_an_effect_change_together() -> None:
 
 
 def test_interval_and_onset_of_a_drift() -> None:
-    """Over 100 drifts, the 95 % interval of change and of slope covers the truth as stated; half of the onsets err by at most two."""
-    rng, inside, errors = np.random.default_rng(3), [], []
+    """Over 100 drifts, intervals cover the truth as often as stated, and half of the onsets err by two flights at most."""
+    rng, inside, onsets = np.random.default_rng(3), [], []
     for _ in range(100):
         onset = int(rng.integers(4, 16))
         flights = make_flights(rng, MODEL, 20, change=drift(20, onset, 0.6 * THRUST))
         best = find_change(MODEL, flights, COLUMNS).causes[0]
         true_slope = 0.03 / (60.0 * (20 - onset))
-        inside.append((abs(best.change[0] - 0.03) < 1.96 * best.std[0], abs(best.slope[0] - true_slope) < 1.96 * best.slope_std[0]))  # fmt: skip
-        errors.append((abs(best.onset - onset), best.onset_low <= onset <= best.onset_high))
+        errors = (best.change[0] - 0.03, best.slope[0] - true_slope)
+        inside.append(
+            [abs(error) < 1.96 * std for error, std in zip(errors, (best.std[0], best.slope_std[0]), strict=True)]
+        )
+        onsets.append((abs(best.onset - onset), best.onset_low <= onset <= best.onset_high))
     assert (np.abs(np.mean(inside, axis=0) - 0.95) <= 3.0 * np.sqrt(0.95 * 0.05 / 100.0)).all()
-    assert np.median([error for error, _ in errors]) <= 2.0
-    assert np.mean([covered for _, covered in errors]) >= 0.9 - 3.0 * np.sqrt(0.9 * 0.1 / 100.0)
+    assert np.median([error for error, _ in onsets]) <= 2.0
+    assert np.mean([covered for _, covered in onsets]) >= 0.9 - 3.0 * np.sqrt(0.9 * 0.1 / 100.0)
 
 
 def test_collinear_causes_are_ambiguous() -> None:
@@ -87,14 +89,15 @@ def test_steady_deviation_is_no_change() -> None:
 def test_one_odd_flight_is_no_change(number: int) -> None:
     result = _find(6, 12, change=step(12, number, 3.0 * THRUST) - step(12, number + 1, 3.0 * THRUST))
     assert result.log_e < np.log(20.0)
-    assert result.odd_flight == (None if number == 11 else number) or result.odd_flight == number
+    assert result.odd_flight == number
 
 
 def test_change_beside_an_odd_flight_is_found() -> None:
     change = step(20, 9, 0.5 * THRUST) + 1.0 * (np.arange(20) == 3)[:, None] * THRUST
     result = _find(7, 20, change=change)
     assert result.log_e > CLEAR
-    assert abs(result.causes[0].onset - 9) <= 1
+    assert result.causes[0].onset == 9
+    assert result.odd_flight == 3
 
 
 def test_change_of_firmware_within_the_onset_is_named() -> None:

@@ -29,14 +29,14 @@ def test_difference_within_vehicles() -> None:
         first, second = compare_cohorts(MODEL, _fleet(0, size), COLUMNS)
         assert (first.firmware, first.effect, first.rejected, first.leading) == (("A", "B"), "weak_motor", True, True)
         assert first.low[0] < 0.05 * size < first.high[0]
-        assert first.high[0] - first.low[0] < 0.003
+        assert first.high[0] - first.low[0] < 0.004
         assert (first.flights, first.vehicles, first.vehicles_of_both) == ((50, 30), (10, 10), 10)
         assert not second.rejected
         assert not second.leading
 
 
 def test_difference_between_vehicles_alone() -> None:
-    """One column, exact flights, m and n vehicles: the difference of means has variance ``V (1/m + 1/n)``; prior N(0, 1) of the mean."""
+    """One column, exact flights, m and n vehicles: the means differ with variance ``V (1/m + 1/n)``, m of prior N(0, 1)."""
     values, model = {"A": [0.1, 0.5, 0.3, 0.2], "B": [0.9, 1.0]}, make_model(1, flight=1e-4)
     fleet = [
         VehicleFlights(
@@ -76,7 +76,4 @@ def test_unknown_and_single_versions() -> None:
     assert compare_cohorts(MODEL, [flights, replace(flights, firmware=("",) * 4)], COLUMNS) == []
     assert compare_cohorts(MODEL, [], COLUMNS) == []
     three = [replace(flights, firmware=("A", "A", "B", "")), replace(flights, firmware=("A", "C", "C", "C"))]
-    assert {row.firmware for row in compare_cohorts(MODEL, three, COLUMNS)} == {("A", "B"), ("C", "A")} | {
-        ("A", "C"),
-        ("A", "B"),
-    } & {row.firmware for row in compare_cohorts(MODEL, three, COLUMNS)}
+    assert {row.firmware for row in compare_cohorts(MODEL, three, COLUMNS)} == {("A", "B"), ("A", "C")}
