@@ -177,7 +177,7 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
     parts = [(refused, "refused"), (summary.copies, "copies of others"), (unread, "not delivered by the store")]
-    print(", ".join([counts, *(f"{count} {what}" for count, what in parts if count)]))
+    print(", ".join([counts, *(f"{count} {state}" for count, state in parts if count)]))
     for reason, count in summary.refused.most_common(3):
         print(f"  refused {count}: {reason}")
     for path, reason in list(summary.unread.items())[:3]:

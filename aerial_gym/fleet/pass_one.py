@@ -38,7 +38,7 @@ class PassOneSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightRows:
+class LogRows:
     """Rows of one log."""
 
     flight: "Row"
@@ -69,18 +69,18 @@ class PassOne:
         self._settings, self._fleet, self._module = settings, settings.fleet, import_module(settings.module)
         self.version: str = self._module.model_version()
 
-    def __call__(self, references: Iterable[LogReference]) -> list[FlightRows]:
+    def __call__(self, references: Iterable[LogReference]) -> list[LogRows]:
         """Return the rows of logs, in their order."""
         from aerial_gym.interop import one_thread
 
-        rows = dict[int, FlightRows]()
+        rows = dict[int, LogRows]()
         with one_thread(), TemporaryDirectory(dir=self._settings.scratch, prefix="aerial_gym_logs_") as folder:
             logs = list[_LocalLog]()
             for reference in references:
                 try:
                     logs.append(self._fetch(reference, Path(folder)))
                 except Exception as error:  # of any file system's own type
-                    rows[reference.rank] = FlightRows(flight={"path": reference.path}, unread=str(error) or repr(error))
+                    rows[reference.rank] = LogRows(flight={"path": reference.path}, unread=str(error) or repr(error))
             for robot in sorted({log.robot for log in logs}):
                 same = [log for log in logs if log.robot == robot]
                 for log, result in zip(same, self._results(robot, same), strict=True):
@@ -91,7 +91,7 @@ class PassOne:
         path, airframe = self._settings.store.fetch(reference, folder), ""
         digest = hash_of_log(path)
         if self._fleet.robot_needs_airframe(reference.path):
-            with suppress(AerialGymError):  # of which pass 1 states the reason
+            with suppress(AerialGymError, AttributeError):  # pass 1 states the reason; older ones read no airframe
                 airframe = self._module.log_airframe(path)
         robot = self._fleet.assign(reference.path, airframe)[1]
         return _LocalLog(reference=reference, path=path, log_hash=digest, airframe=airframe, robot=robot)
@@ -102,7 +102,7 @@ class PassOne:
         paths = [log.path for log in logs]
         return self._module.flight_evidences(self._fleet.robots[robot], paths, mapping=self._settings.mapping)
 
-    def _rows(self, log: _LocalLog, result: Any) -> FlightRows:
+    def _rows(self, log: _LocalLog, result: Any) -> LogRows:
         """Return the rows of a log: of its evidence, of its refusal (``reason``), or for want of a robot (None)."""
         airframe = getattr(result, "airframe", "") or log.airframe
         vehicle, _ = self._fleet.assign(log.reference.path, airframe)
@@ -116,11 +116,9 @@ class PassOne:
         }  # fmt: skip
         if result is None:
             known = ", ".join(self._fleet.robots)
-            return FlightRows(
-                flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"}
-            )
+            return LogRows(flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"})
         if hasattr(result, "reason"):
-            return FlightRows(flight=flight | {"reason": log.text(result.reason)})
+            return LogRows(flight=flight | {"reason": log.text(result.reason)})
         columns = columns_text(result.columns)
         flight |= {
             "firmware": result.firmware, "start_time": result.start_time, "duration_s": result.duration_s, "status": "ok",
@@ -132,10 +130,10 @@ class PassOne:
             flight["order"] = result.start_time
         names = ("effect", "rotor", "start", "params", "cov", "score")
         evidence = (key | {"vehicle": vehicle} | {name: getattr(one, name) for name in names} for one in result.effects)
-        return FlightRows(flight=flight, evidence=tuple(evidence), columns=columns)
+        return LogRows(flight=flight, evidence=tuple(evidence), columns=columns)
 
 
-def _without_repeated_columns(rows: Sequence[FlightRows]) -> list[FlightRows]:
+def _without_repeated_columns(rows: Sequence[LogRows]) -> list[LogRows]:
     """Return rows that state equal columns only once, as they are most of a row that a worker sends."""
     stated, kept = set[str](), []
     for row in rows:

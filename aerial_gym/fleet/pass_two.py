@@ -25,7 +25,7 @@ from aerial_gym.sim2real.progress import Progress, silent
 
 STATISTICS = "aerial_gym.fleet.statistics"
 WORDING = "aerial_gym.fleet.wording"
-"""Modules with the functions of the statistics and of their sentences; tests give others."""
+"""Modules with the functions of the statistics and of their sentences; tests give rest."""
 
 VEHICLES_AT_ONCE = 8
 FIT_FLIGHTS = (
@@ -36,7 +36,7 @@ FEWEST_FLIGHTS = 4  # Two before a change and two after it, as no change may res
 
 
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class MomentGroup:
     """Flights of one robot file, model version and set of columns, whose moments add."""
 
     robot_hash: str
@@ -78,7 +78,7 @@ class VehicleReader:
     """Reader of the flights of some vehicles of a group."""
 
     out: Path
-    group: Group
+    group: MomentGroup
     columns: Sequence[Any]
 
     def read(
@@ -90,7 +90,7 @@ class VehicleReader:
         """
         rows = FleetTables(self.out).dataset("flights").to_table(
             columns=["vehicle", "path", "order", "firmware", "start_time", "log_hash", "moments"],
-            filter=_flights_of(self.group) & arrow_dataset.field("vehicle").isin(list(vehicles)),
+            filter=_filter_of_group(self.group) & arrow_dataset.field("vehicle").isin(list(vehicles)),
         )  # fmt: skip
         by_vehicle: dict[str, list[dict[str, Any]]] = {vehicle: [] for vehicle in vehicles}
         for row in rows.to_pylist():
@@ -171,7 +171,7 @@ class VehicleJudge:
         return min((one[0] for one in times if one is not None), default=None)
 
 
-def _flights_of(group: Group) -> arrow_dataset.Expression:
+def _filter_of_group(group: MomentGroup) -> arrow_dataset.Expression:
     where = arrow_dataset.field("status") == "ok"
     for name, value in (group.key() | {"columns": group.digest}).items():
         where &= arrow_dataset.field(name) == value
@@ -189,12 +189,12 @@ def _json_text(content: Any) -> str:
     return json.dumps(map_leaves(content, lambda one: None if isinstance(one, float) and not isfinite(one) else one))
 
 
-def stored_columns(tables: FleetTables, digest: str) -> list[Any]:
+def columns_of_digest(tables: FleetTables, digest: str) -> list[Any]:
     """Return the columns of a digest; infinite bounds are stored as null."""
     ends = {"low": -inf, "high": inf}
     return [
         SimpleNamespace(**{name: ends[name] if value is None else value for name, value in column.items()})
-        for column in tables.known_columns()[digest]
+        for column in tables.columns_by_digest()[digest]
     ]
 
 
@@ -205,15 +205,15 @@ def judge_fleet(
     """Write vehicles and verdicts; return the verdicts, with the last log of each vehicle.
 
     Args:
-        robots: Hashes of the present robots; flights under others are not judged.
+        robots: Hashes of the present robots; flights under other robots are not judged.
         only: Vehicles with new flights. They are compared with the stored model, and the others keep their verdicts. None for
             all, with a new model.
     """
-    results, others = list[VehicleResult](), np.empty(0)
+    results, rest = list[VehicleResult](), np.empty(0)
     groups = _vehicles_by_group(tables, robots, model_version)
     total = sum(map(len, groups.values())) if only is None else len(only)
     for group, flights in groups.items():
-        reader = VehicleReader(out=tables.out, group=group, columns=stored_columns(tables, group.digest))
+        reader = VehicleReader(out=tables.out, group=group, columns=columns_of_digest(tables, group.digest))
         model = _model_of_group(reader, flights, settings, renew=only is None)
         vehicles = [vehicle for vehicle in flights if only is None or vehicle in only]
         batches = (vehicles[k : k + VEHICLES_AT_ONCE] for k in range(0, len(vehicles), VEHICLES_AT_ONCE))
@@ -222,10 +222,8 @@ def judge_fleet(
             report(f"vehicles {len(results)}/{total}", len(results) / total)
     if only is not None:
         stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), model_version=model_version)
-        others = np.array(
-            [row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] != FEW], float
-        )
-    verdicts = decide(results, others, settings)
+        rest = np.array([row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] != FEW], float)
+    verdicts = decide(results, rest, settings)
     where = f"model_version = '{model_version}'"
     if only is not None:
         names = ", ".join("'" + vehicle.replace("'", "''") + "'" for vehicle in sorted(only))
@@ -258,31 +256,33 @@ def _model_of_group(
     return model
 
 
-def decide(results: Sequence[VehicleResult], others: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:
-    """Return the verdicts of vehicles; 'no change' is rejected with the false discovery rate over them and ``others``."""
+def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:
+    """Return the verdicts of vehicles, with the false discovery rate over them and the log e-values ``rest`` of others."""
     enough = np.array([one.verdict["verdict"] != FEW for one in results], dtype=bool)
     own = np.array([one.log_e for one in results])[enough]
-    rejected = import_module(settings.module).benjamini_hochberg(np.concatenate((own, others)), settings.level)
+    rejected = import_module(settings.module).benjamini_hochberg(np.concatenate((own, rest)), settings.level)
     flags = np.zeros(len(results), dtype=bool)
     flags[enough] = rejected[: own.size]
-    return [_decided(one, bool(flag)) for one, flag in zip(results, flags, strict=True)]
+    return [_verdict_row(one, bool(flag)) for one, flag in zip(results, flags, strict=True)]
 
 
-def _decided(result: VehicleResult, rejected: bool) -> dict[str, Any]:
+def _verdict_row(result: VehicleResult, rejected: bool) -> dict[str, Any]:
     row, vehicle = result.verdict | {"rejected": rejected, "last_hash": result.last_hash}, result.vehicle
     if row["verdict"] == FEW:
         return row | {"text": f"vehicle {vehicle}: too few flights to judge a change"}
     return row if rejected else row | {"verdict": "no_change", "text": f"vehicle {vehicle}: no change shown"}
 
 
-def _vehicles_by_group(tables: FleetTables, robots: Collection[str], model_version: str) -> dict[Group, dict[str, int]]:
+def _vehicles_by_group(
+    tables: FleetTables, robots: Collection[str], model_version: str
+) -> dict[MomentGroup, dict[str, int]]:
     """Return the vehicles of each group with their numbers of flights, in the order of their first flights."""
-    groups = dict[Group, dict[str, int]]()
+    groups = dict[MomentGroup, dict[str, int]]()
     names = ("robot_hash", "columns", "vehicle")
     for row in tables.rows("flights", names, model_version=model_version, status="ok"):
         if row["robot_hash"] not in robots:
             continue
-        group = Group(robot_hash=row["robot_hash"], model_version=model_version, digest=row["columns"])
+        group = MomentGroup(robot_hash=row["robot_hash"], model_version=model_version, digest=row["columns"])
         vehicles = groups.setdefault(group, {})
         vehicles[row["vehicle"]] = vehicles.get(row["vehicle"], 0) + 1
     return groups

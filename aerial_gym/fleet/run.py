@@ -15,7 +15,7 @@ from aerial_gym.fleet.alerts import add_alerts
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.lock import writer_lock
 from aerial_gym.fleet.moments import columns_digest
-from aerial_gym.fleet.pass_one import FlightRows, PassOneSettings
+from aerial_gym.fleet.pass_one import LogRows, PassOneSettings
 from aerial_gym.fleet.pass_two import PassTwoSettings, judge_fleet
 from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore
@@ -48,7 +48,7 @@ class FlightWriter:
     def __init__(self, tables: FleetTables, fleet: Fleet, model_version: str) -> None:
         """Read the keys of written flights, 32 bytes each, and delete rows of an interrupted commit."""
         self._tables, self._fleet, self._version = tables, fleet, model_version
-        self._waiting, self._since = list[FlightRows](), time.monotonic()
+        self._waiting, self._since = list[LogRows](), time.monotonic()
         self._keys, self._files, self.summary = set[bytes](), set[bytes](), FleetSummary()
         tables.discard_incomplete()
         for row in tables.rows("flights", (*KEY, "path", "size", "modified", "airframe"), model_version=model_version):
@@ -64,7 +64,7 @@ class FlightWriter:
         """Return whether the rows of a log are written, without reading the log."""
         return _digest(log.path, log.size, log.modified) in self._files
 
-    def add(self, rows: Iterable[FlightRows]) -> None:
+    def add(self, rows: Iterable[LogRows]) -> None:
         """Take rows of logs; write all that wait if they are many or old."""
         self._waiting += rows
         if len(self._waiting) >= COMMIT_FLIGHTS or time.monotonic() - self._since > COMMIT_S:
@@ -72,7 +72,7 @@ class FlightWriter:
 
     def commit(self) -> None:
         """Write the rows that wait; ``flights`` last, as its rows mark what is done."""
-        new = list[FlightRows]()
+        new = list[LogRows]()
         for rows in self._waiting:
             if rows.unread:
                 self.summary.unread[rows.flight["path"]] = rows.unread
@@ -170,7 +170,7 @@ class _FlightProgress:
         self._done = self._refused = 0
         self._start = time.monotonic()
 
-    def add(self, rows: Iterable[FlightRows]) -> None:
+    def add(self, rows: Iterable[LogRows]) -> None:
         for row in rows:
             self._done += 1
             self._refused += bool(row.unread) or row.flight["status"] == "refused"

@@ -73,14 +73,14 @@ class LogStore:
         system.invalidate_cache()
         for rank, entry in enumerate(self._entries(system, root)):
             path = entry["name"] if "file" in _protocols(system) else system.unstrip_protocol(entry["name"])
-            yield LogReference(path=path, size=entry["size"] or 0, modified=_modified(entry), rank=rank)
+            yield LogReference(path=path, size=entry["size"] or 0, modified=_state_of_file(entry), rank=rank)
 
     def _entries(self, system: "AbstractFileSystem", folder: str) -> Iterator[dict[str, Any]]:
         entries = [entry for entry in system.ls(folder, detail=True) if entry["name"].rstrip("/") != folder.rstrip("/")]
         suffixes = {Path(entry["name"]).suffix for entry in entries}
         for name in {Path(entry["name"]).name for entry in entries} & DESCRIPTIONS.keys():
             if suffixes & DESCRIPTIONS[name]:
-                size, modified = sum(entry["size"] or 0 for entry in entries), max(map(_modified, entries))
+                size, modified = sum(entry["size"] or 0 for entry in entries), max(map(_state_of_file, entries))
                 yield {"name": folder, "size": size, "mtime": modified}
                 return
         for entry in sorted(entries, key=lambda entry: natural_order(entry["name"])):
@@ -112,7 +112,7 @@ def natural_order(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
 
 
-def _modified(entry: Mapping[str, Any]) -> str:
+def _state_of_file(entry: Mapping[str, Any]) -> str:
     return next((str(entry[key]) for key in ("ETag", "mtime", "LastModified", "created") if entry.get(key)), "")
 
 

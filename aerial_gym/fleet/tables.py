@@ -102,14 +102,14 @@ class FleetTables:
         else:
             DeltaTable(self.out / name).delete(where)
 
-    def known_columns(self) -> dict[str, Any]:
+    def columns_by_digest(self) -> dict[str, Any]:
         """Return the columns of the evidence by digest."""
         file = self.out / "columns.json"
         return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
     def add_columns(self, columns: Mapping[str, str]) -> None:
         """Add columns of the evidence: JSON by digest."""
-        known = self.known_columns()
+        known = self.columns_by_digest()
         if columns.keys() - known.keys():
             content = known | {digest: json.loads(text) for digest, text in columns.items()}
             write_atomic(self.out / "columns.json", json.dumps(content, sort_keys=True))

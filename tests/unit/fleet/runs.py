@@ -1,17 +1,17 @@
-"""Runs of a small fleet with the cheap passes of ``stand_in``."""
+"""Runs of a small fleet with the cheap passes of ``fake_passes``."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
-from aerial_gym.fleet.engine import Engine, run_serially
+from aerial_gym.fleet.engine import Engine, ray_engine, run_serially
 from aerial_gym.fleet.pass_two import PassTwoSettings
 from aerial_gym.fleet.run import FleetRun, FleetSummary, run_fleet
 from aerial_gym.fleet.sources import LogStore
-from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import Fleet, VehicleRules, robot_hash
 from aerial_gym.robots.catalog import robot_by_name
 
-STAND_IN = "tests.unit.fleet.stand_in"
+FAKE = "tests.unit.fleet.fake_passes"
 
 
 def small_fleet(rules: VehicleRules | None = None) -> Fleet:
@@ -20,8 +20,8 @@ def small_fleet(rules: VehicleRules | None = None) -> Fleet:
 
 
 def request(logs: Path | str, out: Path, **changes: Any) -> FleetRun:
-    verdicts = PassTwoSettings(module=STAND_IN, wording=STAND_IN)
-    settings = {"fleet": small_fleet(), "pass_one": STAND_IN, "verdicts": verdicts} | changes
+    verdicts = PassTwoSettings(module=FAKE, wording=FAKE)
+    settings = {"fleet": small_fleet(), "pass_one": FAKE, "verdicts": verdicts} | changes
     return FleetRun(logs=LogStore(url=str(logs)), out=out, **settings)
 
 
@@ -29,13 +29,12 @@ def run(logs: Path | str, out: Path, engine: Engine = run_serially, **changes: A
     return run_fleet(request(logs, out, **changes), engine, lambda stage, share: None)
 
 
-def contents(out: Path) -> dict[str, list[tuple[Any, ...]]]:
-    """Return the rows of all tables as sorted texts, without ``written_at``."""
-    tables = FleetTables(out)
-    return {
-        name: sorted(
-            repr({key: value for key, value in row.items() if key != "written_at"})
-            for row in tables.dataset(name).to_table().to_pylist()
-        )
-        for name in ("flights", "evidence", "vehicles", "verdicts", "alerts")
-    }
+def main() -> None:
+    """Run a fleet by Ray: ``python -m tests.unit.fleet.runs LOGS OUT``."""
+    logs, out = sys.argv[1:]
+    with ray_engine(2) as engine:
+        run(logs, Path(out), engine)
+
+
+if __name__ == "__main__":
+    main()

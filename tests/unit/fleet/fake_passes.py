@@ -37,11 +37,11 @@ COLUMNS = (
 
 
 def model_version() -> str:
-    return os.environ.get("STAND_IN_VERSION", VERSION)
+    return os.environ.get("FAKE_VERSION", VERSION)
 
 
 def log_airframe(path: Path) -> str:
-    return json.loads(path.read_text(encoding="utf-8"))["airframe"]
+    return json.loads(path.read_text(encoding="utf-8")).get("airframe", "")
 
 
 def flight_evidences(robot: RobotCfg, logs: Sequence[Path], *, mapping: str | None = None) -> list[Any]:
@@ -54,8 +54,8 @@ def _evidence(path: Path) -> Any:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
         return SimpleNamespace(reason=f"{path}: is no log")
-    if os.environ.get("STAND_IN_SLOW"):
-        time.sleep(float(os.environ["STAND_IN_SLOW"]))
+    if os.environ.get("FAKE_SLOW"):
+        time.sleep(float(os.environ["FAKE_SLOW"]))
     product, value = np.diag([100.0, 100.0, 1.0]), np.array([*content["value"], 0.0])
     effects = [
         SimpleNamespace(effect="weak_motor", rotor=k + 1, start=0, params=(v,), cov=(0.01,), score=v)

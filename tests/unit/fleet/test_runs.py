@@ -1,0 +1,177 @@
+"""Runs of a small fleet in this process: rows, resumption, copies, refusals, robots, limits of one writer, migration."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from deltalake import DeltaTable
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.fleet import run as run_module
+from aerial_gym.fleet.engine import run_serially
+from aerial_gym.fleet.lock import writer_lock
+from aerial_gym.fleet.pass_one import PassOne
+from aerial_gym.fleet.pass_two import PassTwoSettings
+from aerial_gym.fleet.schemas import SCHEMA_VERSION, SCHEMAS
+from aerial_gym.fleet.tables import FleetTables
+from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules
+from benchmarks.fleet.kills import table_contents
+from tests.unit.fleet.fake_passes import write_fleet, write_log
+from tests.unit.fleet.runs import FAKE, request, run, small_fleet
+
+
+def rows(out: Path, name: str) -> list[dict[str, Any]]:
+    return list(FleetTables(out).rows(name, SCHEMAS[name].names))
+
+
+def test_run_names_the_changed_vehicle_and_raises_one_alert(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "logs", vehicles=4, flights=10, changed=[2])
+    summary = run(tmp_path / "logs", tmp_path / "out")
+    assert (summary.new, summary.vehicles, dict(summary.refused)) == (41, 4, {"is no log": 1})
+    assert summary.changed == ["vehicle vehicle_2, rotor 1: changed since flight 6"]
+    verdicts = {row["vehicle"]: row for row in rows(tmp_path / "out", "verdicts")}
+    assert [verdicts[f"vehicle_{k}"]["verdict"] for k in range(4)] == ["no_change", "no_change", "changed", "no_change"]
+    assert verdicts["vehicle_2"]["onset_flight"] == 6
+    last = next(row for row in rows(tmp_path / "out", "flights") if row["path"].endswith("vehicle_2/flight_9.csv"))
+    assert [row["first_seen"] for row in rows(tmp_path / "out", "alerts")] == [last["log_hash"]]
+
+
+def test_second_run_reads_no_log_and_changes_no_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fleet(tmp_path / "logs", vehicles=3, flights=6, changed=[1])
+    run(tmp_path / "logs", tmp_path / "out")
+    before = table_contents(tmp_path / "out")
+    monkeypatch.setattr(PassOne, "_fetch", lambda *_: pytest.fail("a log was read"))
+    summary = run(tmp_path / "logs", tmp_path / "out")
+    assert (summary.new, summary.known, summary.alerts) == (0, 19, [])
+    assert table_contents(tmp_path / "out") == before
+
+
+def test_interrupted_run_keeps_its_rows_and_continues(tmp_path: Path) -> None:
+    """The engine stops after two batches, of which the rows are written; evidence without its flight is deleted."""
+
+    def interrupted(batches: Any, make_worker: Any) -> Any:
+        for number, result in enumerate(run_serially(batches, make_worker)):
+            if number == 2:
+                raise KeyboardInterrupt
+            yield result
+
+    write_fleet(tmp_path / "logs", vehicles=4, flights=12, changed=[2])
+    run(tmp_path / "logs", tmp_path / "calm")
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "logs", tmp_path / "out", interrupted)
+    assert len(rows(tmp_path / "out", "flights")) == 2 * run_module.BATCH
+    lost = {**rows(tmp_path / "calm", "evidence")[-1]}
+    FleetTables(tmp_path / "out").append("evidence", [lost])
+    assert run(tmp_path / "logs", tmp_path / "out").known == 2 * run_module.BATCH
+    assert table_contents(tmp_path / "out") == table_contents(tmp_path / "calm")
+
+
+def test_killed_run_continues_without_ray(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGKILL within a commit, between evidence and flights."""
+    write_fleet(tmp_path / "logs", vehicles=3, flights=8)
+    run(tmp_path / "logs", tmp_path / "calm")
+    code = (
+        "import os, sys; from pathlib import Path; from aerial_gym.fleet.tables import FleetTables\n"
+        "from tests.unit.fleet.runs import run\n"
+        "append = FleetTables.append\n"
+        "FleetTables.append = lambda self, name, rows: os.kill(os.getpid(), 9) if name == 'flights' else append(self, name, rows)\n"
+        f"run({str(tmp_path / 'logs')!r}, Path({str(tmp_path / 'out')!r}))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert len(rows(tmp_path / "out", "evidence")) == 48
+    assert rows(tmp_path / "out", "flights") == []
+    run(tmp_path / "logs", tmp_path / "out")
+    assert table_contents(tmp_path / "out") == table_contents(tmp_path / "calm")
+
+
+def test_copies_of_a_log_are_one_flight_of_the_first_path(tmp_path: Path) -> None:
+    for name in ("b", "a"):
+        (tmp_path / "logs" / name).mkdir(parents=True)
+        write_log(tmp_path / "logs" / name / "flight.csv", [0.1, 0.2])
+    assert run(tmp_path / "logs", tmp_path / "out").copies == 1
+    assert [row["vehicle"] for row in rows(tmp_path / "out", "flights")] == ["a"]
+
+
+def test_other_robot_file_or_model_version_makes_new_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fleet(tmp_path / "logs", vehicles=2, flights=4, bad=False)
+    run(tmp_path / "logs", tmp_path / "out")
+    monkeypatch.setenv("FAKE_VERSION", "2+test")
+    assert run(tmp_path / "logs", tmp_path / "out").new == 8
+    assert len(rows(tmp_path / "out", "flights")) == 16
+    assert {row["model_version"] for row in rows(tmp_path / "out", "verdicts")} == {"1+test", "2+test"}
+
+
+def test_log_without_robot_file_is_tried_again(tmp_path: Path) -> None:
+    robot = small_fleet()
+    both = {"robots": {"vehicle_0": robot.robots["quad"]} | {"other": robot.robots["quad"]}}
+    both["hashes"] = {"vehicle_0": robot.hashes["quad"], "other": robot.hashes["quad"]}
+    write_fleet(tmp_path / "logs", vehicles=2, flights=2, bad=False)
+    summary = run(tmp_path / "logs", tmp_path / "out", fleet=type(robot)(**both))
+    assert list(summary.refused) == ["no robot file for vehicle 'vehicle_1'. Known robots: vehicle_0, other"]
+    assert run(tmp_path / "logs", tmp_path / "out").new == 2
+    assert {row["status"] for row in rows(tmp_path / "out", "flights")} == {"ok"}
+
+
+def test_vehicle_is_the_airframe_of_the_log(tmp_path: Path) -> None:
+    for k in range(2):
+        write_log(tmp_path / f"{k}.csv", [0.1, 0.2], airframe="A7")
+    assert run(tmp_path, tmp_path / "out").vehicles == 1
+    assert {row["vehicle"] for row in rows(tmp_path / "out", "flights")} == {"A7"}
+
+
+def test_second_writer_is_refused_until_the_first_ends(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "logs", vehicles=1, flights=1, bad=False)
+    with (
+        writer_lock(tmp_path / "out"),
+        pytest.raises(ConfigError, match=f"process {os.getpid()} on .* writes these tables"),
+    ):
+        run(tmp_path / "logs", tmp_path / "out")
+    assert run(tmp_path / "logs", tmp_path / "out").new == 1
+
+
+def test_empty_store_and_other_settings_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    with pytest.raises(ConfigError, match="holds no log whose name matches '\\*'"):
+        run(tmp_path / "logs", tmp_path / "out")
+    write_fleet(tmp_path / "logs", vehicles=1, flights=1)
+    run(tmp_path / "logs", tmp_path / "out")
+    rules = VehicleRules(rules=(VehicleRule(vehicle="all"),))
+    with pytest.raises(ConfigError, match="was made with rules"):
+        run(tmp_path / "logs", tmp_path / "out", fleet=small_fleet(rules))
+
+
+def test_drift_is_compared_with_the_limit_of_its_parameter(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "logs", vehicles=2, flights=8)
+    verdicts = PassTwoSettings(module=FAKE, wording=FAKE, limits={"weak_motor.scale": 0.9})
+    run(tmp_path / "logs", tmp_path / "out", verdicts=verdicts)
+    assert {row["crosses_limit_at"] for row in rows(tmp_path / "out", "verdicts")} == {2e9}
+
+
+def test_tables_of_version_1_are_migrated_and_of_newer_versions_refused(tmp_path: Path) -> None:
+    """Version 1 had no firmware."""
+    write_fleet(tmp_path / "logs", vehicles=2, flights=4)
+    out = tmp_path / "out"
+    FleetTables.create(out, request(tmp_path / "logs", out).settings())
+    for name in ("flights", "vehicles"):
+        old = SCHEMAS[name].remove(SCHEMAS[name].get_field_index("firmware"))
+        DeltaTable.create(out / name, old, mode="overwrite")
+    description = json.loads((out / "fleet.json").read_text(encoding="utf-8"))
+    flight = {name: None for name in SCHEMAS["flights"].names if name not in ("firmware", "written_at")}
+    flight |= {"log_hash": "h", "robot_hash": "r", "model_version": "0", "path": "p", "vehicle": "v", "size": 1}
+    import pyarrow as pa
+    from deltalake import write_deltalake
+
+    schema = SCHEMAS["flights"].remove(SCHEMAS["flights"].get_field_index("firmware"))
+    write_deltalake(out / "flights", pa.Table.from_pylist([flight], schema=schema), mode="append")
+    (out / "fleet.json").write_text(json.dumps(description | {"schema_version": 1}), encoding="utf-8")
+    assert run(tmp_path / "logs", out).new == 9
+    assert FleetTables(out).description()["schema_version"] == SCHEMA_VERSION
+    assert {row["firmware"] for row in rows(out, "flights")} == {""}
+    (out / "fleet.json").write_text(json.dumps(description | {"schema_version": 3}), encoding="utf-8")
+    with pytest.raises(ConfigError, match="its tables have schema 3"):
+        run(tmp_path / "logs", out)
