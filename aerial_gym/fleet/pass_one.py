@@ -1,13 +1,14 @@
 """Pass 1 in a worker: the rows of a batch of logs. The result of a log does not depend on its batch."""
 
 import json
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from math import isfinite, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from aerial_gym.errors import AerialGymError
@@ -21,6 +22,14 @@ if TYPE_CHECKING:
 PASS_ONE = "aerial_gym.sim2real.flight_evidence.evidence"
 """Module with ``flight_evidences``, ``model_version`` and ``log_airframe``; tests give another one."""
 
+BATCH_ATTEMPTS, LOG_ATTEMPTS = (
+    2,
+    5,
+)  # Attempts after which a batch is split, and a log is refused; workers may die for any reason
+_ENDS_PROCESS = SimpleNamespace(
+    reason=f"its analysis has ended the process {LOG_ATTEMPTS} times, perhaps for want of memory"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PassOneSettings:
@@ -29,8 +38,8 @@ class PassOneSettings:
     store: LogStore
     fleet: Fleet
     module: str = PASS_ONE
+    scratch: Path  # Folder of fetched logs and of begun work
     mapping: str | None = None
-    scratch: Path | None = None  # Folder of fetched logs; None for that of the system
 
     def make_worker(self) -> "PassOne":
         """Return a worker."""
@@ -69,8 +78,27 @@ class PassOne:
         self._settings, self._fleet, self._module = settings, settings.fleet, import_module(settings.module)
         self.version: str = self._module.model_version()
 
-    def __call__(self, references: Iterable[LogReference]) -> list[LogRows]:
-        """Return the rows of logs, in their order."""
+    def __call__(self, references: Sequence[LogReference]) -> list[LogRows]:
+        """Return the rows of logs, in their order. A log that ends the process again and again is refused."""
+        with self._attempt(f"batch_{references[0].rank}") as attempts:
+            if attempts <= BATCH_ATTEMPTS:
+                return self._batch(references)
+            rows = list[LogRows]()
+            for reference in references:
+                with self._attempt(f"log_{reference.rank}") as attempts:
+                    rows += self._batch([reference], refused=attempts > LOG_ATTEMPTS)
+            return rows
+
+    @contextmanager
+    def _attempt(self, name: str) -> Iterator[int]:
+        """Yield how often work was begun and not ended, as its process died."""
+        file = self._settings.scratch / f"{name}.begun"
+        with file.open("ab") as stream:
+            stream.write(b".")
+        yield file.stat().st_size
+        file.unlink()
+
+    def _batch(self, references: Sequence[LogReference], *, refused: bool = False) -> list[LogRows]:
         from aerial_gym.interop import one_thread
 
         rows = dict[int, LogRows]()
@@ -83,7 +111,8 @@ class PassOne:
                     rows[reference.rank] = LogRows(flight={"path": reference.path}, unread=str(error) or repr(error))
             for robot in sorted({log.robot for log in logs}):
                 same = [log for log in logs if log.robot == robot]
-                for log, result in zip(same, self._results(robot, same), strict=True):
+                results = len(same) * [_ENDS_PROCESS] if refused else self._results(robot, same)
+                for log, result in zip(same, results, strict=True):
                     rows[log.reference.rank] = self._rows(log, result)
         return _without_repeated_columns([rows[rank] for rank in sorted(rows)])
 
@@ -91,8 +120,8 @@ class PassOne:
         path, airframe = self._settings.store.fetch(reference, folder), ""
         digest = hash_of_log(path)
         if self._fleet.robot_needs_airframe(reference.path):
-            with suppress(AerialGymError, AttributeError):  # pass 1 states the reason; older ones read no airframe
-                airframe = self._module.log_airframe(path)
+            with suppress(AerialGymError):  # pass 1 states the reason
+                airframe = getattr(self._module, "log_airframe", lambda _: "")(path)
         robot = self._fleet.assign(reference.path, airframe)[1]
         return _LocalLog(reference=reference, path=path, log_hash=digest, airframe=airframe, robot=robot)
 

@@ -15,7 +15,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.fleet import run as run_module
 from aerial_gym.fleet.engine import run_serially
 from aerial_gym.fleet.lock import writer_lock
-from aerial_gym.fleet.pass_one import PassOne
+from aerial_gym.fleet.pass_one import BATCH_ATTEMPTS, LOG_ATTEMPTS, PassOne, PassOneSettings
 from aerial_gym.fleet.pass_two import PassTwoSettings
 from aerial_gym.fleet.schemas import SCHEMA_VERSION, SCHEMAS
 from aerial_gym.fleet.tables import FleetTables
@@ -79,7 +79,8 @@ def test_killed_run_continues_without_ray(tmp_path: Path, monkeypatch: pytest.Mo
         "import os, sys; from pathlib import Path; from aerial_gym.fleet.tables import FleetTables\n"
         "from tests.unit.fleet.runs import run\n"
         "append = FleetTables.append\n"
-        "FleetTables.append = lambda self, name, rows: os.kill(os.getpid(), 9) if name == 'flights' else append(self, name, rows)\n"
+        "end = lambda: os.kill(os.getpid(), 9)\n"
+        "FleetTables.append = lambda self, name, rows: end() if name == 'flights' else append(self, name, rows)\n"
         f"run({str(tmp_path / 'logs')!r}, Path({str(tmp_path / 'out')!r}))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
@@ -122,6 +123,22 @@ def test_vehicle_is_the_airframe_of_the_log(tmp_path: Path) -> None:
         write_log(tmp_path / f"{k}.csv", [0.1, 0.2], airframe="A7")
     assert run(tmp_path, tmp_path / "out").vehicles == 1
     assert {row["vehicle"] for row in rows(tmp_path / "out", "flights")} == {"A7"}
+
+
+def test_log_that_ends_the_process_again_and_again_is_refused(tmp_path: Path) -> None:
+    for k in range(3):
+        write_log(tmp_path / f"{k}.csv", [0.1, 0.2 * k], **({"end": True} if k == 1 else {}))
+    scratch = tmp_path / "out" / "fetched"
+    scratch.mkdir(parents=True)
+    task = request(tmp_path, tmp_path / "out")
+    settings = PassOneSettings(store=task.logs, fleet=task.fleet, module=FAKE, scratch=scratch)
+    logs = list(task.logs.logs())
+    for _ in range(BATCH_ATTEMPTS + LOG_ATTEMPTS):
+        with pytest.raises(SystemExit):
+            settings.make_worker()(logs)
+    statuses = [(one.flight["status"], one.flight["reason"][:30]) for one in settings.make_worker()(logs)]
+    assert statuses == [("ok", ""), ("refused", "its analysis has ended the pro"), ("ok", "")]
+    assert list(scratch.iterdir()) == []
 
 
 def test_second_writer_is_refused_until_the_first_ends(tmp_path: Path) -> None:

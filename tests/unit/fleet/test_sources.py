@@ -1,0 +1,202 @@
+"""Stores of logs, the rules that assign them to vehicles, queries, watching and webhooks."""
+
+import json
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from aerial_gym.cli.main import main
+from aerial_gym.errors import ConfigError
+from aerial_gym.fleet.alerts import Webhook
+from aerial_gym.fleet.query import query
+from aerial_gym.fleet.sources import LogStore, hash_of_log
+from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules, load_fleet
+from aerial_gym.fleet.watch import watch_fleet
+from benchmarks.fleet.kills import table_contents
+from tests.unit.fleet.fake_passes import write_fleet, write_log
+from tests.unit.fleet.runs import request, run, small_fleet
+
+
+def test_logs_come_in_natural_order_without_other_files(tmp_path: Path) -> None:
+    for name in ("a/flight_10.ulg", "a/flight_9.ulg", "b.csv", "a/notes.md", ".hidden.csv", "truth.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x", encoding="utf-8")
+    logs = list(LogStore(url=str(tmp_path)).logs())
+    assert [log.path.removeprefix(f"{tmp_path}/") for log in logs] == ["a/flight_9.ulg", "a/flight_10.ulg", "b.csv"]
+    assert [log.path[-5:] for log in LogStore(url=str(tmp_path), pattern="*.csv").logs()] == ["b.csv"]
+
+
+def test_folder_of_parquet_files_is_one_log(tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    for name in ("metadata.json", "table.parquet"):
+        (tmp_path / "log" / name).write_text(name, encoding="utf-8")
+    (log,) = LogStore(url=str(tmp_path)).logs()
+    assert log.path == str(tmp_path / "log")
+    before = hash_of_log(tmp_path / "log")
+    (tmp_path / "log" / "table.parquet").write_text("other", encoding="utf-8")
+    assert hash_of_log(tmp_path / "log") != before
+
+
+@pytest.mark.parametrize("url", ["memory://fleet", "s3://fleet/logs"])
+def test_object_stores_give_the_rows_of_a_folder(tmp_path: Path, url: str, request: pytest.FixtureRequest) -> None:
+    if url.startswith("s3"):
+        request.getfixturevalue("s3_server")
+    write_fleet(tmp_path / "logs", vehicles=2, flights=3)
+    system = fsspec.url_to_fs(url)[0]
+    system.put(f"{tmp_path / 'logs'}/", url, recursive=True)
+    assert run(tmp_path / "logs", tmp_path / "calm").new == run(url, tmp_path / "out").new == 7
+    assert run(url, tmp_path / "out").known == 7
+    columns = "SELECT vehicle, reason, columns, moments, log_hash FROM flights ORDER BY log_hash"
+    assert list(query(tmp_path / "out", columns)[1]) == list(query(tmp_path / "calm", columns)[1])
+    assert list((tmp_path / "out" / "fetched").iterdir()) == []
+    assert next(query(tmp_path / "out", "SELECT min(path) FROM flights")[1])[0].startswith(url)
+
+
+@pytest.fixture
+def s3_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Serve an empty bucket ``fleet`` on this machine."""
+    pytest.importorskip("s3fs", reason="s3fs is not installed")
+    server = pytest.importorskip("moto.server", reason="moto is not installed").ThreadedMotoServer("127.0.0.1", 0)
+    server.start()
+    for name, value in {"ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test", "DEFAULT_REGION": "us-east-1"}.items():
+        monkeypatch.setenv(f"AWS_{name}", value)
+    host, port = server.get_host_and_port()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+    import s3fs
+
+    s3fs.S3FileSystem.clear_instance_cache()
+    s3fs.S3FileSystem().mkdir("fleet")
+    yield
+    server.stop()
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+def test_log_that_the_store_does_not_deliver_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fleet(tmp_path / "logs", vehicles=1, flights=3, bad=False)
+    fetch = LogStore.fetch
+
+    def refuse_first(store: LogStore, log: object, folder: Path) -> Path:
+        if log.rank == 0:  # type: ignore[attr-defined]
+            raise OSError("connection lost")
+        return fetch(store, log, folder)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LogStore, "fetch", refuse_first)
+        summary = run(tmp_path / "logs", tmp_path / "out")
+    assert (summary.new, list(summary.unread.values())) == (2, ["connection lost"])
+    assert run(tmp_path / "logs", tmp_path / "out").new == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "airframe", "vehicle"),
+    [
+        ("/logs/lab/x7/1.ulg", "", "lab-x7"),
+        ("/logs/field/x8/1.ulg", "abc", "ABC"),
+        ("/logs/field/x8/1.ulg", "", "x8"),
+        ("/logs/field/x8/1.ulg", "def", "def"),
+    ],
+)
+def test_first_rule_that_matches_names_the_vehicle(path: str, airframe: str, vehicle: str) -> None:
+    rules = (
+        VehicleRule(glob="*/lab/*", regex=r"(?P<name>x\d)", vehicle="lab-{name}"),
+        VehicleRule(airframe="a.c", vehicle="ABC"),
+    )
+    assert small_fleet(VehicleRules(rules=rules)).assign(path, airframe) == (vehicle, "quad")
+
+
+def test_all_faults_of_robots_and_rules_come_at_once(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("nonsense: 1", encoding="utf-8")
+    (tmp_path / "rules.yml").write_text("rules: [{vehicle: x, robot: none}]", encoding="utf-8")
+    with pytest.raises(ConfigError) as error:
+        load_fleet(tmp_path, tmp_path / "rules.yml")
+    assert "nonsense" in str(error.value)
+    assert "no robot 'none'" in str(error.value)
+    with pytest.raises(ConfigError, match="unknown field other. Known: airframe, folder"):
+        VehicleRule(vehicle="{other}")
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT 1; SELECT 2", "CREATE TABLE t AS SELECT 1", "COPY flights TO 'x.csv'",
+        "INSERT INTO flights SELECT * FROM flights",
+        "SET threads = 1", "ATTACH 'x.db'", "INSTALL httpfs", "EXPORT DATABASE 'x'", "SELECT * FROM read_csv('{file}')",
+        "SELECT * FROM '{file}'", "SELECT * FROM glob('*')", "SELECT * FROM read_text('http://127.0.0.1/x')", "", "nonsense",
+        "SELECT * FROM tables",
+    ],
+)  # fmt: skip
+def test_queries_that_do_more_than_read_the_tables_are_refused(tmp_path: Path, sql: str) -> None:
+    (tmp_path / "file.csv").write_text("a\n1\n", encoding="utf-8")
+    write_fleet(tmp_path / "logs", vehicles=1, flights=1, bad=False)
+    run(tmp_path / "logs", tmp_path / "out")
+    with pytest.raises(ConfigError, match="the query"):
+        query(tmp_path / "out", sql.replace("{file}", str(tmp_path / "file.csv")))
+
+
+def test_query_command_prints_one_object_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_fleet(tmp_path / "logs", vehicles=2, flights=2, bad=False)
+    run(tmp_path / "logs", tmp_path / "out")
+    sql = "WITH v AS (SELECT * FROM flights) SELECT vehicle, count(*) AS n, NULL AS x FROM v GROUP BY vehicle ORDER BY vehicle"
+    assert main(["fleet", "query", sql, "--out", str(tmp_path / "out"), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines == [{"vehicle": "vehicle_0", "n": 2, "x": None}, {"vehicle": "vehicle_1", "n": 2, "x": None}]
+    assert main(["fleet", "query", "DESCRIBE flights", "--tables", str(tmp_path / "out")]) == 0
+    assert "log_hash" in capsys.readouterr().out
+    assert main(["fleet", "query", "SELECT 1", "--out", str(tmp_path / "none")]) == 2
+    assert "holds no fleet tables" in capsys.readouterr().err
+
+
+def test_watch_judges_complete_logs_and_raises_each_alert_once(tmp_path: Path) -> None:
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    write_fleet(logs, vehicles=4, flights=8, bad=False)
+    run(logs, out)
+    looks = watch_fleet(request(logs, out))
+    assert next(looks) == []
+    for flight in range(8, 16):
+        write_log(logs / "vehicle_1" / f"flight_{flight}.csv", [-1.0, 0.0], time=1e9 + 1e3 * flight)
+        assert next(looks) == []
+    alerts = next(looks)
+    assert [alert["text"] for alert in alerts] == ["vehicle vehicle_1, rotor 1: changed since flight 9"]
+    write_log(logs / "vehicle_1" / "flight_16.csv", [-1.0, 0.0], time=2e9)
+    assert [next(looks), next(looks)] == [[], []]
+    looks.close()
+    run(logs, tmp_path / "calm")
+    same = ("flights", "evidence", "vehicles")
+    both = [{name: table_contents(folder)[name] for name in same} for folder in (out, tmp_path / "calm")]
+    assert [len(both[0][name]) for name in same] == [len(both[1][name]) for name in same]
+
+
+def test_webhook_repeats_a_failed_delivery_and_follows_no_redirect(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aerial_gym.fleet.alerts.WAIT_S", 0.01)
+    received, answers = [], [500, 302, 200]
+
+    class Receiver(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            received.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(answers[len(received) - 1])
+            self.send_header("Location", "http://192.0.2.1/")
+            self.end_headers()
+
+        def log_message(self, *args: object) -> None:
+            """Print nothing."""
+
+    server = HTTPServer(("127.0.0.1", 0), Receiver)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    webhook = Webhook(f"http://127.0.0.1:{server.server_port}/", allow_remote=False)
+    webhook.send({"id": "1", "text": "changed"})
+    webhook.close()
+    server.shutdown()
+    server.server_close()
+    assert received == 3 * [{"id": "1", "text": "changed"}]
+
+
+@pytest.mark.parametrize(
+    "url", ["http://example.com/", "http://127.0.0.1.example.com/", "file:///etc/passwd", "http://"]
+)
+def test_webhook_to_another_machine_is_refused(url: str) -> None:
+    with pytest.raises(ConfigError, match="--webhook"):
+        Webhook(url, allow_remote=False)
