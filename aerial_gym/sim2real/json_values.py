@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,11 @@ def map_leaves(content: Any, convert: Callable[[Any], Any]) -> Any:
     if isinstance(content, Mapping):
         return {name: map_leaves(part, convert) for name, part in content.items()}
     return [map_leaves(part, convert) for part in content] if isinstance(content, list | tuple) else convert(content)
+
+
+def finite_or_none(value: Any) -> Any:
+    """Return a value, or None for a number that is infinite or NaN."""
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def plain(content: object) -> object:

@@ -1,11 +1,10 @@
 """The wording: the sentence or sentences for each code of a finding. Only reports and commands use them."""
 
 from collections.abc import Iterable, Mapping
-from math import isfinite
 from typing import Any
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.json_values import map_leaves
+from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 from aerial_gym.sim2real.wording.answer import ANSWER, TRUST
 from aerial_gym.sim2real.wording.logs import LOGS
 from aerial_gym.sim2real.wording.notes import NOTES, REASONS
@@ -59,13 +58,9 @@ def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
         {
             "code": f.code,
             "subject": f.subject,
-            "values": map_leaves(f.values, _finite_value),
+            "values": map_leaves(f.values, finite_or_none),
             "severity": f.severity,
             "text": text(f),
         }
         for f in findings
     ]
-
-
-def _finite_value(value: Any) -> Any:
-    return None if isinstance(value, float) and not isfinite(value) else value
