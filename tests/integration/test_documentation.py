@@ -4,9 +4,9 @@ changes this: ``<!-- file: NAME -->`` writes it to a file, ``<!-- slow -->`` lea
 run: REASON -->`` leaves it out. Pages of results name commands for other machines, so that only blocks with ``<!--
 compare -->`` run there: the slow suite compares their output with the page."""
 
-import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,8 +16,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
 
 from aerial_gym.cli.main import main
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.check import draw_rotors
 from docs.generate.commands import command_page
 from docs.generate.configuration import configuration_names, documented_names
 
@@ -166,17 +170,26 @@ class External(HTMLParser):
         self.urls += [url for url in urls if url and url.startswith(("http:", "https:", "//"))]
 
 
-def test_the_site_is_complete_and_loads_nothing_from_a_network(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
-    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert not external_urls(tmp_path)
-    index = (tmp_path / "search" / "search_index.js").read_text(encoding="utf-8")
+def test_the_site_is_complete_and_loads_nothing_from_a_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Robots share the drawing of one; ``unit/robots/check/test_picture.py`` draws others."""
+    drawing = tmp_path / "quadrotor.svg"
+    draw_rotors(ROBOTS.get("base_quadrotor"), drawing)
+    monkeypatch.setattr("aerial_gym.robots.check.draw_rotors", lambda robot, path: shutil.copy(drawing, path))
+    monkeypatch.setenv("NO_MKDOCS_2_WARNING", "1")
+    site = tmp_path / "site"
+    config = load_config(str(ROOT / "mkdocs.yml"), site_dir=str(site))
+    assert config.strict
+    config.plugins.on_startup(command="build", dirty=False)
+    build(config)
+    assert [record.message for record in caplog.records if record.levelname in ("WARNING", "ERROR")] == []
+    assert not external_urls(site)
+    index = (site / "search" / "search_index.js").read_text(encoding="utf-8")
     pages = (page.relative_to(DOCS).with_suffix(".html").as_posix() for page in DOCS.rglob("*.md"))
     assert not [page for page in pages if f'"location":"{page}"' not in index]
-    assert 'id="base_quadrotor"' in (tmp_path / "reference" / "robots.html").read_text(encoding="utf-8")
-    assert (tmp_path / "reference" / "pictures" / "base_quadrotor.svg").is_file()
+    assert 'id="base_quadrotor"' in (site / "reference" / "robots.html").read_text(encoding="utf-8")
+    assert (site / "reference" / "pictures" / "base_quadrotor.svg").is_file()
 
 
 def external_urls(site: Path) -> list[str]:

@@ -110,8 +110,9 @@ def test_what_does_not_fit_is_refused_with_a_remedy() -> None:
 def test_no_process_remains_after_the_program_is_killed(tmp_path: Path) -> None:
     script = (
         "import signal, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from tests.unit.firmware.test_instances import build; env = build(2); env.reset();"
-        "print(*(each.process.pid for each in env.group.instances.values()), flush=True); time.sleep(60)"
+        "from aerial_gym.firmware.betaflight.instances import KEEP, InstanceGroup;"
+        f"group = InstanceGroup({[sys.executable, str(FAKE)]}, None, b'', 2); group.repeat(KEEP, (0, 1));"
+        "print(*(each.process.pid for each in group.instances.values()), flush=True); time.sleep(60)"
     )
     for end in (signal.SIGKILL, signal.SIGINT):
         program = subprocess.Popen(

@@ -56,9 +56,7 @@ def throw(
         step = 1e-5
         speed, after = wheel_speed(np.array((now, now + step)), begin)
         momentum = inertia @ rates + WHEEL * speed * AXIS
-        torque = (
-            -cross(rates, momentum) - WHEEL * (after - speed) / step * AXIS - drag * np.linalg.norm(rates) * rates
-        )
+        torque = -cross(rates, momentum) - WHEEL * (after - speed) / step * AXIS - drag * np.linalg.norm(rates) * rates
         return inverse @ (torque + (abs(now - hit) < 0.005) * np.array((0.02, -0.015, 0.01)))
 
     solution = solve_ivp(acceleration, (0.0, 0.75), start, t_eval=time, rtol=1e-9, atol=1e-9, max_step=2e-3)
