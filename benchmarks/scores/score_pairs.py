@@ -159,10 +159,10 @@ def _result_on_one(
     named = {vehicle: set(one["effects"]) for vehicle, one in alone.items() if one["verdict"] == "explained"}
     if named.get("first") or named.get("second", causes) - causes or (verdict == "explained"):
         return "false"
-    if named.get("second"):
-        return "right"
     if wrong:
         return "false"
+    if named.get("second"):
+        return "right"
     return "ambiguous" if causes & set(candidates) else "missed"
 
 

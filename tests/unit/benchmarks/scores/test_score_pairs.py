@@ -43,6 +43,7 @@ SHARED, SEPARATE = finding("gusts_shared"), finding("gusts_separate")
         (("gusts on each", ("gusts",), "ambiguous", ("gusts",), finding("gusts_undecided")), "ambiguous"),
         (("effect on one", ("payload_mass",), "ambiguous", (), FIRST, SECOND), "right"),
         (("effect on one", ("com_offset",), "ambiguous", (), FIRST, SECOND), "false"),
+        (("effect on one", ("payload_mass",), "ambiguous", ("rotor_drag",), FIRST, SECOND), "false"),
         (("effect on one", ("payload_mass",), "explained", ("payload_mass",)), "false"),
         (("effect on one", ("payload_mass",), "unexplained"), "missed"),
         (
