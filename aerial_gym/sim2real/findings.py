@@ -36,7 +36,7 @@ _BY_SEVERITY = {
         "joints_held values_redeclared vehicle_misfit tolerance_strained tolerances_cut_off strained_changes "
         "strained_changes_little "
         # two vehicles
-        "clock_contradicted "
+        "clock_contradicted clock_undecided "
         # logs
         "log_simulated sensor_at_rest vertical_force_off spins_reversed "
         "flight_left_out topic_left_out topic_covers_part stream_too_late rotors_too_slow flight_state_unknown "
@@ -68,7 +68,7 @@ _BY_SEVERITY = {
         "may_be_noise adds_too_little wrong_corr_time rival_process learned_refused gain_by_chance few_flights_better "
         "gain_small channel_worse channel_worse_in_flights no_velocity no_force share_small "
         # two vehicles
-        "vehicle_alone clock_unchecked gusts_undecided "
+        "vehicle_alone clock_unchecked gusts_undecided relative_position_unknown "
         # rollouts
         "rollouts_lack_velocity rollouts_lack_attitude rollouts_too_short errors_at_floor errors_above_floor "
         # round trip

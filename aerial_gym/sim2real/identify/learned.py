@@ -19,6 +19,7 @@ from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding, finding_on_refusal
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, block_length, time_blocks
 from aerial_gym.sim2real.identify.selection.criteria import Criteria
+from aerial_gym.sim2real.logs.recording import flight_numbers
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -54,7 +55,8 @@ class CrossValidation:
     """Cross-validation that leaves out one flight after the other."""
 
     count: Array  # Rows of each block of time, (B,)
-    flight: Indices  # Index of the flight of each block, (B,)
+    flight: Indices  # Number of the flight of each block, (B,)
+    quarter: Indices  # Quarter of its log in which each block lies, (B,)
     weights: Weighting
     criteria: Criteria
     channels: tuple[Channel, ...]
@@ -65,7 +67,7 @@ class CrossValidation:
         """Return the fold of each block: its flight, or a quarter of a single flight, (B,)."""
         if self.flight.max() > 0:
             return self.flight
-        return np.arange(self.flight.size) * min(QUARTERS, self.flight.size) // self.flight.size
+        return self.quarter
 
     def gain(self, less: Array, more: Array) -> Gain:
         """Return the gain of the larger model, by left-out squares (B, C) of the smaller (``less``) and larger (``more``) one.
@@ -139,9 +141,12 @@ def leave_out_flights(
 ) -> CrossValidation:
     """Return the cross-validation over the flights of a predictor; ``tolerated``: residual (rms) from tolerances, (C,)."""
     blocks = time_blocks(predictor.times, block_length(predictor.times))
-    count, flight = np.array([float(rows.size) for _, rows in blocks]), np.array([index for index, _ in blocks])
+    count, log = np.array([float(rows.size) for _, rows in blocks]), np.array([index for index, _ in blocks])
+    sizes = np.bincount(log)
+    quarter = np.concatenate([np.arange(size) * min(QUARTERS, size) // size for size in sizes])
+    flight = flight_numbers(predictor.flights)[log]
     judged = {"weights": weights, "criteria": criteria, "channels": predictor.channels, "tolerated": tolerated}
-    return CrossValidation(count=count, flight=flight, **judged)
+    return CrossValidation(count=count, flight=flight, quarter=quarter, **judged)
 
 
 def _log_ratio(less: Array, more: Array) -> Array:

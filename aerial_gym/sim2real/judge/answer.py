@@ -12,7 +12,12 @@ from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 MOST_GAINS = 2  # Largest number of errors that the gain names
-OF_PAIRS = {"vehicle_alone", "clock_contradicted", "gusts_undecided"}  # Open points that state the next step themselves
+OF_PAIRS = {
+    "vehicle_alone",
+    "clock_contradicted",
+    "clock_undecided",
+    "gusts_undecided",
+}  # Open points that state the next step themselves
 GAIN_HORIZON_S = 1.0  # Horizon of the rollout that the gain may name [s]
 
 

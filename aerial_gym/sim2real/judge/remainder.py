@@ -29,6 +29,7 @@ from aerial_gym.sim2real.judge.residual_excess import (
     is_material_excess,
     model_with_training_deviations,
 )
+from aerial_gym.sim2real.logs.recording import flight_numbers
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import rms_of_noise_floors
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -84,12 +85,13 @@ def effects_below_remainder(train: Predictor, declared: ModelParams, selection: 
     if not remainder.any():
         return {}
     rows, weight = sum(time.size for time in train.times), selection.weights.weight
-    power, final = left_out_mean_square(selection.fit, weight), FinalFit(train, declared, selection)
+    numbers, final = flight_numbers(train.flights), FinalFit(train, declared, selection)
+    power = left_out_mean_square(selection.fit, weight, numbers)
     channels = [channel.name for channel, left in zip(train.channels, remainder, strict=True) if left]
     results = {}
     for name in names:
         less = selection.without[name]
-        removed = left_out_mean_square(final.fit(less.effects, less.params)[0], weight) - power
+        removed = left_out_mean_square(final.fit(less.effects, less.params)[0], weight, numbers) - power
         gain = 0.5 * rows * float(weight @ np.where(removed > remainder, removed, 0.0))
         if gain < LEAST_SCORE * selection.best.parameter_overdispersion:
             results[name] = Finding("remainder_larger", name, {"channels": channels})
@@ -115,6 +117,7 @@ def power_above_noise(train: Predictor, selection: SelectionResult) -> Array:
 def _open_channels(train: Predictor, selection: SelectionResult) -> tuple[Array, Array | None, Flags]:
     """Return the rms of flights left out, without their offsets, its noise floor, and where it exceeds that and tolerances."""
     floor = rms_of_noise_floors(noise_floors_in_declared_wind(train, selection.fit.params))
-    rms = np.sqrt(left_out_mean_square(selection.fit, selection.weights.weight).clip(min=0.0))
+    square = left_out_mean_square(selection.fit, selection.weights.weight, flight_numbers(train.flights))
+    rms = np.sqrt(square.clip(min=0.0))
     excess = is_material_excess(rms, floor, selection.tolerated)
     return rms, floor, excess & is_judged(train.channels, train.flights)

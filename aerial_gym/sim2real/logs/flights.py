@@ -74,11 +74,11 @@ class Flight(Recording):
         return any(one.code == SCALED and bool(one.values["by_speeds"]) for one in self.notes)
 
     def rows_without_comparison(self, near: int) -> Flags | None:
-        """Return the rows within ``near`` of ground contact or lost rows, and those up to ``SETTLE_S`` after lost commands.
+        """Return rows within ``near`` of the ground, losses or an unknown other vehicle, and ``SETTLE_S`` after lost commands.
 
         Rotors that follow commands forget their state by then. None: no row is excluded, (T,).
         """
-        masks = [mask for mask in (self.on_ground, self.lost) if mask is not None]
+        masks = [mask for mask in (self.on_ground, self.lost, self.rows_without_other) if mask is not None]
         if not masks:
             return None
         excluded = np.asarray(ndimage.maximum_filter1d(np.any(masks, axis=0), 2 * near + 1), dtype=bool)

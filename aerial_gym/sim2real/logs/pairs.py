@@ -8,11 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flights
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
-from aerial_gym.sim2real.logs.recording import FlightLog, PairMember, position_at_times, split_flight_number
+from aerial_gym.sim2real.logs.recording import (
+    FlightLog,
+    FrameOrigin,
+    PairMember,
+    position_at_times,
+    split_flight_number,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +69,8 @@ def with_other_vehicle(
 ) -> FlightLog:
     """Return a log with the other vehicle's position in its rows, NaN where unknown; without a pair as it is.
 
+    Local frames of estimators are joined by their geodetic origins. Without these the relative position is unknown.
+
     ``resample`` gives the other log equal time steps; its position is then mended as that of any log.
     Raise ``DataError`` if the other log cannot be read, has no position, or has no time in common.
     """
@@ -90,7 +99,11 @@ def _add_position(
             raise DataError(
                 f"{other}: has no position, which the other vehicle of this flight needs (columns p_x, p_y, p_z)"
             )
-        seen = position_at_times(mend_position_jumps(resample(part)), log.time - ahead)
+        shift = _frame_shift(log.origin, part.origin)
+        if shift is None:
+            note = Finding("relative_position_unknown", "", {"file": Path(other).name})
+            return replace(log, pair=member, notes=(*log.notes, note))
+        seen = position_at_times(mend_position_jumps(resample(part)), log.time - ahead) + shift
         place = np.where(np.isnan(place), seen, place)
     known = ~np.isnan(place).any(axis=1)
     if not known.any():
@@ -102,6 +115,15 @@ def _add_position(
         away = np.linalg.norm(place[known] - log.position[known], axis=1)
         values |= {"nearest_m": float(away.min()), "farthest_m": float(away.max())}
     return replace(log, other_position=place, pair=member, notes=(*log.notes, Finding("flown_with", "", values)))
+
+
+def _frame_shift(own: FrameOrigin | None, other: FrameOrigin | None) -> Array | None:
+    """Return the place of the other log's origin in the own frame [m], (3,); None if one log states no origin."""
+    if own is None and other is None:
+        return np.zeros(3)
+    if own is None or other is None or not (own.is_known and other.is_known):
+        return None
+    return own.local_position(*np.array(other))
 
 
 def _file(path: str | Path) -> Path:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.recording import FrameOrigin
 
 LOWEST_BATTERY_V = 1.0  # A voltage below that of any cell means that no battery is measured
 MOST_GROWTH, FREE_BYTES = 24, 2**27  # A file may grow to so many times its size when decoded, and to 128 MB at least
@@ -153,6 +154,7 @@ class LogChannel:
     latency: float | None = (
         None  # Delay from sampling to recording [s], if the format states both; ``time`` is the former
     )
+    origin: FrameOrigin | None = None  # Of the frame of a position that is local to the estimator
     notes: tuple[Finding, ...] = ()  # Conversions that rest on an assumption, such as an integrated attitude
 
 

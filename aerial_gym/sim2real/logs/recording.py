@@ -5,10 +5,11 @@ Letters: T rows, R rotors.
 """
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from math import isfinite, nan
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -44,6 +45,27 @@ class PairMember:
     clock: float  # Added to the times of the log, gives the common clock [s]
 
 
+METRES_PER_DEG = 111_319.5  # Length of a degree of the equator. Source: WGS 84, 6378137 m pi / 180
+
+
+class FrameOrigin(NamedTuple):
+    """Geodetic coordinates of the origin of an estimator's local frame; NaN where the log does not state them."""
+
+    latitude: float = nan  # [deg]
+    longitude: float = nan  # [deg]
+    altitude: float = nan  # [m]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the log states all coordinates."""
+        return all(isfinite(value) for value in self)
+
+    def local_position(self, latitude: Array, longitude: Array, altitude: Array) -> Array:
+        """Return places in this frame [m], east, north and up, (T, 3), near the origin."""
+        east = METRES_PER_DEG * np.cos(np.radians(self.latitude)) * (longitude - self.longitude)
+        return np.stack((east, METRES_PER_DEG * (latitude - self.latitude), altitude - self.altitude), axis=-1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class LogIdentity:
     """Vehicle, firmware and start of a log, as far as the log states them."""
@@ -69,6 +91,7 @@ class Recording:
     lost: Flags | None = None  # Rows within a gap of the log, interpolated and not compared, (T,); None without gaps
     attitude_integrated: bool = False  # Whether the attitude is the integrated gyro, and so no independent measurement
     other_position: Array | None = None  # Body origin of another vehicle [m], world, (T, 3); NaN where unknown
+    origin: FrameOrigin | None = None  # Of the world frame, if it is local to the estimator; None: the user's frame
     pair: PairMember | None = None  # None: not given as the log of one of two vehicles
     ground_height: float = 0.0  # World z of the ground [m]
     ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
@@ -86,6 +109,14 @@ class Recording:
     notes: tuple[Finding, ...] = ()  # Repairs and defects of the log, without subject
 
     @property
+    def rows_without_other(self) -> Flags | None:
+        """Rows in which the other vehicle of a pair is unknown, (T,); None if there are none."""
+        if self.pair is None or self.other_position is None:
+            return None
+        unknown = np.isnan(self.other_position).any(axis=1)
+        return unknown if unknown.any() else None
+
+    @property
     def rotor_states(self) -> Array | None:
         """Measured states of the rotors, or else their commands, (T, R)."""
         return self.rotor_command if self.rotor_speed is None else self.rotor_speed
@@ -94,6 +125,13 @@ class Recording:
     def num_rotors(self) -> int:
         """Number of rotors R; 0 if neither states nor commands are logged."""
         return 0 if self.rotor_states is None else self.rotor_states.shape[1]
+
+
+def flight_numbers(logs: Sequence[Recording]) -> Indices:
+    """Return the number of the flight of each log, from 0: the logs of two vehicles in one flight are not independent."""
+    numbers = dict[int, int]()
+    keys = [-1 - index if log.pair is None else log.pair.pair for index, log in enumerate(logs)]
+    return np.array([numbers.setdefault(key, len(numbers)) for key in keys])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,7 +41,8 @@ def finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Fl
     """Return a finding on the first quantity that an effect needs and flights lack; None if all are there."""
     for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
-        if without and (need != "other_position" or len(without) == len(flights)):
+        fly_alone = need == "other_position" and all(flight.pair is None for flight in without)
+        if without and (not fly_alone or len(without) == len(flights)):
             return Finding("logs_lack", name, {"flights": flight_names(without, flights), "need": need})
     return None
 

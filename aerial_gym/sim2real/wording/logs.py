@@ -200,6 +200,10 @@ LOGS: dict[str, Template] = {
     "attitude_level": "The attitude is not logged and is taken as level.",
     "attitude_integrated": "The attitude is not logged: it is integrated from the gyro, and only body axes are compared.",
     "flown_with": _sentence_on_other_log,
+    "relative_position_unknown": (
+        "The position relative to the vehicle in {file} is unknown: its frame is local, without a geodetic origin. No downwash "
+        "is named. Give both logs as CSV files in one world frame."
+    ),
     "other_vehicle": "The position of the other vehicle is from {file}.",
     "wind_not_declared": "The mapping declares no wind for a file of this name; still air is assumed.",
     "wind_declared": "The declared wind is ({wind_m_s[0]:g}, {wind_m_s[1]:g}, {wind_m_s[2]:g}) m/s, world axes.",

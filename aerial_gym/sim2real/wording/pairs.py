@@ -34,6 +34,10 @@ PAIRS: dict[str, Template] = {
         f"{f.subject}: the wake confirms the common clock within {abs(f.values['offset_s']) + f.values['half_width_s']:.2f} s."
     ),
     "clock_contradicted": _sentence_on_wrong_clock,
+    "clock_undecided": (
+        "{subject}: a wake contradicts the common clock, but several offsets fit, as with periodic passes, or one beyond 4 s. "
+        "Fly irregular passes, or synchronise both clocks."
+    ),
     "clock_unchecked": "{subject}: no wake shows whether both clocks agree, so their offset is taken as stated.",
     "gusts_shared": lambda f: f"Both vehicles feel the same gusts: {_correlation_text(f)}.",
     "gusts_separate": lambda f: f"Each vehicle feels gusts of its own: {_correlation_text(f)}.",

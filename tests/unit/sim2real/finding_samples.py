@@ -262,9 +262,11 @@ SAMPLES = [
     Finding("clock_confirmed", "a and b", {"offset_s": 0.01, "half_width_s": 0.02}),
     Finding("clock_contradicted", "a and b", {"offset_s": -0.23, "half_width_s": 0.02}),
     Finding("clock_unchecked", "a and b"),
+    Finding("clock_undecided", "a and b"),
     *(Finding(f"gusts_{kind}", "gusts", {"correlation": 0.93, "low": 0.81, "high": 0.99})
       for kind in ("shared", "separate", "undecided")),
     Finding("flown_with", "f2", {"file": "one.csv", "share": 1.0, "clock_s": -0.25}),
+    Finding("relative_position_unknown", "f3", {"file": "one.ulg"}),
     Finding("wind_declared", "f1", {"wind_m_s": [-4.2, 0.0, 0.0]}),
     Finding("rows_cut", "f1", {"rows": 15, "gap_s": 0.16}),
     Finding("spins_reversed", "", {"columns": "rotor_1..4", "gain_ratio": -0.9, "half_width_ratio": 0.2}),

@@ -82,8 +82,13 @@ def make_spread(columns: np.ndarray, plain: np.ndarray, tolerance: np.ndarray, b
 def make_left_out(
     weights: Weighting, count: Any = (1.0,), flight: Any = (0,), channels=(), tolerated=0.0
 ) -> CrossValidation:
-    size = len(weights.variance)
-    rows = {"count": np.array(count), "flight": np.array(flight), "tolerated": np.full(size, tolerated)}
+    size, blocks = len(weights.variance), len(count)
+    rows = {
+        "quarter": np.arange(blocks) * min(4, blocks) // blocks,
+        "count": np.array(count),
+        "flight": np.array(flight),
+        "tolerated": np.full(size, tolerated),
+    }
     return CrossValidation(**rows, weights=weights, criteria=Criteria(), channels=channels)
 
 

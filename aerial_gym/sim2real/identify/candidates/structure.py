@@ -10,8 +10,9 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.recording import flight_numbers
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rows.dataset import rows_at_times
@@ -46,11 +47,12 @@ def find_structure(
     chosen: Sequence[int],
 ) -> Structure:  # fmt: skip
     """Return the strongest structure in the chosen channels; ``none`` for a single flight or a small share."""
-    if len(flights) < LEAST_FLIGHTS or not chosen:
+    numbers = flight_numbers(flights)
+    if numbers.max(initial=-1) + 1 < LEAST_FLIGHTS or not chosen:
         return Structure()
     results = [Structure()]
     for kind, columns in structure_features(flights, times).items():
-        left, total = _left_out_squares(columns, rotate_residuals(kind, flights, times, residuals, channels))
+        left, total = _left_out_squares(columns, rotate_residuals(kind, flights, times, residuals, channels), numbers)
         shares = 1.0 - left.sum(axis=0) / np.maximum(total.sum(axis=0), 1e-300)
         shares[(left < total).sum(axis=0) < LEAST_FLIGHTS] = 0.0
         best = max(chosen, key=lambda index: shares[index])
@@ -126,11 +128,14 @@ def _place_features(places: Sequence[Array]) -> list[Array]:
     return parts
 
 
-def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the squared residuals of left-out flights with features, and about the other flights' mean, (F, C) each."""
+def _left_out_squares(features: Sequence[Array], values: Sequence[Array], numbers: Indices) -> tuple[Array, Array]:
+    """Return the squared residuals of left-out flights with features, and about the other flights' mean, (F, C) each.
+
+    ``numbers``: number of the flight of each log.
+    """
     left, total = list[Array](), list[Array]()
     for out in range(len(values)):
-        kept = [i for i in range(len(values)) if i != out]
+        kept = np.flatnonzero(numbers != numbers[out])
         x, y = np.concatenate([features[i] for i in kept]), np.concatenate([values[i] for i in kept])
         centre, size = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-12)
         columns = np.column_stack((np.ones(len(x)), (x - centre) / size))
@@ -139,7 +144,9 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tup
         test = np.column_stack((np.ones(len(values[out])), np.clip((features[out] - centre) / size, -3.0, 3.0)))
         left.append(np.sum((values[out] - test @ gains) ** 2, axis=0))
         total.append(np.sum((values[out] - y.mean(axis=0)) ** 2, axis=0))
-    return np.stack(left), np.stack(total)
+    both = np.zeros((2, numbers.max() + 1, values[0].shape[1]))
+    np.add.at(both, (slice(None), numbers), np.stack((left, total)))
+    return both[0], both[1]
 
 
 def motion_features(flight: Flight, time: Array) -> Array:

@@ -132,12 +132,15 @@ def least_squares_step_in_bounds(fit: ModelFit, weight: Array, free: Indices, bl
     return step
 
 
-def left_out_mean_square(fit: ModelFit, weight: Array) -> Array:
-    """Return the mean square of each channel's residual with every flight predicted by a fit of the others, (C,)."""
+def left_out_mean_square(fit: ModelFit, weight: Array, flights: Indices) -> Array:
+    """Return the mean square of each channel's residual with every flight predicted by a fit of the others, (C,).
+
+    ``flights``: number of the flight of each log (``flight_numbers``).
+    """
     moments, free = fit.moments, fit.indices_of_fitted_params
     squares = np.zeros_like(moments.square)
-    for flight in np.unique(moments.flight):
-        own = moments.flight == flight
+    for flight in np.unique(flights):
+        own = flights[moments.flight] == flight
         used = np.flatnonzero(own if own.all() else ~own)  # a single flight cannot be left out
         step = least_squares_step_in_bounds(fit, weight, free, used)
         squares[own] = moments.block_squares(np.tile(step, (own.size, 1)))[own]

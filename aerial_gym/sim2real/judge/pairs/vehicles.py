@@ -32,7 +32,7 @@ def verdict_with_each_vehicle(verdict: Verdict, alone: Sequence[Verdict], *, is_
     ]
     settled = all(one.verdict in ("explained", *NOTHING_NAMED) for one in alone)
     named = dict.fromkeys(effect.name for one in alone if one.verdict == "explained" for effect in one.effects)
-    doubted = any(point.code == "clock_contradicted" for point in verdict.open_points)
+    doubted = any(point.code in ("clock_contradicted", "clock_undecided") for point in verdict.open_points)
     certain = settled and is_complete and not doubted
     if certain and named and _are_shared([verdict, *alone]):
         verdict = replace(verdict, verdict="explained", unexplained=(), open_points=())

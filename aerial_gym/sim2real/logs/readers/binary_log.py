@@ -201,5 +201,6 @@ def _assemble_flight(
         time=rows,
         battery=None if battery is None else battery[:, 0],
         attitude_integrated=integrated,
+        origin=streams["position"].channel.origin if "position" in streams else None,
         **values,
     )

@@ -37,6 +37,7 @@ from aerial_gym.sim2real.logs.readers import dataflash_messages as messages
 from aerial_gym.sim2real.logs.readers.dataflash_messages import TYPES, MessageTable, MessageType
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, quantity_from_ned_frd
+from aerial_gym.sim2real.logs.recording import FrameOrigin
 
 INSTANCES = ("I", "Instance", "Inst", "C")  # Fields that number several sources of one message, if no unit marks them
 SMALLEST_DAMAGE = 256  # A log cut by power loss ends within a message, whose length is at most 255 bytes
@@ -52,8 +53,6 @@ MOTORS = {7: (0, 1, 3), 8: (4, 5), 9: (4, 5), **dict.fromkeys((6, 11, 13), ())}
 DIGITAL = range(4, 10)  # MOT_PWM_TYPE of signals with the range 1000 to 2000, in spite of MOT_PWM_MIN and MAX
 HOVER_AXES = Rotation.from_euler("y", 90.0, degrees=True)
 """Rotation of a tail-sitter's body axes in hover to those of its sensors."""
-
-METRES_PER_DEG = 111_319.5  # Length of a degree of the equator. Source: WGS 84, 6378137 m pi / 180
 
 BATTERIES = (("BAT", "Volt"), ("CURR", "Volt"), ("MOTB", "BatVolt"))  # Messages and fields of voltages
 
@@ -122,7 +121,10 @@ class DataflashReader(LogReader):
             for topic in log.topic_instances(name, *fields)
         ]
         return [
-            *(_add_resets_of_estimator(channel, log) for channel in faster_first(vectors)),
+            *(
+                replace(_add_resets_of_estimator(channel, log), origin=_estimator_origin(log))
+                for channel in faster_first(vectors)
+            ),
             *_gps_channels(log),
             *_rotor_channels(log),
             *(
@@ -224,6 +226,14 @@ def _add_resets_of_estimator(channel: LogChannel, log: RawLog) -> LogChannel:
     return replace(channel, resets=channel.time[rows[rows < channel.time.size]]) if rows.size else channel
 
 
+def _estimator_origin(log: RawLog) -> FrameOrigin:
+    """Return the origin of the estimator's frame (ORGN of type 0); unknown if it is not logged or moves."""
+    for topic in log.topic_instances("ORGN", "Type", "Lat", "Lng", "Alt"):
+        origins = np.unique(topic.numbers("Lat", "Lng", "Alt")[topic.columns["Type"] == 0.0], axis=0)
+        return FrameOrigin(*origins[0]) if len(origins) == 1 else FrameOrigin()
+    return FrameOrigin()
+
+
 def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
     """Yield position, from the first fix, and velocity of the GPS."""
     fields = ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ")
@@ -232,12 +242,12 @@ def _gps_channels(log: RawLog) -> Iterator[LogChannel]:
         if not fix.any():
             continue
         lat, lng, alt, speed, course, down = topic.numbers(*fields)[fix].T
-        east = METRES_PER_DEG * np.cos(np.radians(lat[0])) * (lng - lng[0])
-        position = np.stack((east, METRES_PER_DEG * (lat - lat[0]), alt - alt[0]), axis=1)
+        origin = FrameOrigin(lat[0], lng[0], alt[0])
+        position = origin.local_position(lat, lng, alt)
         heading = np.radians(course)
         velocity = np.stack((speed * np.sin(heading), speed * np.cos(heading), -down), axis=1)
         for quantity, values in (("position", position), ("lin_vel", velocity)):
-            yield LogChannel(quantity=quantity, time=topic.time[fix], values=values, source=topic.source)
+            yield LogChannel(quantity=quantity, time=topic.time[fix], values=values, source=topic.source, origin=origin)
 
 
 def _output_numbers_of_motors(log: RawLog) -> list[int]:

@@ -35,6 +35,7 @@ from aerial_gym.sim2real.logs.readers.dataflash import SMALLEST_DAMAGE, Dataflas
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNIT_G, UNITS, quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.ulog import UlogReader
+from aerial_gym.sim2real.logs.recording import FrameOrigin
 
 VERSIONS = {0xFE: 6, 0xFD: 10}  # Length of the header by the first byte of a packet
 STAMP, CHECKSUM, SIGNATURE = 8, 2, 13  # Lengths [B]
@@ -231,7 +232,7 @@ class MavlinkReader(LogReader):
             for one in log.topic_instances("SYS_STATUS", "voltage_battery")
         ]
         return [
-            *faster_first([one for one in vectors if np.ptp(one.values, axis=0).any()]),
+            *faster_first([replace(one, origin=FrameOrigin()) for one in vectors if np.ptp(one.values, axis=0).any()]),
             *_rotor_channels(log, DataflashReader() if is_ardupilot else UlogReader()),
             *(
                 one.channel("battery", values)

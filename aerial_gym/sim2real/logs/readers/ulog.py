@@ -29,6 +29,7 @@ from aerial_gym.sim2real.logs.raw_log import (
 from aerial_gym.sim2real.logs.readers.log_readers import LogReader
 from aerial_gym.sim2real.logs.readers.mapping import UNITS, quantity_from_ned_frd
 from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.recording import FrameOrigin
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"  # Source: PX4 User Guide, ULog File Format, Header
 FIFO_SAMPLES, SLOWEST_GYRO_HZ = (
@@ -131,7 +132,8 @@ class UlogReader(LogReader):
             for name in names
             for topic in log.topic_instances(name, *fields)
         ]
-        usable = [one for one in usable if np.isfinite(one.values).any()]
+        origin = _estimator_origin(log)
+        usable = [replace(one, origin=origin) for one in usable if np.isfinite(one.values).any()]
         gyros = [one.time.size / max(float(np.ptp(one.time)), 1e-9) for one in usable if one.quantity == "ang_vel"]
         return [
             *(_raw_gyro_channels(log) if max(gyros, default=0.0) < SLOWEST_GYRO_HZ else ()),
@@ -150,6 +152,16 @@ class UlogReader(LogReader):
             ),
             *_channels_of_arming_and_landing(log),
         ]
+
+
+def _estimator_origin(log: RawLog) -> FrameOrigin:
+    """Return the reference of the local position; unknown if the log states none or it moves."""
+    fields = ("ref_lat", "ref_lon", "ref_alt")
+    for topic in log.topic_instances("vehicle_local_position", *fields, "xy_global", "z_global"):
+        states = (topic.columns["xy_global"] != 0.0) & (topic.columns["z_global"] != 0.0)
+        origins = np.unique(topic.numbers(*fields)[states], axis=0)
+        return FrameOrigin(*origins[0]) if len(origins) == 1 else FrameOrigin()
+    return FrameOrigin()
 
 
 def _topic(name: str, instance: int, data: dict[str, Array]) -> Topic:

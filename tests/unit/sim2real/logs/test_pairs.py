@@ -1,14 +1,23 @@
 """Logs of two vehicles in one flight: positions, clocks and refusals."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.learned import leave_out_flights
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.criteria import Criteria
 from aerial_gym.sim2real.logs.flights import load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.pairs import check_pairs, pair_logs
+from aerial_gym.sim2real.logs.readers.flight_log import LogFlights, read_flights
+from aerial_gym.sim2real.logs.recording import FlightLog, FrameOrigin, flight_numbers
+from aerial_gym.sim2real.predict.scene import finding_on_absent_data
 from tests.refusals import assert_refused
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -52,6 +61,69 @@ def test_clocks_that_differ_leave_rows_without_the_other_vehicle(logs: tuple[Pat
     assert np.isnan(first.other_position[:200]).all()
     np.testing.assert_allclose(first.other_position[200:], second.position[: first.num_rows - 200], atol=1e-9)
     np.testing.assert_allclose(second.other_position[: first.num_rows - 200], first.position[200:], atol=1e-9)
+
+
+LAT, LON = 47.0, 8.0
+METRE = 180.0 / (np.pi * 6378137.0)  # Degrees of a metre along a meridian
+
+
+def test_local_frames_are_joined_by_their_origins(logs: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second frame begins 3 m east, 4 m north and 2 m above the first one. Without an origin nothing is known."""
+    plain, unknown = load(logs), FrameOrigin()
+    first = FrameOrigin(LAT, LON, 100.0)
+    second = FrameOrigin(LAT + 4.0 * METRE, LON + 3.0 * METRE / np.cos(np.radians(LAT)), 102.0)
+    origins: dict[str, FrameOrigin | None] = {}
+
+    def read(paths: list, mapping: object) -> list:
+        return [replace(log, origin=origins[Path(log.path).stem]) for log in read_flights(paths, mapping=mapping)]
+
+    def flight_of(opened: LogFlights, number: int | None) -> FlightLog:
+        return replace(original(opened, number), origin=origins[Path(opened.raw.path).stem])
+
+    original = LogFlights.flight
+    monkeypatch.setattr("aerial_gym.sim2real.logs.pairs.read_flights", read)
+    monkeypatch.setattr(LogFlights, "flight", flight_of)
+    origins.update(one=first, two=second)
+    one, two = load(logs)
+    np.testing.assert_allclose(
+        one.other_position - plain[0].other_position, [[3.0, 4.0, 2.0]] * one.num_rows, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        two.other_position - plain[1].other_position, [[-3.0, -4.0, -2.0]] * one.num_rows, atol=1e-5
+    )
+    for pair in ((first, unknown), (first, None), (unknown, unknown)):
+        origins.update(zip(("one", "two"), pair, strict=True))
+        flights = load(logs)
+        assert all(each.other_position is None and each.pair is not None for each in flights)
+        assert "relative_position_unknown" in [note.code for note in flights[0].notes]
+        lacking = finding_on_absent_data("downwash", EFFECTS.get("downwash").needs, [*flights, plain[0]])
+        assert lacking is not None
+        assert lacking.values["need"] == "other_position"
+
+
+def test_both_logs_of_a_flight_are_one_flight_in_cross_validation(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    alone = write(flight(3, noise=1.0, seconds=6.0, rate=100.0), tmp_path / "three.csv")
+    flights = load_flights([logs[0], alone, logs[1]], ROBOT, mapping=None, bandwidth=10.0, pairs=pair_logs([logs]))
+    assert flight_numbers(flights).tolist() == [0, 1, 0]
+    predictor = SimpleNamespace(flights=flights, times=[one.time for one in flights], channels=())
+    weights = Weighting(variance=np.ones(1), effective=np.ones(1))
+    made = leave_out_flights(predictor, weights, Criteria(), np.zeros(1))  # type: ignore[arg-type]
+    first, other, second = np.split(made.fold_of_blocks, 3)
+    assert set(first) == set(second) == {0}
+    assert set(other) == {1}
+    pair = SimpleNamespace(flights=flights[::2], times=[one.time for one in flights[::2]], channels=())
+    folds = leave_out_flights(pair, weights, Criteria(), np.zeros(1)).fold_of_blocks  # type: ignore[arg-type]
+    first, second = np.split(folds, 2)
+    assert first.tolist() == second.tolist()  # both logs of one time are left out together
+    assert len(set(first)) > 1
+
+
+def test_rows_in_which_the_other_vehicle_is_unknown_are_not_compared(logs: tuple[Path, Path]) -> None:
+    first, _ = load(logs, 2.0)
+    excluded = first.rows_without_comparison(0)
+    assert excluded is not None
+    assert excluded.tolist() == [True] * 200 + [False] * (first.num_rows - 200)
+    assert replace(first, pair=None).rows_without_comparison(0) is None
 
 
 def test_pairs_that_cannot_be_used_are_refused_with_the_remedy(logs: tuple[Path, Path], tmp_path: Path) -> None:

@@ -54,14 +54,16 @@ def linear_fit(
 
 
 def test_each_flight_is_predicted_by_a_fit_of_the_others() -> None:
-    """The mean of three flights with one row each, 1, 2 and 6: errors of 1 - 4, 2 - 3.5 and 6 - 1.5, mean square 10.5."""
+    """The mean of three logs with one row each, 1, 2 and 6: errors of 1 - 4, 2 - 3.5 and 6 - 1.5, mean square 10.5. With
+    the first two of one flight: 1 - 6, 2 - 6 and 6 - 1.5, mean square 20.4."""
     times, residuals = [np.zeros(1)] * 3, [np.full((1, 1), value) for value in (1.0, 2.0, 6.0)]
     moments = block_moments(times, residuals, [np.ones((1, 1, 1))] * 3)
     limit, effects = np.full(1, np.inf), ("thrust_coefficient",)
     fit = ModelFit(
         effects=effects, params=ModelParams(effects={}), moments=moments, low=-limit, high=limit, num_effect_params=1
     )
-    assert left_out_mean_square(fit, np.ones(1)) == pytest.approx([10.5], rel=1e-3)
+    assert left_out_mean_square(fit, np.ones(1), np.arange(3)) == pytest.approx([10.5], rel=1e-3)
+    assert left_out_mean_square(fit, np.ones(1), np.array([0, 0, 1])) == pytest.approx([61.25 / 3], rel=1e-3)
 
 
 @pytest.mark.parametrize("colour", [pytest.param(15.0, marks=pytest.mark.slow), 2.0])

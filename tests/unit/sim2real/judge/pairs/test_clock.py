@@ -10,6 +10,7 @@ from aerial_gym.sim2real.judge.pairs.clock import (
     OFFSETS,
     _finding_on_clock,
     contradictions_of_several_pairs,
+    equal_offsets,
     log_likelihood_gains,
 )
 from aerial_gym.sim2real.logs.recording import PairMember
@@ -18,21 +19,27 @@ from tests.unit.sim2real.predict.test_scene import hover
 RATE = 100.0
 
 
-def make_pass(offset: float, force: float, *, seed: int = 0, vehicle: int = 0) -> tuple:
+def make_pass(offset: float, force: float, *, seed: int = 0, vehicle: int = 0, periodic: bool = False) -> tuple:
     """Return a hover below a vehicle that passes back and forth, and its residual with a wake 20 cm wide that is really so
     much off the clock; noise of 0.05 m/s² in every row."""
     base = hover("low", 1.0)
-    count = base.num_rows
+    count = 1600
     time = np.arange(count) / RATE
     sign = 1.0 if vehicle else -1.0
 
     def level_place(at: np.ndarray) -> np.ndarray:
-        return 0.6 * np.sin(2.0 * at + 0.3)
+        return 0.6 * np.sin(2.0 * at + 0.3 + (0.0 if periodic else 0.05 * at**2))
 
-    zeros = np.zeros(count)
-    other = np.stack((level_place(time), zeros, zeros + 3.0), axis=1) + base.position * (1.0, 1.0, 0.0)
+    zeros, place, attitude = np.zeros(count), base.position[:1].repeat(count, axis=0), base.attitude[:1]
+    other = np.stack((level_place(time), zeros, zeros + 3.0), axis=1) + place * (1.0, 1.0, 0.0)
     flight = replace(
-        base, time=time, rate=RATE, other_position=other, pair=PairMember(pair=0, vehicle=vehicle, clock=0.0)
+        base,
+        time=time,
+        rate=RATE,
+        position=place,
+        attitude=attitude.repeat(count, axis=0),
+        other_position=other,
+        pair=PairMember(pair=0, vehicle=vehicle, clock=0.0),
     )
     residual = 0.05 * np.random.default_rng(seed).standard_normal((count, 3))
     residual[:, 2] -= force * np.exp(-0.5 * (level_place(time + sign * offset) / 0.2) ** 2)
@@ -41,13 +48,27 @@ def make_pass(offset: float, force: float, *, seed: int = 0, vehicle: int = 0) -
 
 @pytest.mark.parametrize("vehicle", [0, 1])
 @pytest.mark.parametrize(
-    ("offset", "code"), [(0.0, "clock_confirmed"), (0.23, "clock_contradicted"), (-0.4, "clock_contradicted")]
+    ("offset", "code"),
+    [(0.0, "clock_confirmed"), (0.23, "clock_contradicted"), (-0.4, "clock_contradicted"), (1.7, "clock_contradicted")],
 )
 def test_the_wake_shows_the_offset_of_the_second_clock(vehicle: int, offset: float, code: str) -> None:
-    finding = _finding_on_clock("a and b", log_likelihood_gains([make_pass(offset, 0.4, vehicle=vehicle)]), 0.001)
+    seen = [make_pass(offset, 0.4, vehicle=vehicle)]
+    gains = log_likelihood_gains(seen)
+    finding = _finding_on_clock("a and b", gains, 0.001, equal_offsets(seen, OFFSETS[gains.argmax()]))
     assert finding.code == code
     assert finding.values["offset_s"] == pytest.approx(offset, abs=0.03)
     assert finding.values["half_width_s"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("offset", "code"), [(0.0, "clock_unchecked"), (0.23, "clock_undecided"), (4.0, "clock_undecided")]
+)
+def test_periodic_passes_and_offsets_out_of_range_state_no_offset(offset: float, code: str) -> None:
+    """Passes every pi / 2 s fit at all offsets that differ by this; at the end of the range a larger one may fit better."""
+    seen = [make_pass(offset, 0.4, periodic=offset < 4.0)]
+    gains = log_likelihood_gains(seen)
+    finding = _finding_on_clock("a and b", gains, 0.001, equal_offsets(seen, OFFSETS[gains.argmax()]))
+    assert finding == Finding(code, "a and b")
 
 
 def test_both_vehicles_below_each_other_have_one_offset() -> None:

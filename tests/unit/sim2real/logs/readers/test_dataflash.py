@@ -10,6 +10,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
 from aerial_gym.sim2real.logs.readers.dataflash import DataflashReader
 from aerial_gym.sim2real.logs.readers.dataflash_messages import read_lines
+from aerial_gym.sim2real.logs.recording import FrameOrigin
 from tests.unit.sim2real.logs.readers import dataflash_files as files
 from tests.unit.sim2real.logs.readers.open_log_bytes import REAL_LOGS, first_channel, read_bytes
 
@@ -123,6 +124,21 @@ def test_a_type_whose_lines_are_all_short_has_missing_values() -> None:
 
 def bare_log(parameters: dict[str, float], *topics: Topic, firmware: str = "ArduCopter V4.5.1") -> RawLog:
     return RawLog(path="a", format="dataflash", topics=topics, parameters=parameters, metadata={"firmware": firmware})
+
+
+def test_positions_have_the_origin_of_the_estimator_or_the_first_fix() -> None:
+    time = np.arange(3.0)
+    place = Topic(name="XKF1", time=time, columns=dict.fromkeys(("PN", "PE", "PD"), time))
+    fix = {"Status": 3.0, "Lat": 47.0, "Lng": 8.0, "Alt": 400.0, "Spd": 0.0, "GCrs": 0.0, "VZ": 0.0}
+    gps = Topic(name="GPS", time=time, columns={name: np.full(3, value) for name, value in fix.items()})
+    states = {"Type": [0.0, 1.0], "Lat": [47.1, 47.3], "Lng": [8.2, 8.3], "Alt": [410.0, 0.0]}
+    origin = Topic(name="ORGN", time=time[:2], columns={name: np.array(values) for name, values in states.items()})
+    logged = DataflashReader().channels(bare_log({}, place, gps, origin))
+    origins = {one.source: one.origin for one in logged if one.quantity == "position"}
+    assert origins == {"XKF1[0]": FrameOrigin(47.1, 8.2, 410.0), "GPS[0]": FrameOrigin(47.0, 8.0, 400.0)}
+    (bare,) = DataflashReader().channels(bare_log({}, place))
+    assert bare.origin is not None
+    assert not bare.origin.is_known
 
 
 def outputs(prefix: str = "C") -> Topic:

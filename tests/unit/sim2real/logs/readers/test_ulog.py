@@ -13,6 +13,7 @@ from aerial_gym.sim2real.logs.raw_log import RawLog
 from aerial_gym.sim2real.logs.readers import log_readers
 from aerial_gym.sim2real.logs.readers.flight_log import open_log
 from aerial_gym.sim2real.logs.readers.ulog import UlogStream
+from aerial_gym.sim2real.logs.recording import FrameOrigin
 from tests.unit.sim2real.flat_flights import flight
 from tests.unit.sim2real.ulog_files import read_topics, topics, write_ulog
 
@@ -82,6 +83,22 @@ def test_hover_has_gravity_up_and_north_is_enu_y() -> None:
     np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), atol=1e-12)
     np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(log.rotor_speed, np.full((len(log.time), 4), 200.0 * np.pi))
+
+
+def test_the_origin_of_the_local_frame_is_its_reference() -> None:
+    """Unknown without one, where the estimator has no global position, and where it moves."""
+    speeds = {"esc_status": {f"esc[{i}].esc_rpm": 6000.0 * (i < 4) for i in range(8)}}
+    assert read_topics(hover(**speeds)).origin == pytest.approx(FrameOrigin(), nan_ok=True)
+    for moves, is_global, known in ((False, 1.0, True), (False, 0.0, False), (True, 1.0, False)):
+        parts = hover(**speeds)
+        states = {"ref_lat": 47.1, "ref_lon": 8.2, "ref_alt": 410.0, "xy_global": is_global, "z_global": 1.0}
+        place = parts["vehicle_local_position"]
+        place |= {name: np.full(STAMP.size, value) for name, value in states.items()}
+        place["ref_lat"][400:] += 0.001 * moves
+        origin = read_topics(parts).origin
+        assert origin is not None
+        assert origin.is_known == known
+        assert not known or origin == FrameOrigin(47.1, 8.2, 410.0)
 
 
 def test_rotors_are_in_the_order_of_their_functions() -> None:
