@@ -3,7 +3,7 @@
 import sys
 import time
 from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,6 +65,7 @@ class FleetRunCmd(FleetLogsCmd):
     logs: str  # Folder, or URL of an object store such as s3://bucket/logs
     out: Tables  # Folder of the tables
     workers: int | None = None  # Number of worker processes; all cores if not given
+    reports: int = 10  # Most changed vehicles whose last flights close-loop compares for a report, the clearest first
     address: str | None = None  # Ray cluster to run on; the tables must then lie on storage that all its machines share
 
     def run(self) -> int:
@@ -73,7 +74,7 @@ class FleetRunCmd(FleetLogsCmd):
         from aerial_gym.fleet.engine import ray_engine, run_serially
         from aerial_gym.fleet.run import run_fleet
 
-        request = self.request(self.logs, self.out)
+        request = replace(self.request(self.logs, self.out), reports=self.reports)
         if self.address:
             print(f"--address {self.address}: whoever can reach this Ray cluster can run code on it", file=sys.stderr)
         in_memory = self.logs.startswith("memory://")  # of this process alone
@@ -174,6 +175,8 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
         return
     for text in summary.changed or ["no vehicle has changed"]:
         print(text)
+    for vehicle, text in summary.reports.items():
+        print(f"close-loop on vehicle {vehicle}, {text}")
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
     parts = [(refused, "refused"), (summary.copies, "copies of others"), (unread, "not delivered by the store")]

@@ -17,6 +17,7 @@ from aerial_gym.fleet.lock import writer_lock
 from aerial_gym.fleet.moments import columns_digest
 from aerial_gym.fleet.pass_one import LogRows, PassOneSettings
 from aerial_gym.fleet.pass_two import PassTwoSettings, judge_fleet
+from aerial_gym.fleet.reports import write_reports
 from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore
 from aerial_gym.fleet.tables import FleetTables, Row
@@ -40,6 +41,7 @@ class FleetSummary:
     vehicles: int = 0
     changed: list[str] = field(default_factory=list)  # A sentence for each vehicle that has changed
     alerts: "list[Row]" = field(default_factory=list)  # That this run has raised
+    reports: dict[str, str] = field(default_factory=dict)  # What ``close-loop`` says of changed vehicles
 
 
 class FlightWriter:
@@ -104,6 +106,7 @@ class FleetRun:
     mapping: str | None = None
     pass_one: str = PassOneSettings.module
     verdicts: PassTwoSettings = field(default_factory=PassTwoSettings)
+    reports: int = 0  # Most vehicles whose change ``close-loop`` checks
 
     def settings(self) -> dict[str, object]:
         """Return the settings that rows of flights depend on beside their keys."""
@@ -124,6 +127,9 @@ def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
         verdicts = judge_fleet(tables, run.fleet.hashes.values(), version, engine, run.verdicts, report)
         summary.vehicles, summary.changed = len(verdicts), [one["text"] for one in verdicts if one["rejected"]]
         summary.alerts = add_alerts(tables, verdicts)
+        summary.reports = write_reports(
+            tables, run.fleet, run.logs, verdicts, engine, most=run.reports, mapping=run.mapping, report=report
+        )
         if summary.new:
             report("joining small files", 1.0)
             tables.compact()
