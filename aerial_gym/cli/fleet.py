@@ -3,7 +3,7 @@
 import sys
 import time
 from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,21 +41,21 @@ class FleetLogsCmd:
         from aerial_gym.fleet.pass_two import PassTwoSettings
         from aerial_gym.fleet.run import FleetRun
         from aerial_gym.fleet.sources import LogStore
-        from aerial_gym.fleet.vehicles import load_fleet
+        from aerial_gym.fleet.vehicles import load_fleet, try_read
 
-        limits = dict[str, float]()
+        faults, limits, store = list[str](), dict[str, float](), LogStore(url=logs, pattern=self.pattern)
         for text in self.limit:
             name, _, value = text.partition("=")
             try:
                 limits[name] = float(value)
             except ValueError:
-                raise ConfigError(
-                    f"--limit {text}: give EFFECT.PARAMETER=VALUE, such as weak_motor.scale=0.9"
-                ) from None
-        return FleetRun(
-            logs=LogStore(url=logs, pattern=self.pattern), fleet=load_fleet(self.robots, self.rules), out=out,
-            mapping=self.mapping, verdicts=PassTwoSettings(level=self.false_discovery, limits=limits),
-        )  # fmt: skip
+                faults.append(f"--limit {text}: give EFFECT.PARAMETER=VALUE, such as weak_motor.scale=0.9")
+        fleet = try_read(lambda: load_fleet(self.robots, self.rules), faults)
+        try_read(store.check, faults)
+        if faults or fleet is None:
+            raise ConfigError(*faults)
+        verdicts = PassTwoSettings(level=self.false_discovery, limits=limits)
+        return FleetRun(logs=store, fleet=fleet, out=out, mapping=self.mapping, verdicts=verdicts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +171,7 @@ def _json_value(value: object) -> object:
 def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     """Print the result of a run: changed vehicles first."""
     if as_json:
-        print(json_line(asdict(summary)))
+        print(json_line(vars(summary)))
         return
     for text in summary.changed or ["no vehicle has changed"]:
         print(text)

@@ -9,12 +9,11 @@ Step = Callable[[Path], None]
 
 
 def _add_firmware(out: Path) -> None:
-    """Version 1 did not record the firmware; it is unknown for those flights."""
+    """Version 1 did not record the firmware, which is null for those flights."""
     for name in ("flights", "vehicles"):
         table = DeltaTable(out / name)
         if "firmware" not in {field.name for field in table.schema().fields}:
             table.alter.add_columns([Field("firmware", "string")])
-        DeltaTable(out / name).update({"firmware": "''"}, predicate="firmware IS NULL")
 
 
 STEPS: dict[int, Step] = {1: _add_firmware}  # By the version that each step starts from

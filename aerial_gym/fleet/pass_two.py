@@ -106,7 +106,7 @@ class VehicleReader:
                     product=np.array([product for product, _ in moments]),
                     gradient=np.array([gradient for _, gradient in moments]),
                     time=_times(flights),
-                    firmware=tuple(row["firmware"] for row in flights),
+                    firmware=tuple(row["firmware"] or "" for row in flights),
                 ),
                 [row["log_hash"] for row in flights],
                 flights[-1]["start_time"],
@@ -224,12 +224,11 @@ def judge_fleet(
         stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), model_version=model_version)
         rest = np.array([row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] != FEW], float)
     verdicts = decide(results, rest, settings)
-    where = f"model_version = '{model_version}'"
+    where = arrow_dataset.field("model_version") == model_version
     if only is not None:
-        names = ", ".join("'" + vehicle.replace("'", "''") + "'" for vehicle in sorted(only))
-        where += f" AND vehicle IN ({names})"
-    tables.replace("vehicles", [row for one in results for row in one.parameters], where)
-    tables.replace("verdicts", verdicts, where)
+        where &= arrow_dataset.field("vehicle").isin(list(only))
+    tables.replace("vehicles", where, [row for one in results for row in one.parameters])
+    tables.replace("verdicts", where, verdicts)
     return verdicts
 
 

@@ -65,11 +65,19 @@ class LogStore:
                 f"--logs {self.url}: {error}. Give a folder, or a URL such as s3://bucket/folder"
             ) from None
 
+    def check(self) -> None:
+        """Raise ``ConfigError`` if the store does not exist or cannot be reached."""
+        system, root = self.filesystem()
+        try:
+            exists = system.exists(root)
+        except Exception as error:  # of any file system's own type
+            raise ConfigError(f"--logs {self.url}: cannot be reached ({error})") from None
+        if not exists:
+            raise ConfigError(f"--logs {self.url}: no such folder or store")
+
     def logs(self) -> Iterator[LogReference]:
         """Yield the logs folder by folder, in the order of their names, numbers in them by value."""
         system, root = self.filesystem()
-        if not system.exists(root):
-            raise ConfigError(f"--logs {self.url}: no such folder or store")
         system.invalidate_cache()
         for rank, entry in enumerate(self._entries(system, root)):
             path = entry["name"] if "file" in _protocols(system) else system.unstrip_protocol(entry["name"])
@@ -77,6 +85,8 @@ class LogStore:
 
     def _entries(self, system: "AbstractFileSystem", folder: str) -> Iterator[dict[str, Any]]:
         entries = [entry for entry in system.ls(folder, detail=True) if entry["name"].rstrip("/") != folder.rstrip("/")]
+        if any(Path(entry["name"]).name == "fleet.json" for entry in entries):  # tables of a fleet
+            return
         suffixes = {Path(entry["name"]).suffix for entry in entries}
         for name in {Path(entry["name"]).name for entry in entries} & DESCRIPTIONS.keys():
             if suffixes & DESCRIPTIONS[name]:

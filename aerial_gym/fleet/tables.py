@@ -6,6 +6,7 @@ One program writes at a time (``lock.py``). A flight counts as done once its row
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -94,13 +95,15 @@ class FleetTables:
         if table.num_rows:
             write_deltalake(self.out / name, table, mode="append", writer_properties=_FILE_ROWS)
 
-    def replace(self, name: str, rows: Iterable[Row], where: str) -> None:
-        """Replace the rows that satisfy an SQL condition, in one commit."""
-        table = _table(name, rows)
-        if table.num_rows:
-            write_deltalake(self.out / name, table, mode="overwrite", predicate=where, writer_properties=_FILE_ROWS)
-        else:
-            DeltaTable(self.out / name).delete(where)
+    def replace(self, name: str, where: arrow_dataset.Expression, rows: Iterable[Row] = ()) -> None:
+        """Replace the rows that satisfy a condition, in one commit that streams the table.
+
+        Delta's own ``delete`` and ``update`` write text in a form that Arrow cannot compare.
+        """
+        new, data = _table(name, rows), self.dataset(name)
+        batches = chain(data.to_batches(filter=~where), new.to_batches())
+        stream = pa.RecordBatchReader.from_batches(data.schema, (batch.cast(data.schema) for batch in batches))
+        write_deltalake(self.out / name, stream, mode="overwrite", writer_properties=_FILE_ROWS)
 
     def columns_by_digest(self) -> dict[str, Any]:
         """Return the columns of the evidence by digest."""
@@ -115,12 +118,13 @@ class FleetTables:
             write_atomic(self.out / "columns.json", json.dumps(content, sort_keys=True))
 
     def discard_incomplete(self) -> None:
-        """Delete evidence whose flight was not written because the program was killed, and refusals for want of a robot."""
-        DeltaTable(self.out / "flights").delete("robot_hash = ''")
-        lost = self.keys("evidence") - self.keys("flights")
-        for log_hash, robot_hash, version in sorted(lost):
-            rule = f"log_hash = '{log_hash}' AND robot_hash = '{robot_hash}' AND model_version = '{version}'"
-            DeltaTable(self.out / "evidence").delete(rule)
+        """Remove evidence whose flights are not written, as the program was killed, and refusals for want of a robot."""
+        no_robot = arrow_dataset.field("robot_hash") == ""
+        if self.dataset("flights").count_rows(filter=no_robot):
+            self.replace("flights", no_robot)
+        if self.keys("evidence") - self.keys("flights"):
+            evidence = DeltaTable(self.out / "evidence")
+            evidence.restore(evidence.version() - 1)  # the last commit, as that of its flights follows each one
 
     def compact(self) -> None:
         """Join small files, and remove those that no reader of the last day can still use."""

@@ -105,8 +105,8 @@ def load_fleet(robots: Path, rules: Path | None) -> Fleet:
     faults = (
         [] if files else [f"--robots {robots}: {'holds no robot file (.yaml)' if robots.is_dir() else 'no such file'}"]
     )
-    known = {file.stem: _try_read(lambda file=file: robot_by_name(file), faults) for file in files}
-    table = VehicleRules() if rules is None else _try_read(lambda: load(VehicleRules, rules), faults)
+    known = {file.stem: try_read(lambda file=file: robot_by_name(file), faults) for file in files}
+    table = VehicleRules() if rules is None else try_read(lambda: load(VehicleRules, rules), faults)
     for rule in table.rules if files and table is not None else ():
         if rule.robot and "{" not in rule.robot and rule.robot not in known:
             faults.append(f"--rules {rules}: no robot {rule.robot!r} in {robots}. Known: {', '.join(known)}")
@@ -121,7 +121,7 @@ def robot_hash(robot: RobotCfg) -> str:
     return hashlib.sha256(repr(robot).encode()).hexdigest()
 
 
-def _try_read(read: Callable[[], T], faults: list[str]) -> T | None:
+def try_read(read: Callable[[], T], faults: list[str]) -> T | None:
     """Return what a function reads; None if it cannot be read, and the reason is appended to ``faults``."""
     try:
         return read()
