@@ -177,6 +177,13 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
         print(text)
     for vehicle, text in summary.reports.items():
         print(f"close-loop on vehicle {vehicle}, {text}")
+    for one in summary.cohorts:
+        if one["rejected"] and one["leading"]:
+            rotor = f", rotor {one['rotor']}" if one["rotor"] else ""
+            rows = zip(one["parameters"], one["difference"], one["low"], one["high"], strict=True)
+            values = ", ".join(f"{name} {value:+.3g} ({low:+.3g} to {high:+.3g})" for name, value, low, high in rows)
+            before, after = one["firmware"]
+            print(f"firmware {after} against {before}: {one['effect'].replace('_', ' ')}{rotor}: {values}")
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
     parts = [(refused, "refused"), (summary.copies, "copies of others"), (unread, "not delivered by the store")]

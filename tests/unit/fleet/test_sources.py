@@ -174,6 +174,16 @@ def test_summary_states_the_changes_first(tmp_path: Path, capsys: pytest.Capture
     assert (content["new"], content["refused"], len(content["alerts"])) == (33, {"is no log": 1}, 1)
 
 
+def test_summary_states_differences_between_firmware_versions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for flight in range(6):
+        write_log(tmp_path / f"{flight}.csv", [0.01 * flight, 0.0], firmware=f"1.{flight // 3}")
+    print_summary(run(tmp_path, tmp_path / "out"), tmp_path / "out", as_json=False)
+    text = "firmware 1.1 against 1.0: weak motor, rotor 1: scale +0.1 (+0.05 to +0.15)"
+    assert text in capsys.readouterr().out
+
+
 def test_watch_judges_complete_logs_and_raises_each_alert_once(tmp_path: Path) -> None:
     logs, out = tmp_path / "logs", tmp_path / "out"
     write_fleet(logs, vehicles=4, flights=8, bad=False)
