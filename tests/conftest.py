@@ -82,9 +82,9 @@ def set_level(module: wp.Module) -> None:
     rays, long = "cast_by_tile" in module.name, is_long_run(module)
     chosen = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if long else level
     if chosen == 0:
-        flags = launches.NO_BFLOAT16
+        flags = launches.HEADER_FLAGS
     elif rays or long:
-        flags = f"-march=native {launches.NO_BFLOAT16}"
+        flags = f"-march=native {launches.HEADER_FLAGS}"
     unroll = wp.config.max_unroll if chosen != 0 or has_adjoint(module) else 1
     module.options |= {"optimization_level": chosen, "cpu_compiler_flags": flags, "max_unroll": unroll}
 
@@ -111,7 +111,7 @@ class CompileAtLaunch:
 def load_quickly(module: wp.Module, device: wp.DeviceLike, *args: Any, **kwargs: Any) -> Any:
     """Load a module; set the optimisation and the headers of one that ``compile_ahead`` has not seen."""
     if module.options["cpu_compiler_flags"] is None and wp.get_device(device).is_cpu:
-        module.options["cpu_compiler_flags"] = f"{wp.config.cpu_compiler_flags} {launches.NO_BFLOAT16}"
+        module.options["cpu_compiler_flags"] = f"{wp.config.cpu_compiler_flags} {launches.HEADER_FLAGS}"
         set_level(module)
     return load(module, device, *args, **kwargs)
 

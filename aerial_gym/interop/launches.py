@@ -21,7 +21,9 @@ from torch import Tensor
 
 BLOCK_DIM = 64  # Threads of a block with one per environment: Warp's 256 would leave most multiprocessors idle
 MAX_WORKERS = 4  # Most modules compiled at the same time; each worker reads Warp's headers once, in 2 s
-NO_BFLOAT16 = "-DWP_NO_BFLOAT16="  # Leaves out bfloat16, a fifth of Warp's headers; no kernel here has any
+HEADER_FLAGS = "-DWP_NO_BFLOAT16= -fpch-instantiate-templates"
+"""Leave out bfloat16, a fifth of Warp's headers, which no kernel here uses. Instantiate templates once, with the precompiled
+headers: each kernel then compiles in 0.07 s less; a small one took 0.08 s."""
 
 LONGEST_SEARCHED = 2000
 """Largest number of lines of a kernel with superword vectorisation on CPUs. Most kernels have tens to hundreds of lines, and
@@ -52,7 +54,7 @@ def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = BLOC
     if key in _begun:
         return
     if device.is_cpu and wp.config.cpu_compiler_flags is not None:
-        flags = [wp.config.cpu_compiler_flags, NO_BFLOAT16]  # one set for nearly all: headers are precompiled for each
+        flags = [wp.config.cpu_compiler_flags, HEADER_FLAGS]  # one set for nearly all: headers are precompiled for each
         flags += _compiler_flags_of_long_kernel(kernel)
         kernel.module.options["cpu_compiler_flags"] = " ".join(flags)
     _begun[key] = _workers().submit(
