@@ -165,12 +165,8 @@ def compare_cohorts(
 ) -> list[Difference]:
     names = sorted({name for one in vehicles for name in one.firmware})
     values = {"parameters": ("scale",), "difference": (0.1,), "low": (0.05,), "high": (0.15,)}
-    firmware = (names[0], names[-1])
-    return (
-        [Difference(firmware=firmware, effect="weak_motor", rotor=1, rejected=True, leading=True, **values)]
-        if names[1:]
-        else []
-    )
+    values |= {"firmware": (names[0], names[-1]), "effect": "weak_motor", "rotor": 1}
+    return [Difference(rejected=True, leading=True, **values)] if names[1:] else []
 
 
 def time_to_limit(change: Change, limit: float, parameter: str = "") -> tuple[float, float, float] | None:
