@@ -16,6 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tyro
@@ -27,6 +28,10 @@ from benchmarks.scores.score_loggers import Logger, LoggerScoreCmd
 from benchmarks.scores.score_undeclared import BANDWIDTH_HZ, Job, run_jobs
 from benchmarks.undeclared import LOGGED, make_case
 
+if TYPE_CHECKING:
+    from aerial_gym.config.robot import RobotCfg
+    from aerial_gym.sim2real.logs.flights import Flight
+
 HEADS = ("hidden", "seed", "pass", "strongest effect", "channels above noise", "close-loop", "core-s per min")
 NONE = ("none", "not shown")  # Verdicts of close-loop that name nothing and leave nothing unexplained
 
@@ -36,7 +41,7 @@ def compare_case(job: Job) -> dict[str, object]:
     from aerial_gym.interop import one_thread
     from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.sim2real.flight_evidence.evidence import FlightEvidence, flight_evidences
-    from aerial_gym.sim2real.flight_evidence.verdict import channels_above_noise, verdict_of_sum
+    from aerial_gym.sim2real.flight_evidence.verdict import verdict_of_sum
     from aerial_gym.sim2real.logs.flights import load_train_and_test
     from aerial_gym.sim2real.loop import judge_flights
 
@@ -63,7 +68,7 @@ def compare_case(job: Job) -> dict[str, object]:
             clear = verdict is not None and verdict.is_clearly_none and len(flights) == len(logs)
             with one_thread():
                 loaded = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ)
-                row["above_noise"] = channels_above_noise(robot, *loaded, bandwidth=BANDWIDTH_HZ) if clear else None
+                row["above_noise"] = channels_above_noise(robot, *loaded) if clear else None
                 if clear and not row["above_noise"]:
                     judged = judge_flights(robot, *loaded, bandwidth=BANDWIDTH_HZ).verdict
                     names = [one.name for one in judged.effects if one.material]
@@ -71,6 +76,43 @@ def compare_case(job: Job) -> dict[str, object]:
         except Exception as error:  # one bad case must not end a run of hours; it is counted, and not kept
             return {**row, "error": f"{type(error).__name__}: {error}"}
     return {**row, "decided": False}
+
+
+def channels_above_noise(robot: "RobotCfg", train: Sequence["Flight"], test: Sequence["Flight"]) -> list[str]:
+    """Return the channels whose test residual exceeds noise and tolerances, by the rule of ``find_residual_excess``.
+
+    The deviations within the tolerances are those that fit the training flights best. Of each flight's mean, a possible
+    offset is removed.
+    """
+    from aerial_gym.sim2real.flight_evidence.moments import WEIGHINGS
+    from aerial_gym.sim2real.identify.candidates.nuisance import limits_of_flight_offsets
+    from aerial_gym.sim2real.identify.least_squares.derivatives import rms_caused_by_tolerances, tolerance_jacobian
+    from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params
+    from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
+    from aerial_gym.sim2real.identify.stages import prepare_comparison
+    from aerial_gym.sim2real.judge.random_wind.gusts import noise_floors_in_declared_wind
+    from aerial_gym.sim2real.judge.residual_excess import (
+        channel_rms,
+        is_judged,
+        is_material_excess,
+        model_with_training_deviations,
+    )
+    from aerial_gym.sim2real.predict.noise_floor import rms_of_noise_floors
+    from aerial_gym.sim2real.predict.tolerances import Tolerances
+
+    setup = prepare_comparison(robot, train, test, bandwidth=BANDWIDTH_HZ, tolerances=Tolerances())
+    floor = rms_of_noise_floors(noise_floors_in_declared_wind(setup.test, setup.params))
+    tolerance = tolerance_jacobian(setup.train, setup.params)
+    tolerated = rms_caused_by_tolerances(tolerance, robot.num_rotors)
+    fit, model = linearise_at_params(setup.train, (), setup.params, tolerance), setup.params
+    for _ in range(WEIGHINGS):
+        weights = inverse_variance_weights(setup.train.residuals(model))
+        model = model_with_training_deviations(setup.params, fit, weights.weight)
+    most = limits_of_flight_offsets(setup.test, tolerated)
+    left = [part - np.clip(part.mean(axis=0), -most, most) for part in setup.test.residuals(model)]
+    excess = is_material_excess(channel_rms(left), floor, tolerated)
+    judged = excess & is_judged(setup.channels, setup.flights)
+    return [channel.name for channel, above in zip(setup.channels, judged, strict=True) if above]
 
 
 def scores(rows: Sequence[dict]) -> dict[str, object]:

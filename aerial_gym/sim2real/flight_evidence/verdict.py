@@ -8,19 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.flight_evidence.columns import candidates_of_columns
 from aerial_gym.sim2real.flight_evidence.evidence import FlightEvidence
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
 from aerial_gym.sim2real.identify.evidence.search import search_sets
-from aerial_gym.sim2real.identify.least_squares.derivatives import rms_caused_by_tolerances, tolerance_jacobian
 from aerial_gym.sim2real.identify.selection.criteria import LEAST_NAMING_ODDS, LEAST_SCORE
-from aerial_gym.sim2real.identify.stages import prepare_comparison
-from aerial_gym.sim2real.judge.random_wind.gusts import noise_floors_in_declared_wind
-from aerial_gym.sim2real.judge.residual_excess import channel_rms, is_judged, is_material_excess
-from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.noise_floor import rms_of_noise_floors
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,16 +38,3 @@ def verdict_of_sum(evidences: Sequence[FlightEvidence]) -> SumVerdict | None:
     inclusion, least = sets.inclusion(), 1.0 / (1.0 + np.exp(-LEAST_NAMING_ODDS))
     best = dict.fromkeys(candidates.exclusive[k] for k in sets.most_probable_set)
     return SumVerdict(effects=tuple(name for name in best if inclusion[name] > least), inclusion=inclusion)
-
-
-def channels_above_noise(
-    robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float,
-    tolerances: Tolerances | None = None,
-) -> list[str]:  # fmt: skip
-    """Return the channels whose test residual exceeds noise and tolerances, as in ``find_residual_excess``."""
-    setup = prepare_comparison(robot, train, test, bandwidth=bandwidth, tolerances=tolerances or Tolerances())
-    floor = rms_of_noise_floors(noise_floors_in_declared_wind(setup.test, setup.params))
-    tolerated = rms_caused_by_tolerances(tolerance_jacobian(setup.train, setup.params), robot.num_rotors)
-    excess = is_material_excess(channel_rms(setup.test.residuals(setup.params)), floor, tolerated)
-    judged = excess & is_judged(setup.channels, setup.flights)
-    return [channel.name for channel, above in zip(setup.channels, judged, strict=True) if above]
