@@ -16,7 +16,7 @@ import numpy as np
 
 import aerial_gym
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import DataError
+from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.arrays import Array
@@ -107,6 +107,9 @@ def flight_evidences(
         return [batch.result(place) for place in range(len(logs))]
 
 
+_Part = tuple[int, int, Flight]  # Place of the log, number and content of a flight of it or a part of one
+
+
 class _Batch:
     """Logs of one robot whose flights are compared together."""
 
@@ -115,60 +118,79 @@ class _Batch:
         self._columns = evidence_columns(robot, tolerances)
         self._candidates = candidates_of_columns(self._columns)
         self._finder = FailureFinder(robot, tolerances=tolerances)
-        self._contents, self._refused = dict[int, LogContent](), dict[int, str]()
-        self._groups = dict[ComparisonSettings, list[tuple[int, int, Flight]]]()
-        self._sums = dict[tuple[int, int], FlightSums]()
+        self._contents, self._reasons = dict[int, LogContent](), dict[int, str]()
+        self._events, self._logs = dict[int, tuple[Finding, ...]](), dict[int, str]()
+        self._groups = dict[ComparisonSettings, list[_Part]]()
+        self._sums = dict[int, dict[int, FlightSums]]()
 
     def add_log(self, place: int, log: str | Path, mapping: LogMapping | None) -> None:
         """Read a log and put its flights into groups."""
+        self._logs[place] = str(log)
         try:
             content = read_log(log, self._robot, mapping, self._bandwidth)
             parts = [part for flight in content.flights for part in flight_parts(flight)]
             settings = [comparison_settings(part, self._bandwidth, self._tolerances) for part in parts]
+            failures = [self._finder.find_first_failure(flight) for flight in content.flights]
         except Exception as error:  # a damaged file can fail anywhere in a reader
-            self._refuse(place, error, log)
+            self._refuse(place, error)
             return
-        self._contents[place] = content
+        left_out = [
+            replace(one, values={"error": self._without_path(place, one.values["error"])}) for one in content.left_out
+        ]
+        self._contents[place], self._sums[place] = replace(content, left_out=tuple(left_out)), {}
+        self._events[place] = tuple(replace(one.finding, subject="") for one in failures if one is not None)
         for number, (part, own) in enumerate(zip(parts, settings, strict=True)):
             self._groups.setdefault(own, []).append((place, number, part))
 
-    def _refuse(self, place: int, error: Exception, log: str | Path) -> None:
-        """Keep the reason against a log, without its path."""
+    def _refuse(self, place: int, error: Exception) -> None:
+        """Keep the reason against a log; raise what is no fault of the log."""
+        if isinstance(error, MissingDependencyError):
+            raise error
         text = str(error) if isinstance(error, DataError) else f"cannot be read ({type(error).__name__}: {error})"
-        self._refused[place] = text.removeprefix(f"{log}: ").replace(str(log), "the log")
+        self._reasons.setdefault(place, self._without_path(place, text))
+
+    def _without_path(self, place: int, text: str) -> str:
+        return text.removeprefix(f"{self._logs[place]}: ").replace(self._logs[place], "the log")
 
     def compare(self) -> None:
         """Compute the sums of all flights, group by group."""
+        for settings, parts in self._groups.items():
+            self._compare_parts(parts, settings)
+
+    def _compare_parts(self, parts: Sequence[_Part], settings: ComparisonSettings) -> None:
+        """Compute the sums of flights with the same settings; one by one if that fails, to find the faulty one."""
         effects = slice(0, len(self._columns) - self._candidates.tolerances.size)
         bounds = self._candidates.low[effects], self._candidates.high[effects]
-        num_rotors = self._robot.num_rotors
-        common = self._tolerances.standard_deviations(num_rotors)
-        for settings, members in self._groups.items():
-            own, left = settings.tolerances.standard_deviations(num_rotors), members
-            for predictor in predictors_of_group(self._robot, [flight for *_, flight in members], settings):
-                sums = sums_of_flights(predictor, bounds)
-                for (place, number, _), one in zip(left, sums, strict=False):
-                    self._sums[place, number] = with_common_tolerances(one, own, common)
-                left = left[len(sums) :]
+        own, common = (
+            one.standard_deviations(self._robot.num_rotors) for one in (settings.tolerances, self._tolerances)
+        )
+        try:
+            predictors = predictors_of_group(self._robot, [flight for *_, flight in parts], settings)
+            sums = [
+                with_common_tolerances(one, own, common) for each in predictors for one in sums_of_flights(each, bounds)
+            ]
+        except Exception as error:
+            for part in parts if len(parts) > 1 else ():
+                self._compare_parts([part], settings)
+            if len(parts) == 1:
+                self._refuse(parts[0][0], error)
+            return
+        for (place, number, _), one in zip(parts, sums, strict=True):
+            self._sums[place][number] = one
 
     def result(self, place: int) -> FlightEvidence | RefusedFlight:
         """Return the evidence of a log, or the reason against it."""
-        if place in self._refused:
-            return RefusedFlight(reason=self._refused[place])
-        content = self._contents[place]
-        first, *more = (
-            one for (owner, _), one in sorted(self._sums.items(), key=lambda item: item[0]) if owner == place
-        )
-        sums = sum(more, first)
-        failures = [self._finder.find_first_failure(flight) for flight in content.flights]
-        identity = content.flights[0].identity
+        if place in self._reasons:
+            return RefusedFlight(reason=self._reasons[place])
+        content, (first, *more) = self._contents[place], (one for _, one in sorted(self._sums[place].items()))
+        sums, identity = sum(more, first), content.flights[0].identity
         notes = dict.fromkeys(note for flight in content.flights for note in flight.notes)
         return FlightEvidence(
             columns=self._columns,
             **vars(sums),
             effects=evidence_of_effects(self._columns, self._candidates, sums),
             checks=(*notes, *content.left_out),
-            events=tuple(replace(one.finding, subject="") for one in failures if one is not None),
+            events=self._events[place],
             duration_s=sum(float(flight.time[-1]) for flight in content.flights),
             airframe=identity.airframe,
             firmware=identity.firmware,

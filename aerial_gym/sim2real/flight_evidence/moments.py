@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.flight_evidence.columns import candidate_points, continuous_places
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
@@ -77,6 +78,8 @@ def _sums_with_weights(
     residual: Array, effects: Sequence[SparseDerivatives], tolerances: Array, bounds: tuple[Array, Array]
 ) -> FlightSums:
     """Return the sums of one flight, with all columns in the order of the derivatives."""
+    if not (np.isfinite(residual).all() and np.isfinite(tolerances).all()):
+        raise DataError("the prediction for it is not finite; check its rotor data")
     moments = moments_by_channel([residual], [[*effects, tolerances]])
     weight = _noise_weights(residual, effects, tolerances, moments, bounds)
     return FlightSums(

@@ -4,7 +4,7 @@ Read one by one, a log decides its own clock offset, command scale and repairs. 
 each flight, and only flights that agree in them, and in the quantities that they hold, form a group.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -90,8 +90,10 @@ def comparison_settings(flight: Flight, bandwidth: float, tolerances: Tolerances
     )
 
 
-def predictors_of_group(robot: RobotCfg, flights: Sequence[Flight], settings: ComparisonSettings) -> list[Predictor]:
-    """Return predictors of consecutive flights with the same settings, each small enough for the processor's cache."""
+def predictors_of_group(
+    robot: RobotCfg, flights: Sequence[Flight], settings: ComparisonSettings
+) -> Iterator[Predictor]:
+    """Yield predictors of consecutive flights with the same settings, each small enough for the processor's cache."""
     rows = [flight.num_rows // row_stride(flight, settings.bandwidth) for flight in flights]
     shared = {"bandwidth": settings.bandwidth, "channels": settings.channels, "tolerances": settings.tolerances}
-    return [Predictor(robot, flights[part], **shared) for part in group_flights(rows)]
+    return (Predictor(robot, flights[part], **shared) for part in group_flights(rows))

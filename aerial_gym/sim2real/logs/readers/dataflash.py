@@ -9,7 +9,7 @@ Log Messages* of its documentation for fields; ``AP_Logger.h``, ``LogEvent``, fo
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -106,7 +106,7 @@ class DataflashReader(LogReader):
             parameters=parameters,
             parameter_changes=changes,
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
-            metadata={"firmware": texts[0][1], "board": _board_text(text for _, text in texts)} if texts else {},
+            metadata=_stated_names([text for _, text in texts]),
             notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),) * (lost >= SMALLEST_DAMAGE),
         )
 
@@ -136,9 +136,10 @@ class DataflashReader(LogReader):
         ]
 
 
-def _board_text(texts: Iterable[str]) -> str:
-    """Return the text that names the board with its serial number of three words; empty without one."""
-    return next((text for text in texts if re.search(r"[0-9A-F]{8} [0-9A-F]{8} [0-9A-F]{8}$", text.strip())), "")
+def _stated_names(texts: Sequence[str]) -> dict[str, str]:
+    """Return the firmware, which is the first text, and the board with its serial number of three words, if stated."""
+    boards = [text for text in texts if re.search(r"[0-9A-F]{8} [0-9A-F]{8} [0-9A-F]{8}$", text.strip())]
+    return {name: some[0] for name, some in (("firmware", texts), ("board", boards)) if some}
 
 
 def _parameters_and_changes(

@@ -1,5 +1,6 @@
 """Evidence of single flights: independent of the batch, additive, and complete for bad logs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.catalog import robot_by_name
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.flight_evidence import evidence
 from aerial_gym.sim2real.flight_evidence.columns import evidence_columns
 from aerial_gym.sim2real.flight_evidence.evidence import (
     FlightEvidence,
@@ -15,6 +18,10 @@ from aerial_gym.sim2real.flight_evidence.evidence import (
     flight_evidences,
     model_version,
 )
+from aerial_gym.sim2real.flight_evidence.moments import FlightSums, sums_of_flights
+from aerial_gym.sim2real.flight_evidence.reading import LONGEST_PART_S, flight_parts
+from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
 
@@ -112,3 +119,26 @@ def test_the_version_of_the_model_names_the_source() -> None:
     number, _, digest = model_version().partition("+")
     assert number[0].isdigit()
     assert len(digest) == 12
+
+
+def test_a_flight_that_cannot_be_predicted_refuses_its_log_alone(
+    case: Case, results: list[FlightEvidence | RefusedFlight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def sums_or_error(predictor: Predictor, bounds: tuple[Array, Array]) -> list[FlightSums]:
+        if any(flight.name == "train_2" for flight in predictor.flights):
+            raise ValueError("a fault of this flight")
+        return sums_of_flights(predictor, bounds)
+
+    monkeypatch.setattr(evidence, "sums_of_flights", sums_or_error)
+    robot, logs = case
+    first, second = flight_evidences(robot, logs[:2])
+    assert_same(first, results[0])
+    assert second == RefusedFlight(reason="cannot be read (ValueError: a fault of this flight)")
+
+
+def test_a_long_flight_is_compared_in_parts_of_equal_length(case: Case) -> None:
+    (flight,) = load_flights([case[1][0]], case[0], mapping=None, bandwidth=10.0)
+    parts = flight_parts(replace(flight, time=flight.time * (700.0 / flight.time[-1])))
+    assert len(parts) == 3
+    assert all(part.time[0] == 0.0 and part.time[-1] < LONGEST_PART_S for part in parts)
+    np.testing.assert_array_equal(np.concatenate([part.ang_vel for part in parts]), flight.ang_vel)
