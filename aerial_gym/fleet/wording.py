@@ -19,11 +19,11 @@ def text_of_change(result: ChangeResult, vehicle: str) -> str:
     odd = "" if result.odd_flight is None else f"; flight {result.odd_flight + 1} deviates alone"
     if not result.causes:
         return f"vehicle {vehicle}: too few flights to judge a change{odd}"
-    best, *others = result.candidates
+    best, *alternatives = result.candidates
     text = f"vehicle {vehicle}{_rotor_text(best)}: {_size_text(best)} {_onset_text(best)}"
     if result.firmware_change:
         text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
-    names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in others]
+    names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in alternatives]
     return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + odd
 
 

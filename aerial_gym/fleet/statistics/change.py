@@ -98,8 +98,7 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
         searches.append(search.without_change(table))
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
     if odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS:
-        others = np.delete(np.arange(result.flights), number)
-        rest = find_change(model, flights.select(others), columns)
+        rest = find_change(model, flights.select(np.delete(np.arange(result.flights), number)), columns)
         return replace(
             rest,
             flights=result.flights,
@@ -152,21 +151,21 @@ class ChangeSearch:
 
     def log_e(self, table: Array, var_flight: Array) -> float:
         """Return the log evidence of a change that remains without its most telling flight and with uncertain scatter."""
-        part, count = self.likely(logsumexp(table, axis=(0, 1))), self.time.size
+        part, count = self.search_of_candidates(logsumexp(table, axis=(0, 1))), self.time.size
         if count < FEWEST_FLIGHTS:
             return min(float(logsumexp(table)), 0.0)
-        parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.telling_flights(table)]
+        parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.flights_in_support(table)]
         return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence) for one in parts)
 
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
         """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
         table = self.log_evidence_of_flights()
         if (log_e := float(logsumexp(table))) > ODD_LOG_E:
-            part = self.likely(logsumexp(table, axis=0))
+            part = self.search_of_candidates(logsumexp(table, axis=0))
             log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)
         return log_e, int(table.max(axis=1).argmax())
 
-    def likely(self, log_evidence: Array) -> "ChangeSearch":
+    def search_of_candidates(self, log_evidence: Array) -> "ChangeSearch":
         """Return the search of the hypotheses that are not told apart from the best one, by evidence (H,)."""
         return replace(
             self, hypotheses=self.hypotheses.select(np.flatnonzero(log_evidence >= log_evidence.max() - AMBIGUOUS))
@@ -193,7 +192,7 @@ class ChangeSearch:
         steady, factors = CubicSpline(logs, steady)(fine), CubicSpline(logs, factors)(fine)
         return float(logsumexp(steady + factors) - logsumexp(steady))
 
-    def telling_flights(self, table: Array) -> list[int]:
+    def flights_in_support(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
         base, change, shift = self._best_change(table)
         gain = self._log_likelihood(base + shift + change) - self._log_likelihood(base)

@@ -54,8 +54,8 @@ def compare_cohorts(
     Vehicles are read one at a time, once for each version; flights of unknown firmware are left out.
     """
     counts = Counter(name for one in vehicles for name in one.firmware if name)
-    reference, *others = sorted(counts, key=lambda name: (-counts[name], name)) or [""]
-    rows = [row for other in others for row in _differences(model, vehicles, columns, (reference, other))]
+    reference, *versions = sorted(counts, key=lambda name: (-counts[name], name)) or [""]
+    rows = [row for version in versions for row in _differences(model, vehicles, columns, (reference, version))]
     rejected = benjamini_hochberg(np.array([row.log_e for row in rows]), level)
     rows = [replace(row, rejected=bool(is_rejected)) for row, is_rejected in zip(rows, rejected, strict=True)]
     return sorted(rows, key=lambda row: -row.log_e)
