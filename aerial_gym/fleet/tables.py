@@ -102,7 +102,9 @@ class FleetTables:
         """
         new, data = _table(name, rows), self.dataset(name)
         batches = chain(data.to_batches(filter=~where), new.to_batches())
-        stream = pa.RecordBatchReader.from_batches(data.schema, (batch.cast(data.schema) for batch in batches))
+        stream = pa.RecordBatchReader.from_batches(
+            data.schema, (batch.select(data.schema.names).cast(data.schema) for batch in batches)
+        )
         write_deltalake(self.out / name, stream, mode="overwrite", writer_properties=_FILE_ROWS)
 
     def columns_by_digest(self) -> dict[str, Any]:
