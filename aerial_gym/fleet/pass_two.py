@@ -219,7 +219,7 @@ def judge_fleet(
     total = sum(map(len, groups.values())) if only is None else len(only)
     for group, flights in groups.items():
         reader = VehicleReader(out=tables.out, group=group, columns=columns_of_digest(tables, group.digest))
-        model = None if only is None else _stored_model(reader, sum(flights.values()), module)
+        model = None if only is None else _model_on_disk(reader, sum(flights.values()), module)
         if model is None:
             drawn = [reader.read([name], module, FIT_FLIGHTS) for name in module.draw_vehicles(flights)]
             sample = [one for part in drawn for one, _, _ in part]
@@ -247,7 +247,7 @@ def judge_fleet(
     return verdicts
 
 
-def _stored_model(reader: VehicleReader, flights: int, module: Any) -> Any:
+def _model_on_disk(reader: VehicleReader, flights: int, module: Any) -> Any:
     """Return the stored model of a group; None if the number of flights has doubled since, which bounds age and effort."""
     file = reader.model_file()
     if not file.is_file():

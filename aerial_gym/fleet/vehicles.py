@@ -122,7 +122,7 @@ def robot_hash(robot: RobotCfg) -> str:
 
 
 def try_read(read: Callable[[], T], faults: list[str]) -> T | None:
-    """Return what a function reads; None if it cannot be read, and the reason is appended to ``faults``."""
+    """Return the result of ``read``; None if it fails, with the reason appended to ``faults``."""
     try:
         return read()
     except (AerialGymError, OSError) as error:

@@ -85,7 +85,7 @@ def run_with_kills(
     return killed, drivers
 
 
-def workers_of(driver: psutil.Popen) -> list[psutil.Process]:
+def worker_processes(driver: psutil.Popen) -> list[psutil.Process]:
     """Return the processes of Ray that run batches."""
     try:
         return [one for one in driver.children(recursive=True) if "MapWorker" in "".join(one.cmdline())]
@@ -97,7 +97,7 @@ def _wait_for_workers(driver: psutil.Popen) -> list[psutil.Process]:
     """Return the workers as soon as there are any; none if the program has ended."""
     start = time.monotonic()
     while driver.poll() is None and time.monotonic() - start < LONGEST_START_S:
-        if workers := workers_of(driver):
+        if workers := worker_processes(driver):
             return workers
         time.sleep(0.2)
     return []

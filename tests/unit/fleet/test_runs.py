@@ -54,7 +54,7 @@ def test_second_run_reads_no_log_and_changes_no_table(tmp_path: Path, monkeypatc
 def test_interrupted_run_keeps_its_rows_and_continues(tmp_path: Path) -> None:
     """The engine stops after two batches, of which the rows are written; evidence without its flight is deleted."""
 
-    def interrupted(batches: Any, make_worker: Any) -> Any:
+    def break_off(batches: Any, make_worker: Any) -> Any:
         for number, result in enumerate(run_serially(batches, make_worker)):
             if number == 2:
                 raise KeyboardInterrupt
@@ -63,7 +63,7 @@ def test_interrupted_run_keeps_its_rows_and_continues(tmp_path: Path) -> None:
     write_fleet(tmp_path / "logs", vehicles=4, flights=12, changed=[2])
     run(tmp_path / "logs", tmp_path / "calm")
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "logs", tmp_path / "out", interrupted)
+        run(tmp_path / "logs", tmp_path / "out", break_off)
     assert len(rows(tmp_path / "out", "flights")) == 2 * run_module.BATCH
     lost = {**rows(tmp_path / "calm", "evidence")[-1]}
     FleetTables(tmp_path / "out").append("evidence", [lost])
