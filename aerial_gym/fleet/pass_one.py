@@ -121,7 +121,7 @@ class PassOne:
         digest = hash_of_log(path)
         if self._fleet.robot_needs_airframe(reference.path):
             with suppress(AerialGymError):  # pass 1 states the reason
-                airframe = getattr(self._module, "log_airframe", lambda _: "")(path)
+                airframe = self._module.log_airframe(path)
         robot = self._fleet.assign(reference.path, airframe)[1]
         return _LocalLog(reference=reference, path=path, log_hash=digest, airframe=airframe, robot=robot)
 

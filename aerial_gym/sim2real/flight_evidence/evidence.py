@@ -35,6 +35,8 @@ from aerial_gym.sim2real.flight_evidence.reading import (
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, NormalEquations, log_evidences, posterior
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.logs.flights import Flight, check_bandwidth
+from aerial_gym.sim2real.logs.identity import log_identity
+from aerial_gym.sim2real.logs.readers.log_readers import read_raw_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
@@ -216,6 +218,12 @@ def evidence_of_effects(
         cov = tuple((np.outer(scale, scale) * best.covariance).ravel().tolist())
         results.append(EffectEvidence(**owner, params=params, cov=cov, score=log - none - cost))
     return tuple(results)
+
+
+def log_airframe(log: str | Path) -> str:
+    """Return the identity of the vehicle that a log states; empty if it states none."""
+    raw = read_raw_log(Path(log))
+    return "" if raw is None else log_identity(raw, 0.0).airframe
 
 
 @cache

@@ -1,12 +1,14 @@
 """Stores of logs, the rules that assign them to vehicles, queries, watching and webhooks."""
 
 import json
+import struct
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import fsspec
+import numpy as np
 import pytest
 
 from aerial_gym.cli.fleet import print_summary
@@ -18,9 +20,11 @@ from aerial_gym.fleet.sources import LogStore, hash_of_log
 from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules, load_fleet
 from aerial_gym.fleet.watch import watch_fleet
+from aerial_gym.sim2real.flight_evidence.evidence import log_airframe
 from benchmarks.fleet.kills import table_contents
 from tests.unit.fleet.fake_passes import write_fleet, write_log
 from tests.unit.fleet.runs import request, run, small_fleet
+from tests.unit.sim2real.ulog_files import write_ulog
 
 
 def test_logs_come_in_natural_order_without_other_files(tmp_path: Path) -> None:
@@ -108,6 +112,20 @@ def test_first_rule_that_matches_names_the_vehicle(path: str, airframe: str, veh
         VehicleRule(airframe="a.c", vehicle="ABC"),
     )
     assert small_fleet(VehicleRules(rules=rules)).assign(path, airframe) == (vehicle, "quad")
+
+
+def test_airframe_is_the_identity_that_a_log_states(tmp_path: Path) -> None:
+    """It decides the robot file before pass 1: ``sys_uuid`` of a ULog file, nothing in a CSV file."""
+    battery = {
+        "timestamp": np.arange(1, 20, dtype=np.uint64) * 100000,
+        "voltage_v": np.full(19, 12.0, dtype=np.float32),
+    }
+    log, key = write_ulog(tmp_path / "log.ulg", {"battery_status": battery}), b"char[3] sys_uuid"
+    text = bytes([len(key)]) + key + b"A7x"
+    log.write_bytes(log.read_bytes() + struct.pack("<HB", len(text), ord("I")) + text)
+    assert log_airframe(log) == "A7x"
+    (tmp_path / "log.csv").write_text("t,q_x\n0,1\n", encoding="utf-8")
+    assert log_airframe(tmp_path / "log.csv") == ""
 
 
 def test_all_faults_of_robots_and_rules_come_at_once(tmp_path: Path) -> None:
