@@ -10,8 +10,8 @@ pytest.importorskip("duckdb", reason="duckdb is not installed")
 
 from tests.browser.conftest import PageRecord
 from tests.browser.test_pages import CONTRASTS, LEAST_CONTRAST
-from tests.unit.fleet.page.conftest import serve_tables
 from tests.unit.fleet.page.fleet_tables import HOSTILE, write_fleet
+from tests.unit.fleet.page.servers import serve_tables
 
 pytestmark = pytest.mark.slow
 

@@ -4,12 +4,12 @@ import json
 import shlex
 from collections.abc import Mapping
 from itertools import pairwise
-from math import isfinite, log
+from math import isfinite
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from aerial_gym.fleet.page.snapshot import Row, Snapshot
+from aerial_gym.fleet.page.snapshot import FleetSnapshot, Row
 from aerial_gym.fleet.page.texts import HALF_95, cause_name, change_text, interval_text, unit_text
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording import text
@@ -17,7 +17,6 @@ from aerial_gym.sim2real.wording.words import value_text
 
 PAGE_ROWS = 50  # Rows of a table on one page
 TRAIN_FLIGHTS = 6  # Flights that the suggested close-loop is fitted to
-AMBIGUOUS = log(20.0)  # Log odds within which causes are not told apart
 
 VERDICTS = {
     "changed": "changed", "ambiguous": "changed, cause ambiguous", "no_change": "no change shown",
@@ -39,7 +38,7 @@ Options = Mapping[str, str]  # Options of an address
 Content = dict[str, Any]
 
 
-def fleet_content(snapshot: Snapshot, _: str, options: Options) -> Content:
+def fleet_content(snapshot: FleetSnapshot, _: str, options: Options) -> Content:
     """Return the fleet at a glance, and a page of its vehicles: ``verdict``, ``text``, ``sort``, ``down``, ``page``."""
     counts = snapshot.rows("SELECT verdict, count(*) AS vehicles FROM current GROUP BY verdict")
     content = snapshot.row("FROM totals") or {}
@@ -54,47 +53,47 @@ def fleet_content(snapshot: Snapshot, _: str, options: Options) -> Content:
     }
     chosen["down"] = options.get("down", "1" if sort == "evidence" else "0")
     filters = (chosen["verdict"], chosen["text"])
-    found = (snapshot.row(f"SELECT count(*) AS vehicles {CHOSEN}", *filters) or {})["vehicles"]
+    matches = (snapshot.row(f"SELECT count(*) AS vehicles {CHOSEN}", *filters) or {})["vehicles"]
     first, way = ("rejected DESC, ", "DESC") if chosen["down"] == "1" else ("", "ASC")
     order = f"{first if sort == 'evidence' else ''}{SORTS[sort]} {way} NULLS LAST, vehicle"
-    page = _pages(found, options)
+    page = _pages(matches, options)
     limit = f"LIMIT {PAGE_ROWS} OFFSET {PAGE_ROWS * (page['page'] - 1)}"
     rows = snapshot.rows(f"SELECT * EXCLUDE (causes) {CHOSEN} ORDER BY {order} {limit}", *filters)
-    return content | page | {"vehicles": rows, "found": found, "chosen": chosen}
+    return content | page | {"vehicles": rows, "matches": matches, "chosen": chosen}
 
 
-def vehicle_content(snapshot: Snapshot, vehicle: str, options: Options) -> Content | None:
+def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> Content | None:
     """Return the verdict, causes, effects and flights of a vehicle; None for an unknown one."""
     own = snapshot.row("FROM current WHERE vehicle = ?", vehicle)
     if own is None:
         return None
-    flights, causes = flights_of(snapshot, own), json.loads(own["causes"])
+    flights, causes = vehicle_flights(snapshot, own), json.loads(own["causes"])
     for cause in causes:
         cause |= {"name": cause_name(cause), "size": change_text(cause)}
-        cause["candidate"] = bool(own["rejected"]) and cause["log_evidence"] >= causes[0]["log_evidence"] - AMBIGUOUS
+        cause["candidate"] &= own["rejected"]
     page = _pages(len(flights), options)
     end = len(flights) - PAGE_ROWS * (page["page"] - 1)
     pairs = [pair for pair in pairwise(flights) if pair[0]["firmware"] != pair[1]["firmware"]]
     updates = [{"number": b["number"], "before": a["firmware"], "after": b["firmware"]} for a, b in pairs]
     return own | page | {
-        "causes": causes, "effects": effects_of(snapshot, own, flights, causes), "updates": updates, "all_flights": flights,
-        "timed": all(isfinite(flight["start_time"]) for flight in flights),
+        "causes": causes, "effects": effect_histories(snapshot, own, flights, causes), "updates": updates,
+        "all_flights": flights, "timed": all(isfinite(flight["start_time"]) for flight in flights),
         "shown_flights": flights[max(end - PAGE_ROWS, 0) : end][::-1],
         "report": report_link(snapshot.out, own, flights, len(flights)),
     }  # fmt: skip
 
 
-def flights_of(snapshot: Snapshot, own: Row) -> list[Row]:
+def vehicle_flights(snapshot: FleetSnapshot, own: Row) -> list[Row]:
     """Return the flights of a vehicle that the verdict rests on, numbered from 1 in their order."""
     names = "log_hash, path, firmware, start_time, duration_s, columns"
     sql = f"""SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY "order", path, log_hash"""
     return [{"number": number} | row for number, row in enumerate(snapshot.rows(sql, *_key(own)), 1)]
 
 
-def effects_of(snapshot: Snapshot, own: Row, flights: list[Row], causes: list[Row]) -> list[Content]:
+def effect_histories(snapshot: FleetSnapshot, own: Row, flights: list[Row], causes: list[Row]) -> list[Content]:
     """Return the history of each effect: candidate causes first, then by the summed evidence of the flights."""
     known, effects = {flight["log_hash"]: flight for flight in flights}, dict[tuple[str, int], Content]()
-    for row in snapshot.rows(f"FROM histories WHERE {OWN}", *_key(own)):
+    for row in snapshot.rows(f"FROM histories WHERE {OWN} ORDER BY log_hash", *_key(own)):
         if flight := known.get(row["log_hash"]):
             one = {"effect": row["effect"], "rotor": row["rotor"], "name": cause_name(row), "score": 0.0, "history": []}
             one = effects.setdefault((row["effect"], row["rotor"]), one | {"fleet": {}})
@@ -116,7 +115,7 @@ def effects_of(snapshot: Snapshot, own: Row, flights: list[Row], causes: list[Ro
     return [effects[key] for key in order]
 
 
-def flight_content(snapshot: Snapshot, log_hash: str, _: Options) -> Content | None:
+def flight_content(snapshot: FleetSnapshot, log_hash: str, _: Options) -> Content | None:
     """Return the checks, events and evidence of a flight; None for an unknown one."""
     same = "USING (log_hash, robot_hash, model_version)"
     sql = f"SELECT newest.*, checks, events FROM newest JOIN flights {same} WHERE log_hash = ?"
@@ -131,7 +130,7 @@ def flight_content(snapshot: Snapshot, log_hash: str, _: Options) -> Content | N
         row |= {"name": cause_name(row), "parameters": snapshot.parameters(row, flight["columns"])}
         for one in row["parameters"]:
             one["text"] = interval_text(one["value"], one["std"], unit_text(row["effect"], one["name"]))
-    flights = flights_of(snapshot, flight)
+    flights = vehicle_flights(snapshot, flight)
     number = next((one["number"] for one in flights if one["log_hash"] == log_hash), 0)
     current = snapshot.row("FROM current WHERE vehicle = ?", flight["vehicle"]) or flight
     return flight | {

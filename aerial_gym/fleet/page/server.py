@@ -11,10 +11,8 @@ from functools import cached_property
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, quote, unquote, urlencode, urlsplit
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.fleet.page import content as contents
@@ -23,6 +21,9 @@ from aerial_gym.fleet.page.snapshot import TEMPLATES, FleetStore
 from aerial_gym.fleet.page.texts import time_text
 from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 from aerial_gym.sim2real.report import canvas
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 LOOPBACK = "127.0.0.1"
 REPORT_STYLE = Path(canvas.__file__).parent / "templates" / "page.css"
@@ -65,11 +66,14 @@ class PageServer(ThreadingHTTPServer):
             raise ConfigError(
                 f"cannot listen on {LOOPBACK}, port {port}: {reason}. Choose another with --port"
             ) from None
-        self.address = f"http://{LOOPBACK}:{self.server_port}/"
+        self.hosts = (f"{LOOPBACK}:{self.server_port}", f"localhost:{self.server_port}")
+        self.address = f"http://{self.hosts[0]}/"
 
     @cached_property
-    def templates(self) -> Environment:
+    def templates(self) -> "Environment":
         """Return the templates of pages, which escape every text."""
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
         loader = FileSystemLoader(TEMPLATES)
         pages = Environment(
             loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -101,9 +105,7 @@ class _Handler(BaseHTTPRequestHandler):
         parts = [unquote(part) for part in address.path.strip("/").split("/")]
         as_json = parts[0] == "api"
         with suppress(ConnectionError, TimeoutError):  # the browser went away
-            if self.headers.get("Host") not in (
-                f"{name}:{self.server.server_port}" for name in (LOOPBACK, "localhost")
-            ):
+            if self.headers.get("Host") not in self.server.hosts:
                 # The page of another site, whose name leads here, must not read the tables (DNS rebinding)
                 return self._send_problem(HTTPStatus.FORBIDDEN, f"Open {self.server.address}", as_json)
             try:

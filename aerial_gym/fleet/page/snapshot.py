@@ -5,13 +5,14 @@ from functools import cached_property
 from math import inf, sqrt
 from pathlib import Path
 from threading import Lock
-from typing import Any
-
-import duckdb
-from deltalake import DeltaTable
+from typing import TYPE_CHECKING, Any
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.extras import optional_import
 from aerial_gym.fleet.page.texts import cause_name, change_in_scales, change_text
+
+if TYPE_CHECKING:
+    from deltalake import DeltaTable
 
 Row = dict[str, Any]
 
@@ -19,10 +20,13 @@ TABLES = ("flights", "evidence", "vehicles", "verdicts")
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-class Snapshot:
+class FleetSnapshot:
     """One version of each table in a database in memory, which reads nothing else."""
 
-    def __init__(self, out: Path, tables: dict[str, DeltaTable]) -> None:
+    def __init__(self, out: Path, tables: "dict[str, DeltaTable]") -> None:
+        with optional_import("fleet view"):
+            import duckdb
+
         self.out, self._lock, self._database = out, Lock(), duckdb.connect(":memory:")
         for name, table in tables.items():
             self._database.register(name, table.to_pyarrow_dataset())
@@ -68,17 +72,20 @@ class FleetStore:
 
     def __init__(self, out: Path) -> None:
         """Raise ``ConfigError`` if the folder holds no tables of a fleet."""
+        with optional_import("fleet view"):
+            from deltalake import DeltaTable
+
         if not (out / "fleet.json").is_file():
             raise ConfigError(f"{out}: holds no fleet tables. Make them with: aerial-gym fleet run --out {out}")
         self.out, self._lock, self._versions = out, Lock(), [-1]
         self._tables = {name: DeltaTable(out / name) for name in TABLES}
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> FleetSnapshot:
         """Return the present state of the tables."""
         with self._lock:
             for table in self._tables.values():
                 table.update_incremental()
             versions = [table.version() for table in self._tables.values()]
             if versions != self._versions:
-                self._snapshot, self._versions = Snapshot(self.out, self._tables), versions
+                self._snapshot, self._versions = FleetSnapshot(self.out, self._tables), versions
             return self._snapshot

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from math import isfinite
 from typing import Any
 
 from aerial_gym.physics import EFFECTS
@@ -58,5 +57,6 @@ def change_in_scales(cause: Cause) -> float:
 
 def time_text(seconds: float | None) -> str:
     """Return a Unix time as date and time; empty if it is not known."""
-    known = seconds is not None and isfinite(seconds) and 0.0 <= seconds < 253402300800.0  # Year 10000
-    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M UTC") if known else ""
+    if seconds is None or not 0.0 <= seconds < 253402300800.0:  # Year 10000; NaN fails as well
+        return ""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M UTC")

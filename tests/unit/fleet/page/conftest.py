@@ -1,76 +1,8 @@
-"""A server of the pages of an invented fleet."""
+"""Tests of the pages need two packages of the extra ``fleet``."""
 
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from http.client import HTTPConnection, HTTPResponse
-from pathlib import Path
-from threading import Thread
-from typing import Any
+from importlib.util import find_spec
 
-import pytest
-
-pytest.importorskip("deltalake", reason="deltalake is not installed")
-pytest.importorskip("duckdb", reason="duckdb is not installed")
-
-from aerial_gym.fleet.page.server import PageServer
-from tests.unit.fleet.page.fleet_tables import HOSTILE, write_fleet
-
-VEHICLES = ["alpha", "bravo", f"x{HOSTILE}", "../up", *(f"v{n}" for n in range(60))]
-FLIGHTS = 12
-
-
-class Client:
-    """Requests to a server."""
-
-    def __init__(self, server: PageServer) -> None:
-        self.server = server
-
-    def request(self, path: str, method: str = "GET", **headers: str) -> HTTPResponse:
-        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=60)
-        connection.request(method, path, headers=headers)
-        return connection.getresponse()
-
-    def page(self, path: str) -> str:
-        response = self.request(path)
-        body = response.read().decode()
-        assert response.status == 200, body
-        return body
-
-    def json(self, path: str) -> Any:
-        return json.loads(self.page(f"/api/{path}"))
-
-
-@contextmanager
-def serve_tables(out: Path) -> Iterator[Client]:
-    """Yield a client of a server of a folder of tables."""
-    with PageServer(out, 0) as server:
-        thread = Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            yield Client(server)
-        finally:
-            server.shutdown()
-            thread.join()
-
-
-@pytest.fixture(scope="session")
-def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the tables of 64 vehicles with 12 flights each, and three refused logs."""
-    return write_fleet(tmp_path_factory.mktemp("fleet"), VEHICLES, FLIGHTS)
-
-
-@pytest.fixture(scope="session")
-def client(fleet: Path) -> Iterator[Client]:
-    """Return a client of a server of these tables."""
-    with serve_tables(fleet) as one:
-        yield one
-
-
-@pytest.fixture
-def open_tables() -> Iterator[Callable[[Path], Client]]:
-    """Return a function that serves a folder of tables until the test ends."""
-    from contextlib import ExitStack
-
-    with ExitStack() as servers:
-        yield lambda out: servers.enter_context(serve_tables(out))
+if find_spec("deltalake") is None or find_spec("duckdb") is None:
+    collect_ignore_glob = ["test_*.py"]
+else:
+    from tests.unit.fleet.page.servers import client, fleet, open_tables  # noqa: F401

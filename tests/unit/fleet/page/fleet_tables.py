@@ -154,7 +154,7 @@ def cause(effect: str, kind: str, log_evidence: float, onset: int, change: dict[
     neutral = {name: mean for (own, _), parameters in EFFECTS.items() if own == effect for name, _, mean in parameters}
     return {
         "effect": effect, "rotor": 3 if effect == "weak_motor" else 0, "start": 0, "kind": kind, "log_evidence": log_evidence,
-        "onset": onset, "onset_low": onset - 1, "onset_high": onset + 1,
+        "onset": onset, "onset_low": onset - 1, "onset_high": onset + 1, "candidate": True,
         "parameters": list(change), "change": list(change.values()),
         "std": [std] * len(change), "level": [neutral[name] + size for name, size in change.items()],
     }  # fmt: skip
@@ -178,7 +178,7 @@ def verdict_row(place: int, vehicle: str, onset: int, flights: int) -> Row:
         cause("weak_motor", "step", 24.3, onset, {"scale": -0.031}, 0.003),
         f"rotor 3: -3.1 % (± 0.6 %) thrust since flight {onset + 1}",
     )
-    causes = [step, cause("payload_mass", "step", 9.1, onset, {"dm": 0.02}, 0.004)]
+    causes = [step, cause("payload_mass", "step", 9.1, onset, {"dm": 0.02}, 0.004) | {"candidate": False}]
     if place == 1:
         causes = [cause("com_offset", "drift", 14.2, onset, {"x": 0.006, "y": 1e-4, "z": 0.0}, 0.0004)]
         causes.append(cause("payload_mass", "drift", 12.9, onset, {"dm": 0.03}, 0.006))

@@ -20,7 +20,7 @@ def vehicle(kind: str, *, std: float = 0.01) -> dict[str, Any]:
     band = {"scale": {"low": 0.99, "median": 1.0, "high": 1.01, "vehicles": 40}}
     effect = {"effect": "weak_motor", "rotor": 3, "name": "weak motor, rotor 3", "history": history, "fleet": band}
     flights = [{"number": n, "start_time": 86400.0 * n * n} for n in range(1, 9)]
-    causes = [cause("weak_motor", kind, 20.0, 5, {"scale": -0.05}, 0.004) | {"candidate": True}]
+    causes = [cause("weak_motor", kind, 20.0, 5, {"scale": -0.05}, 0.004)]
     return {"all_flights": flights, "effects": [effect], "causes": causes, "updates": [{"number": 4}], "timed": True}
 
 

@@ -9,8 +9,8 @@ from urllib.parse import quote, urlencode
 import numpy as np
 import pytest
 
-from tests.unit.fleet.page.conftest import FLIGHTS, VEHICLES, Client
 from tests.unit.fleet.page.fleet_tables import add_rows, flight_row, make_tables, verdict_row, write_fleet
+from tests.unit.fleet.page.servers import FLIGHTS, VEHICLES, Client
 
 Open = Callable[[Path], Client]
 COLUMN = {
@@ -69,16 +69,16 @@ def test_sizes_are_sorted_in_units_of_each_effect(client: Client) -> None:
 @pytest.mark.parametrize(
     ("options", "names"),
     [
-        ({"text": "ALPH"}, {"alpha"}), ({"text": "rotor 3"}, {"alpha"}), ({"verdict": "ambiguous"}, {"bravo"}),
+        ({"text": "ALPHA"}, {"alpha"}), ({"text": "rotor 3"}, {"alpha"}), ({"verdict": "ambiguous"}, {"bravo"}),
         ({"text": "%"}, set()), ({"text": "script"}, {"alpha", "bravo", VEHICLES[2]}),
         ({"text": "v5", "verdict": "changed"}, set()),
     ],
 )  # fmt: skip
 def test_filters_are_plain_texts(client: Client, options: dict[str, str], names: set[str]) -> None:
-    found = client.json(f"fleet?{urlencode(options)}")
-    rows = {row["vehicle"] for row in found["vehicles"]}
+    table = client.json(f"fleet?{urlencode(options)}")
+    rows = {row["vehicle"] for row in table["vehicles"]}
     assert rows - {VEHICLES[1]} == names - {VEHICLES[1]}
-    assert found["found"] == len(rows)
+    assert table["matches"] == len(rows)
 
 
 def test_a_page_of_5000_vehicles_is_as_small_as_one_of_100(tmp_path: Path, open_tables: Open) -> None:

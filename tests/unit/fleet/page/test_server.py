@@ -11,8 +11,8 @@ from deltalake import DeltaTable, write_deltalake
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.fleet.page.server import PageServer
-from tests.unit.fleet.page.conftest import FLIGHTS, VEHICLES, Client
 from tests.unit.fleet.page.fleet_tables import HOSTILE, add_rows, flight_row, make_tables, verdict_row, write_fleet
+from tests.unit.fleet.page.servers import FLIGHTS, VEHICLES, Client
 
 Open = Callable[[Path], Client]
 PATHS = ("/", "/vehicles/alpha", f"/vehicles/{quote(VEHICLES[2], safe='')}", "/flights/0000000011", "/flights/bad2")
@@ -81,6 +81,7 @@ def test_only_reports_in_their_folder_are_served(tmp_path: Path, open_tables: Op
         response = client.request(f"/vehicles/{quote(name, safe='')}/report")
         assert response.status == 404, name
         assert b"secret" not in response.read()
+    assert client.json("vehicles/%2E%2E")["report"]["exists"] is False
     assert client.request("/../fleet.json").status == 404
     assert client.request("/style.css/../../server.py").status == 404
 

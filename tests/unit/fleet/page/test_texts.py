@@ -15,6 +15,7 @@ def test_changes_of_ratios_are_in_per_cent_and_the_most_certain_parameter_is_fir
     shift = cause("com_offset", "step", 9.0, 5, {"x": 0.001, "y": -0.004, "z": 0.0}, 0.001)
     assert change_text(shift) == "y -0.0040 ± 0.0020 m; x +0.0010 ± 0.0020 m; z 0.0000 ± 0.0020 m"
     assert change_text(shift, most=1) == "y -0.0040 ± 0.0020 m"
+    assert change_text(shift | {"std": [1e-4, 0.01, 0.01]}, most=1) == "x +0.00100 ± 0.00020 m"
     assert change_in_scales(shift) == pytest.approx(0.8)
 
 
