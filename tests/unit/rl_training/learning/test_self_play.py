@@ -62,7 +62,7 @@ def test_the_kept_policies_are_a_uniform_sample_of_all() -> None:
         for number in range(n):
             policy.head.bias.data.fill_(number)
             pool.update(torch.tensor(True), generator)
-        counts[pool.state_tensors()["kept.policy.head.bias"][1:, 0].long()] += 1
+        counts[pool.state_tensors()["kept.head.bias"][1:, 0].long()] += 1
     share = size / n
     assert (counts - trials * share).abs().max() < 4.0 * (trials * share * (1.0 - share)) ** 0.5
 

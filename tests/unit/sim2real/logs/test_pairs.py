@@ -77,12 +77,12 @@ def test_local_frames_are_joined_by_their_origins(logs: tuple[Path, Path], monke
     def read(paths: list, mapping: object) -> list:
         return [replace(log, origin=origins[Path(log.path).stem]) for log in read_flights(paths, mapping=mapping)]
 
-    def flight_of(opened: LogFlights, number: int | None) -> FlightLog:
+    def with_origin(opened: LogFlights, number: int | None) -> FlightLog:
         return replace(original(opened, number), origin=origins[Path(opened.raw.path).stem])
 
     original = LogFlights.flight
     monkeypatch.setattr("aerial_gym.sim2real.logs.pairs.read_flights", read)
-    monkeypatch.setattr(LogFlights, "flight", flight_of)
+    monkeypatch.setattr(LogFlights, "flight", with_origin)
     origins.update(one=first, two=second)
     one, two = load(logs)
     np.testing.assert_allclose(
