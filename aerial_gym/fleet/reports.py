@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import quote
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.errors import AerialGymError
 from aerial_gym.fleet.engine import Engine
+from aerial_gym.fleet.report_folder import report_folder
 from aerial_gym.fleet.sources import LogReference, LogStore, natural_order
 from aerial_gym.fleet.tables import FleetTables, Row
 from aerial_gym.fleet.vehicles import Fleet
@@ -36,12 +36,6 @@ class ReportRequest:
     logs: tuple[LogReference, ...]
     robot: str  # Name of the robot file
     key: tuple[str, ...]  # Robot, model version and logs by their hashes
-
-
-def report_folder(out: Path, vehicle: str) -> Path:
-    """Return the folder of a vehicle's report below ``reports``: its name, quoted as in an address."""
-    name = quote(vehicle, safe=" ")
-    return out / "reports" / (name if name.strip(". ") else f"%{name}")
 
 
 def write_reports(

@@ -69,7 +69,7 @@ def score_fleet(truth: Mapping[str, Any], verdicts: Sequence[Mapping[str, Any]],
 def _names_cause(row: Mapping[str, Any], plan: Mapping[str, Any], size: str) -> bool:
     """Return whether a verdict names the hidden cause: alone, or among those that it cannot distinguish."""
     causes = json.loads(row["causes"])
-    said = causes if row["verdict"] == "ambiguous" else causes[:1]
+    said = [cause for cause in causes if cause["candidate"]]
     right = [cause for cause in said if cause["effect"] in cause_names(plan["cause"])]
     if plan["cause"] not in OF_ONE_ROTOR:
         return bool(right)

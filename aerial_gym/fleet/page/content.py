@@ -7,10 +7,10 @@ from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from aerial_gym.fleet.page.snapshot import FleetSnapshot, Row
 from aerial_gym.fleet.page.texts import HALF_95, cause_name, change_text, interval_text, unit_text
+from aerial_gym.fleet.report_folder import report_folder
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import value_text
@@ -142,12 +142,6 @@ def flight_content(snapshot: FleetSnapshot, log_hash: str, _: Options) -> Conten
     }  # fmt: skip
 
 
-def report_folder(out: Path, vehicle: str) -> Path:
-    """Return the folder of a vehicle's report below ``reports``: its name, quoted as in an address."""
-    name = quote(vehicle, safe=" ")
-    return out / "reports" / (name if name.strip(". ") else f"%{name}")
-
-
 def report_link(out: Path, current: Row, flights: list[Row], number: int) -> Content:
     """Return whether the vehicle's report exists, and the command that makes it from flights around a flight.
 
@@ -158,7 +152,7 @@ def report_link(out: Path, current: Row, flights: list[Row], number: int) -> Con
     near = sorted(side, key=lambda one: abs(one["number"] - number))[:TRAIN_FLIGHTS]
     train = " ".join(shlex.quote(one["path"]) for one in sorted(near, key=lambda one: one["number"]))
     test = shlex.quote(flights[number - 1]["path"]) if number and near else ""
-    command = f"aerial-gym close-loop ROBOT.yaml --train {train} --test {test} --out {shlex.quote(str(folder))}"
+    command = f"aerial-gym close-loop --robot ROBOT.yaml --train {train} --test {test} --out {shlex.quote(str(folder))}"
     return {"exists": (folder / "report.html").is_file(), "command": command if test else ""}
 
 

@@ -19,6 +19,7 @@ from aerial_gym.fleet.page import content as contents
 from aerial_gym.fleet.page.charts import effect_figures
 from aerial_gym.fleet.page.snapshot import TEMPLATES, FleetStore
 from aerial_gym.fleet.page.texts import time_text
+from aerial_gym.fleet.report_folder import report_folder
 from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 from aerial_gym.sim2real.report import canvas
 
@@ -141,7 +142,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _report(self, vehicle: str) -> str | None:
         """Return the report of a vehicle, if it lies in the folder of reports."""
         out = self.server.store.out
-        file = (contents.report_folder(out, vehicle) / "report.html").resolve()
+        file = (report_folder(out, vehicle) / "report.html").resolve()
         inside = file.is_relative_to((out / "reports").resolve())
         return file.read_text(encoding="utf-8", errors="replace") if inside and file.is_file() else None
 

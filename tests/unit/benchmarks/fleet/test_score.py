@@ -10,9 +10,16 @@ from benchmarks.undeclared.vehicle import DECLARED
 
 
 def verdict(vehicle: str, *causes: tuple[str, int], onset: int = 5, rejected: bool = True) -> dict[str, object]:
-    listed = json.dumps([{"effect": effect, "rotor": rotor} for effect, rotor in causes])
+    listed = [{"effect": effect, "rotor": rotor, "candidate": True} for effect, rotor in causes]
+    listed.append({"effect": "com_offset", "rotor": 0, "candidate": False})
     kind = "ambiguous" if len(causes) > 1 else "changed" if causes else "no_change"
-    return {"vehicle": vehicle, "verdict": kind, "causes": listed, "rejected": rejected, "onset_flight": onset}
+    return {
+        "vehicle": vehicle,
+        "verdict": kind,
+        "causes": json.dumps(listed),
+        "rejected": rejected,
+        "onset_flight": onset,
+    }
 
 
 def test_only_the_right_cause_and_rotor_count_as_found() -> None:
