@@ -144,9 +144,9 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array], number
         test = np.column_stack((np.ones(len(values[out])), np.clip((features[out] - centre) / size, -3.0, 3.0)))
         left.append(np.sum((values[out] - test @ gains) ** 2, axis=0))
         total.append(np.sum((values[out] - y.mean(axis=0)) ** 2, axis=0))
-    both = np.zeros((2, numbers.max() + 1, values[0].shape[1]))
-    np.add.at(both, (slice(None), numbers), np.stack((left, total)))
-    return both[0], both[1]
+    groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
+    sums = [np.stack([np.stack(part)[own].sum(axis=0) for own in groups]) for part in (left, total)]
+    return sums[0], sums[1]
 
 
 def motion_features(flight: Flight, time: Array) -> Array:
