@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from typing import cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry.state import add_prefix
@@ -36,25 +36,12 @@ KEEP_EVERY = 10  # Iterations between two policies that may be kept
 RULE = -1  # Opponent number of the evader's rule
 
 
-class _MeanAction(nn.Module):
-    """The mean action of a policy without memory."""
-
-    def __init__(self, policy: Policy) -> None:
-        super().__init__()
-        self.policy = policy
-
-    def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Return the clamped mean action (N, U)."""
-        count = len(next(iter(observation.values())))
-        return self.policy.step(observation, self.policy.empty_memory(count))[0].clamp(-1.0, 1.0)
-
-
 class OpponentPool:
     """The present policy of a side and K past ones, and the opponent that each environment has drawn."""
 
     def __init__(self, policy: Policy, size: int, num_envs: int, *, with_rule: bool) -> None:
-        self._module = _MeanAction(policy)
-        self._present = {**dict(self._module.named_parameters()), **dict(self._module.named_buffers())}
+        self._policy = policy
+        self._present = {**dict(policy.named_parameters()), **dict(policy.named_buffers())}
         self._kept = {name: torch.stack([value.detach()] * (size + 1)) for name, value in self._present.items()}
         device = policy.head.weight.device
         self._first = RULE if with_rule else 0
@@ -86,7 +73,7 @@ class OpponentPool:
         """Return the actions (N, U) of the chosen opponents, (N,); all policies are evaluated as one batch."""
 
         def act(weights: dict[str, Tensor]) -> Tensor:
-            return torch.func.functional_call(self._module, weights, (observation,))
+            return torch.func.functional_call(self._policy, weights, (observation,))
 
         actions = torch.func.vmap(act)(self._kept)  # (K + 1, N, U)
         return actions.take_along_dim(choice.clamp_min(0).view(1, -1, 1), dim=0)[0]

@@ -66,6 +66,8 @@ class Policy(nn.Module):
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return the mean action (E, U), clamped to -1 to 1, and update the memory."""
         num_envs = len(next(iter(observation.values())))
+        if not self.body.memory_size:
+            return self.step(observation, self.empty_memory(num_envs))[0].clamp(-1.0, 1.0)
         if self._memory is None or len(self._memory) != num_envs:
             self._memory = self.empty_memory(num_envs)
         mean, self._memory = self.step(observation, self._memory)
