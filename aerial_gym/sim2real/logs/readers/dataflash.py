@@ -106,7 +106,7 @@ class DataflashReader(LogReader):
             parameters=parameters,
             parameter_changes=changes,
             messages=tuple(LogMessage(time=float(time), level="info", text=text) for time, text in texts),
-            metadata=_stated_names([text for _, text in texts]),
+            metadata=_log_names([text for _, text in texts]),
             notes=(Finding("bytes_left_out", "", {"bytes": lost, "total": data.size}),) * (lost >= SMALLEST_DAMAGE),
         )
 
@@ -136,7 +136,7 @@ class DataflashReader(LogReader):
         ]
 
 
-def _stated_names(texts: Sequence[str]) -> dict[str, str]:
+def _log_names(texts: Sequence[str]) -> dict[str, str]:
     """Return the firmware, which is the first text, and the board with its serial number of three words, if stated."""
     boards = [text for text in texts if re.search(r"[0-9A-F]{8} [0-9A-F]{8} [0-9A-F]{8}$", text.strip())]
     return {name: some[0] for name, some in (("firmware", texts), ("board", boards)) if some}

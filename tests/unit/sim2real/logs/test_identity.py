@@ -25,7 +25,7 @@ def raw_log(metadata: dict[str, str], *topics: Topic) -> RawLog:
         (
             {"sys_uuid": "0010ab", "ver_uid": "old", "sys_name": "PX4", "ver_sw_release": "17695231"},
             "0010ab",
-            "PX4 1.14.2",
+            "PX4 1.14.1",
         ),
         ({"ver_uid": "0042", "ver_sw": "deadbeef"}, "0042", "deadbeef"),
         (
@@ -67,7 +67,7 @@ def test_the_start_of_a_blackbox_log(text: str, start: float | None) -> None:
 
 
 def test_a_converted_flight_keeps_its_identity(tmp_path: Path) -> None:
-    identity = LogIdentity(airframe="0010ab", firmware="PX4 1.14.2", start_time=UTC)
+    identity = LogIdentity(airframe="0010ab", firmware="PX4 1.14.1", start_time=UTC)
     path = tmp_path / "flight.csv"
     path.write_text(FlightFacts(identity=identity).line())
     facts = read_facts(path)

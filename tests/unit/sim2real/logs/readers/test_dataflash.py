@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.raw_log import RawLog, Topic
-from aerial_gym.sim2real.logs.readers.dataflash import DataflashReader, _stated_names
+from aerial_gym.sim2real.logs.readers.dataflash import DataflashReader, _log_names
 from aerial_gym.sim2real.logs.readers.dataflash_messages import read_lines
 from aerial_gym.sim2real.logs.recording import FrameOrigin
 from tests.unit.sim2real.logs.readers import dataflash_files as files
@@ -223,5 +223,5 @@ def test_the_board_is_the_text_with_its_serial_number() -> None:
         "CubeOrange 003C0034 34385113 30373836",
         "RCOut: PWM:1-12",
     ]
-    assert _stated_names(texts) == {"firmware": texts[0], "board": texts[2]}
-    assert _stated_names([]) == {}
+    assert _log_names(texts) == {"firmware": texts[0], "board": texts[2]}
+    assert _log_names([]) == {}
