@@ -11,11 +11,10 @@ from typing import Literal, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.special import logsumexp
 
 from aerial_gym.fleet.statistics.fit import FREEDOM, FleetModel
 from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
-from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_posterior, mixture_moments
+from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_posterior, log_sum, mixture_moments
 from aerial_gym.sim2real.arrays import Array, Indices
 
 Kind = Literal["step", "drift"]
@@ -91,14 +90,14 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
     search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times())
     table, var_flight = search.log_evidence(), model.var_flight[shown]
-    log_e, searches = float(logsumexp(table)), [search]
+    log_e, searches = float(log_sum(table)), [search]
     causes = search.causes(table, model.mean[shown], own)
     if log_e > 0.0:
         log_e = search.log_e(table, var_flight)
         searches.append(search.without_change(table))
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
     if odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS:
-        rest = find_change(model, flights.select(np.delete(np.arange(result.flights), number)), columns)
+        rest = find_change(model, flights.select([k for k in range(result.flights) if k != number]), columns)
         return replace(
             rest,
             flights=result.flights,
@@ -151,17 +150,17 @@ class ChangeSearch:
 
     def log_e(self, table: Array, var_flight: Array) -> float:
         """Return the log evidence of a change that remains without its most telling flight and with uncertain scatter."""
-        part, count = self.search_of_candidates(logsumexp(table, axis=(0, 1))), self.time.size
+        part, count = self.search_of_candidates(log_sum(table, axis=(0, 1))), self.time.size
         if count < FEWEST_FLIGHTS:
-            return min(float(logsumexp(table)), 0.0)
+            return min(float(log_sum(table)), 0.0)
         parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.flights_in_support(table)]
         return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence) for one in parts)
 
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
         """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
         table = self.log_evidence_of_flights()
-        if (log_e := float(logsumexp(table))) > ODD_LOG_E:
-            part = self.search_of_candidates(logsumexp(table, axis=0))
+        if (log_e := float(log_sum(table))) > ODD_LOG_E:
+            part = self.search_of_candidates(log_sum(table, axis=0))
             log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)
         return log_e, int(table.max(axis=1).argmax())
 
@@ -186,11 +185,11 @@ class ChangeSearch:
         for factor in SCATTER:
             scan, constant = self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])
             steady.append(constant + scan.log_marginal - 0.5 * FREEDOM * (np.log(factor) + 1.0 / factor))
-            factors.append(logsumexp(evidence(replace(self, scan=scan))))
+            factors.append(log_sum(evidence(replace(self, scan=scan))))
         logs = np.log(SCATTER)
         fine = np.linspace(logs[0], logs[-1], FINE)
         steady, factors = CubicSpline(logs, steady)(fine), CubicSpline(logs, factors)(fine)
-        return float(logsumexp(steady + factors) - logsumexp(steady))
+        return float(log_sum(steady + factors) - log_sum(steady))
 
     def flights_in_support(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
@@ -222,7 +221,7 @@ class ChangeSearch:
     def causes(self, table: Array, mean: Array, columns: Columns) -> tuple[Change, ...]:
         """Return the causes by falling evidence, the improbable ones left out."""
         of_cause = [table[:, :, self.hypotheses.cause == k] for k in range(len(self.hypotheses.causes))]
-        evidence = np.array([logsumexp(part) for part in of_cause]) + np.log(len(of_cause))
+        evidence = np.array([log_sum(part) for part in of_cause]) + np.log(len(of_cause))
         order = np.argsort(-evidence, kind="stable")
         least = max(float(evidence.max()) - AMBIGUOUS, 0.0)
         listed = [k for n, k in enumerate(order) if n < LISTED or evidence[k] >= least]
@@ -230,8 +229,8 @@ class ChangeSearch:
 
     def _describe(self, cause: int, table: Array, log_evidence: float, mean: Array, columns: Columns) -> Change:
         """Return the best kind of change of a cause, from its log evidence (kinds, J, hypotheses of the cause)."""
-        kind = KINDS[int(logsumexp(table, axis=(1, 2)).argmax())]
-        start = np.flatnonzero(self.hypotheses.cause == cause)[int(logsumexp(table, axis=(0, 1)).argmax())]
+        kind = KINDS[int(log_sum(table, axis=(1, 2)).argmax())]
+        start = np.flatnonzero(self.hypotheses.cause == cause)[int(log_sum(table, axis=(0, 1)).argmax())]
         places = self.hypotheses.columns[start]
         onsets, share = self.onset_posterior(kind, places)
         onset, low, high = onsets[np.searchsorted(np.cumsum(share), (0.5, 0.05, 0.95))].tolist()
@@ -259,7 +258,7 @@ class ChangeSearch:
             onsets = self.onsets(low, high)
             logs = self.scan.log_factors(change_patterns(kind, onsets, self.time), only)[:, 0]
             logs += np.log(onset_weights(onsets))
-            share = np.exp(logs - logsumexp(logs))
+            share = np.exp(logs - log_sum(logs))
             probable = np.flatnonzero(share > IMPROBABLE)
             first, end = onsets[max(probable[0] - 1, 0)], onsets[min(probable[-1] + 1, onsets.size - 1)]
             if onsets.size == high - low + 1 or end - first == high - low:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from aerial_gym.fleet.statistics.change import AMBIGUOUS
 from aerial_gym.fleet.statistics.discovery import benjamini_hochberg
@@ -21,6 +20,7 @@ from aerial_gym.fleet.statistics.scan import (
     Hypotheses,
     change_posterior,
     log_factors_by_size,
+    log_sum,
     mixture_moments,
 )
 from aerial_gym.sim2real.arrays import Array
@@ -87,7 +87,7 @@ def _differences(
         information = product[np.ix_(own, own)] - product[own, first] @ back[:, :-1]
         right = gradient[own] - product[own, first] @ back[:, -1]
         mean, cov = mixture_moments(*change_posterior(information, right))
-        log_e = float(logsumexp(log_factors_by_size(information, right)) - np.log(len(SIZES)))
+        log_e = float(log_sum(log_factors_by_size(information, right)) - np.log(len(SIZES)))
         scale = np.array([columns[k].scale for k in places])
         half = normal_quantile(0.975) * np.sqrt(cov.diagonal()) * scale
         rows.append((hypotheses.causes[cause], places, mean * scale, half, log_e))

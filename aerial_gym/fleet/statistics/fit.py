@@ -75,8 +75,8 @@ def vehicle_posterior(model: FleetModel, flights: VehicleFlights, columns: Colum
     scan = ChangeScan.from_flights(flights.product, flights.gradient, model.mean, model.var_flight, root)
     scale = np.array([column.scale for column in columns])
     neutral = np.array([column.neutral for column in columns])
-    variance = scan.base_cov(np.arange(root.size)).diagonal()
-    return VehiclePosterior(mean=neutral + scale * (model.mean + scan.base()), std=scale * np.sqrt(variance))
+    std: Array = np.sqrt(scan.base_cov(np.arange(root.size)).diagonal())
+    return VehiclePosterior(mean=neutral + scale * (model.mean + scan.base()), std=std * scale)
 
 
 def _thin_flights(flights: VehicleFlights) -> VehicleFlights:
@@ -123,12 +123,12 @@ class _Update:
             weight[:] = (FREEDOM + count) / (FREEDOM + deviations)
         cov = np.linalg.inv(precision)
         self.mean, self.mean_var = self.mean + cov @ gradient, cov.diagonal()
-        factors = (_factor(self.var_vehicle, *vehicle, VEHICLE_PRIOR), _factor(self.var_flight, *flight, FLIGHT_PRIOR))
+        factors = (_factor(self.var_vehicle, vehicle, VEHICLE_PRIOR), _factor(self.var_flight, flight, FLIGHT_PRIOR))
         self.var_vehicle, self.var_flight = self.var_vehicle * factors[0], self.var_flight * factors[1]
         return float(np.abs(np.log(factors)).max(initial=0.0))
 
 
-def _factor(variance: Array, squares: Array, expected: Array, prior: tuple[float, float]) -> Array:
-    """Return the factor of a variance's update."""
-    std, count = prior
+def _factor(variance: Array, scores: Array, prior: tuple[float, float]) -> Array:
+    """Return the factor of a variance's update, from sums of squared scores and their expectations, (2, K)."""
+    (squares, expected), (std, count) = scores, prior
     return np.sqrt((squares + count * np.square(std / variance)) / (np.maximum(expected, 0.0) + count / variance))

@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import get_lapack_funcs
 
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.arrays import Array, Indices
 
 if TYPE_CHECKING:  # needs torch
     from aerial_gym.sim2real.flight_evidence.columns import EvidenceColumn
+
+POTRF, TRTRS = get_lapack_funcs(("potrf", "trtrs"), dtype=np.float64)
 
 ROUNDING = 2.0**-19
 """Information of a column that is added to itself, relative. It exceeds the rounding of moments stored as float32."""
@@ -29,7 +31,7 @@ class VehicleFlights:
     time: Array  # Times of the flights [s], or their numbers, (N,)
     firmware: tuple[str, ...]  # Firmware of each flight, (N,)
 
-    def select(self, flights: Array | Sequence[int]) -> Self:
+    def select(self, flights: Indices | Sequence[int]) -> Self:
         """Return some flights, by indices."""
         chosen = np.asarray(flights, dtype=int)
         return replace(
@@ -65,7 +67,7 @@ def integrate_flights(product: Array, gradient: Array, variance: Array) -> tuple
 
 def whitening(product: Array, root: Array) -> Array:
     """Return the lower Cholesky factor of ``1 + S A S``, (K, K), with the standard deviations S = ``root``."""
-    lower, status = lapack.dpotrf(np.eye(root.size) + root[:, None] * product * root, lower=1, clean=1)
+    lower, status = POTRF(np.eye(root.size) + root[:, None] * product * root, lower=1, clean=1)
     if status:
         raise ValueError(
             "the moments of a flight are not positive semidefinite: they are damaged, so read the log again"
@@ -75,4 +77,4 @@ def whitening(product: Array, root: Array) -> Array:
 
 def solve_lower(lower: Array, right: Array) -> Array:
     """Return ``L^-1 right``, (K, any)."""
-    return lapack.dtrtrs(lower, right, lower=1)[0] if right.size else right
+    return TRTRS(lower, right, lower=1)[0] if right.size else right

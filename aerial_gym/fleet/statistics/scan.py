@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import lapack
 from scipy.special import logsumexp
 
-from aerial_gym.fleet.statistics.moments import Columns, integrate_flights, solve_lower, whitening
+from aerial_gym.fleet.statistics.moments import TRTRS, Columns, integrate_flights, solve_lower, whitening
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 
 SIZES = (0.03, 0.1, 0.3, 1.0, 3.0)
@@ -94,7 +93,7 @@ class ChangeScan:
     def base(self, white: Array | None = None) -> Array:
         """Return the base's posterior mean from the prior's, (K,), or shifts (any, K) for whitened gradients (any, K)."""
         rows = np.atleast_2d(self.white if white is None else white)
-        solved = lapack.dtrtrs(self.lower, rows.reshape(-1, self.root.size).T, lower=1, trans=1)[0].T * self.root
+        solved = TRTRS(self.lower, rows.reshape(-1, self.root.size).T, lower=1, trans=1)[0].T * self.root
         return solved[0] if white is None else solved.reshape(rows.shape)
 
     def base_cov(self, places: Indices) -> Array:
@@ -109,7 +108,7 @@ class ChangeScan:
             members = np.flatnonzero(np.equal(widths, width))
             places = np.array([hypotheses.columns[k] for k in members])
             product, gradient, _ = self.change_moments(patterns, places, flights)
-            table[:, members] = logsumexp(log_factors_by_size(product, gradient), axis=-1) - np.log(len(SIZES))
+            table[:, members] = log_sum(log_factors_by_size(product, gradient), axis=-1) - np.log(len(SIZES))
         return table
 
     def log_factors_of_flights(self, hypotheses: Hypotheses) -> Array:
@@ -142,6 +141,11 @@ class ChangeScan:
         return np.block([[total, own], [own, own]]) - side.T @ side, right - side.T @ self.white
 
 
+def log_sum(logs: Array, axis: int | tuple[int, ...] | None = None) -> Array:
+    """Return the logarithm of the sum of exponentials."""
+    return np.asarray(logsumexp(logs, axis=axis))
+
+
 def log_factors_by_size(product: Array, gradient: Array) -> Array:
     """Return log Bayes factors (any, sizes) for each prior deviation of ``SIZES``, from P (any, P, P) and q (any, P)."""
     values, vectors = np.linalg.eigh(product)
@@ -156,7 +160,7 @@ def change_posterior(product: Array, gradient: Array) -> tuple[Array, Array, Arr
     logs = log_factors_by_size(product, gradient)
     cov = np.linalg.inv(product[..., None, :, :] + np.eye(gradient.shape[-1]) / np.square(SIZES)[:, None, None])
     mean = (cov @ gradient[..., None, :, None])[..., 0]
-    return np.exp(logs - logsumexp(logs, axis=-1, keepdims=True)), mean, cov
+    return np.exp(logs - log_sum(logs, axis=-1)[..., None]), mean, cov
 
 
 def mixture_moments(weight: Array, mean: Array, cov: Array) -> tuple[Array, Array]:

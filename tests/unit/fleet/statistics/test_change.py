@@ -71,6 +71,13 @@ def test_effect_that_varies_from_flight_to_flight_has_not_changed() -> None:
     assert max(one.log_e for one in results) < np.log(20.0)
 
 
+def test_vehicle_with_more_scatter_than_the_fleet_has_not_changed() -> None:
+    """The thrust of rotor 2 scatters ten times as much as in the fleet, over 20 vehicles."""
+    rng = np.random.default_rng(15)
+    vehicles = [make_flights(rng, MODEL, 12, change=0.5 * rng.standard_normal((12, 1)) * THRUST) for _ in range(20)]
+    assert max(find_change(MODEL, one, COLUMNS).log_e for one in vehicles) < np.log(20.0)
+
+
 def test_steady_deviation_is_no_change() -> None:
     """A vehicle deviates by ten fleet standard deviations, which the first five of 12 flights cannot show."""
     rng = np.random.default_rng(5)

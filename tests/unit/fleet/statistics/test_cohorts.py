@@ -37,7 +37,7 @@ def test_difference_within_vehicles() -> None:
 
 def test_difference_between_vehicles_alone() -> None:
     """One column, exact flights, m and n vehicles: the means differ with variance ``V (1/m + 1/n)``, m of prior N(0, 1)."""
-    values, model = {"A": [0.1, 0.5, 0.3, 0.2], "B": [0.9, 1.0]}, make_model(1, flight=1e-4)
+    values, model = {"A": [0.1, 0.5, 0.3, 0.2], "B": [0.9, 1.0]}, make_model(1, mean=0.2, flight=1e-4)
     fleet = [
         VehicleFlights(
             vehicle=f"{name}{k}", product=np.full((1, 1, 1), 1e8), gradient=np.full((1, 1), 1e8 * value),
