@@ -67,7 +67,7 @@ class FleetTables:
 
     def dataset(self, name: str) -> arrow_dataset.Dataset:
         """Return a table as an Arrow dataset, of its present version."""
-        return dataset_of(DeltaTable(self.out / name), self.out / name)
+        return delta_dataset(DeltaTable(self.out / name), self.out / name)
 
     def rows(self, name: str, columns: Iterable[str], **equal: object) -> Iterator[dict[str, Any]]:
         """Yield rows of a table, batch by batch; ``equal``: values of columns that rows must have."""
@@ -140,7 +140,7 @@ class FleetTables:
             table.vacuum(retention_hours=24, dry_run=False, enforce_retention_duration=False)
 
 
-def dataset_of(table: DeltaTable, folder: Path) -> arrow_dataset.Dataset:
+def delta_dataset(table: DeltaTable, folder: Path) -> arrow_dataset.Dataset:
     """Return the rows of a Delta table in a folder; the file system that deltalake would take can abort Python at its end."""
     return table.to_pyarrow_dataset(filesystem=SubTreeFileSystem(str(folder), LocalFileSystem()))
 

@@ -26,7 +26,7 @@ class FleetScore:
 
     vehicles: int
     changed: int
-    found: int  # Changed vehicles whose change is reported with the right cause
+    num_found: int  # Changed vehicles whose change is reported with the right cause
     reported: int  # Vehicles of which a change is reported
     false: int  # Of these, those without a change or with another cause
     ambiguous: int  # Found ones whose cause is one of several
@@ -35,7 +35,7 @@ class FleetScore:
     @property
     def recall(self) -> float:
         """Share of the changed vehicles that were found."""
-        return self.found / self.changed if self.changed else 1.0
+        return self.num_found / self.changed if self.changed else 1.0
 
     @property
     def false_discovery(self) -> float:
@@ -50,18 +50,18 @@ class FleetScore:
 
 def score_fleet(truth: Mapping[str, Any], verdicts: Sequence[Mapping[str, Any]], size: str) -> FleetScore:
     """Return the scores of verdicts, rows of the table, on what a fleet hides."""
-    hidden, found, false, unsure, errors = truth["changed"], 0, 0, 0, []
+    hidden, num_found, false, unsure, errors = truth["changed"], 0, 0, 0, []
     reports = {row["vehicle"]: row for row in verdicts if row["rejected"]}
     for name, row in reports.items():
         plan = hidden.get(name)
         if plan is None or not _names_cause(row, plan, size):
             false += 1
             continue
-        found += 1
+        num_found += 1
         unsure += row["verdict"] == "ambiguous"
         errors.append(int(row["onset_flight"]) - plan["onset"])
     return FleetScore(
-        vehicles=len({row["vehicle"] for row in verdicts}), changed=len(hidden), found=found, reported=len(reports),
+        vehicles=len({row["vehicle"] for row in verdicts}), changed=len(hidden), num_found=num_found, reported=len(reports),
         false=false, ambiguous=unsure, onset_errors=tuple(errors),
     )  # fmt: skip
 
@@ -94,7 +94,7 @@ class FleetScoreCmd:
         score = score_fleet(truth, verdicts, self.size)
         print(table(("figure", "value", "limit"), [
             ("vehicles, changed", f"{score.vehicles}, {score.changed}", ""),
-            ("recall", f"{score.recall:.1%} ({score.found}, of which {score.ambiguous} ambiguous)", "95 %"),
+            ("recall", f"{score.recall:.1%} ({score.num_found}, of which {score.ambiguous} ambiguous)", "95 %"),
             ("false discovery", f"{score.false_discovery:.1%} ({score.false} of {score.reported})", "1 %"),
             ("median error of the onset [flights]", f"{score.median_onset_error:g}", "2"),
         ]))  # fmt: skip

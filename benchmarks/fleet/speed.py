@@ -99,7 +99,7 @@ class SpeedCmd:
             marks[stage.partition(" ")[0]] = time.perf_counter()
             memory.half = memory.half if stage.startswith("flights") and share > 0.5 else memory.most
 
-        with start() as engine, Memory() as memory:
+        with start() as engine, MemoryWatch() as memory:
             ready = time.perf_counter()
             summary = run_fleet(request, engine, report)
             end = time.perf_counter()
@@ -128,7 +128,7 @@ class SpeedCmd:
         print(table(("nodes", "pass 1 [h]", "pass 2 [h]", "total [h]"), rows))
 
 
-class Memory:
+class MemoryWatch:
     """Largest memory of this process and its children, watched while it is entered."""
 
     def __init__(self) -> None:
@@ -136,7 +136,7 @@ class Memory:
         self._ended = threading.Event()
         self._watch = threading.Thread(target=self._look, daemon=True)
 
-    def __enter__(self) -> "Memory":
+    def __enter__(self) -> "MemoryWatch":
         self._watch.start()
         return self
 

@@ -27,11 +27,11 @@ class FleetSnapshot:
         with optional_import("fleet view"):
             import duckdb
 
-            from aerial_gym.fleet.tables import dataset_of
+            from aerial_gym.fleet.tables import delta_dataset
 
         self.out, self._lock, self._database = out, Lock(), duckdb.connect(":memory:")
         for name, table in tables.items():
-            self._database.register(name, dataset_of(table, out / name))
+            self._database.register(name, delta_dataset(table, out / name))
         self._database.execute("SET python_enable_replacements = false; SET enable_external_access = false")
         self._database.execute((TEMPLATES / "views.sql").read_text(encoding="utf-8"))
         for row in self.rows("SELECT vehicle, causes FROM current WHERE rejected"):

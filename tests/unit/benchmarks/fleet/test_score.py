@@ -37,7 +37,7 @@ def test_only_the_right_cause_and_rotor_count_as_found() -> None:
     ]
     verdicts[-1]["rejected"] = False
     score = score_fleet(truth, verdicts, "moderate")
-    assert (score.vehicles, score.changed, score.found, score.reported, score.false) == (7, 5, 2, 5, 3)
+    assert (score.vehicles, score.changed, score.num_found, score.reported, score.false) == (7, 5, 2, 5, 3)
     assert score.ambiguous == 1
     assert score.onset_errors == (-1, 3)
     assert score.recall == pytest.approx(0.4)

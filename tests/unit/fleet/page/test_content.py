@@ -156,7 +156,7 @@ def test_the_report_is_of_flights_on_one_side_of_the_change(tmp_path: Path, open
     """The change is since flight 9 of 12: flights 9 to 11 predict flight 12, and flights 3 to 8 predict flight 2."""
     client = open_tables(write_fleet(tmp_path, ["a b; rm"], FLIGHTS))
     words = shlex.split(client.json(f"vehicles/{quote('a b; rm')}")["report"]["command"])
-    assert words[:3] == ["aerial-gym", "close-loop", "ROBOT.yaml"]
+    assert words[:4] == ["aerial-gym", "close-loop", "--robot", "ROBOT.yaml"]
     train, test = words[words.index("--train") + 1 : words.index("--test")], words[words.index("--test") + 1]
     assert train == [f"logs/a b; rm/{number - 1:04d}.ulg" for number in (9, 10, 11)]
     assert test == "logs/a b; rm/0011.ulg"
