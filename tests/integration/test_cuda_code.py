@@ -143,7 +143,7 @@ def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) ->
 
 def test_the_kernel_of_wakes_compiles() -> None:
     sources = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
-    compile_for_gpu(make_wake_kernel(WakeSum(EFFECTS.get("downwash_core")), sources).module)
+    compile_for_gpu(make_wake_kernel(WakeSum(EFFECTS.get("downwash_core")), sources, 2).module)
 
 
 def test_row_kernels_compile() -> None:
