@@ -20,7 +20,8 @@ from aerial_gym.sim2real.arrays import Array, Indices
 Kind = Literal["step", "drift"]
 KINDS: tuple[Kind, Kind] = ("step", "drift")
 
-MOST_ONSETS = 64  # Onsets that are compared at a time
+MOST_ONSETS = 64  # Onsets that are compared first
+ROUNDS = 3  # Of as many onsets each, added about the probable ones
 AMBIGUOUS = float(np.log(20.0))  # Log odds within which causes are not told apart
 ODD_LOG_E = float(
     np.log(100.0)
@@ -88,7 +89,8 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     root = np.sqrt(model.var_vehicle[shown] + SIZES[-1] ** 2)
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
-    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times())
+    onsets = spaced(np.arange(1, result.flights), MOST_ONSETS)
+    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refined()
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
     causes = search.causes(table, model.mean[shown], own)
@@ -131,15 +133,24 @@ class ChangeSearch:
     scan: ChangeScan
     hypotheses: Hypotheses
     time: Array  # (N,)
+    onsets: Indices  # Compared onsets, (J,)
 
-    def onsets(self, low: int = 1, high: int | None = None) -> Indices:
-        """Return the compared onsets, (J,): all flights between two, or equally spaced ones."""
-        high = self.time.size - 1 if high is None else high
-        return np.unique(np.linspace(low, high, min(high - low + 1, MOST_ONSETS)).round().astype(int))
+    def refined(self) -> "ChangeSearch":
+        """Return the search with more onsets about those that are probable for either kind, if there is evidence."""
+        search, flights = self, np.arange(1, self.time.size)
+        for _ in range(ROUNDS):
+            onsets, logs = search.onsets, log_sum(search.log_evidence(), axis=2)
+            probable = (logs > log_sum(logs, axis=1)[:, None] + np.log(IMPROBABLE)).any(axis=0)
+            after = np.searchsorted(onsets, flights)
+            added = flights[(onsets[after] != flights) & (probable[after] | probable[after - 1])]
+            if not added.size or log_sum(logs) <= 0.0:
+                break
+            search = replace(search, onsets=np.union1d(onsets, spaced(added, MOST_ONSETS)))
+        return search
 
     def log_evidence(self) -> Array:
         """Return log Bayes factor plus log prior of each kind, onset and hypothesis, (kinds, J, H)."""
-        onsets = self.onsets()
+        onsets = self.onsets
         patterns = np.concatenate([change_patterns(kind, onsets, self.time) for kind in KINDS])
         factors = self.scan.log_factors(patterns, self.hypotheses).reshape(len(KINDS), onsets.size, -1)
         return factors + np.log(onset_weights(onsets) / len(KINDS))[:, None] + self.hypotheses.log_prior
@@ -173,7 +184,8 @@ class ChangeSearch:
     def select(self, flights: Indices) -> "ChangeSearch":
         """Return the search of some flights, by indices."""
         scan = replace(self.scan, product=self.scan.product[flights], gradient=self.scan.gradient[flights])
-        return replace(self, scan=scan, time=self.time[flights])
+        onsets = np.unique(np.clip(np.searchsorted(flights, self.onsets), 1, flights.size - 1))
+        return replace(self, scan=scan, time=self.time[flights], onsets=onsets)
 
     def log_evidence_with_scatter(self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]") -> float:
         """Return the log evidence of any change if the variance between this vehicle's flights is not known.
@@ -207,7 +219,7 @@ class ChangeSearch:
         """Return the base (K,), the most probable change of the flights, (N, K), and the shift of the base with it, (K,)."""
         kind, onset, hypothesis = np.unravel_index(table.argmax(), table.shape)
         places = self.hypotheses.columns[hypothesis]
-        patterns = change_patterns(KINDS[kind], self.onsets()[[onset]], self.time)
+        patterns = change_patterns(KINDS[kind], self.onsets[[onset]], self.time)
         product, right, side = self.scan.change_moments(patterns, places[None])
         weight, mean, _ = change_posterior(product[0, 0], right[0, 0])
         change = np.zeros(self.scan.gradient.shape)
@@ -232,7 +244,7 @@ class ChangeSearch:
         kind = KINDS[int(log_sum(table, axis=(1, 2)).argmax())]
         start = np.flatnonzero(self.hypotheses.cause == cause)[int(log_sum(table, axis=(0, 1)).argmax())]
         places = self.hypotheses.columns[start]
-        onsets, share = self.onset_posterior(kind, places)
+        onsets, share = self.onsets, self.onset_posterior(kind, places)
         onset, low, high = onsets[np.searchsorted(np.cumsum(share), (0.5, 0.05, 0.95))].tolist()
         average, cov = self._posterior(kind, places, onsets, share, mean[places])
         own = [columns[k] for k in places]
@@ -250,20 +262,12 @@ class ChangeSearch:
             **dict(zip(names, rows, strict=True)),
         )  # fmt: skip
 
-    def onset_posterior(self, kind: Kind, places: Indices) -> tuple[Indices, Array]:
-        """Return onsets and their posterior probabilities; many flights are searched again about the probable ones."""
+    def onset_posterior(self, kind: Kind, places: Indices) -> Array:
+        """Return the posterior probabilities of the onsets, (J,)."""
         only = Hypotheses(causes=(("", 0),), cause=np.zeros(1, dtype=int), columns=(places,), log_prior=np.zeros(1))
-        low, high = 1, self.time.size - 1
-        while True:
-            onsets = self.onsets(low, high)
-            logs = self.scan.log_factors(change_patterns(kind, onsets, self.time), only)[:, 0]
-            logs += np.log(onset_weights(onsets))
-            share = np.exp(logs - log_sum(logs))
-            probable = np.flatnonzero(share > IMPROBABLE)
-            first, end = onsets[max(probable[0] - 1, 0)], onsets[min(probable[-1] + 1, onsets.size - 1)]
-            if onsets.size == high - low + 1 or end - first == high - low:
-                return onsets, share
-            low, high = int(first), int(end)
+        logs = self.scan.log_factors(change_patterns(kind, self.onsets, self.time), only)[:, 0]
+        logs += np.log(onset_weights(self.onsets))
+        return np.exp(logs - log_sum(logs))
 
     def _posterior(
         self, kind: Kind, places: Indices, onsets: Indices, share: Array, mean: Array
@@ -286,6 +290,11 @@ class ChangeSearch:
         covs[..., level, level] += self.scan.base_cov(places)
         flat = (share[likely, None] * weight).ravel()
         return mixture_moments(flat, means.reshape(flat.size, -1), covs.reshape(flat.size, *covs.shape[2:]))
+
+
+def spaced(values: Indices, most: int) -> Indices:
+    """Return at most some values, equally spaced in their order."""
+    return values[np.unique(np.linspace(0, values.size - 1, min(values.size, most)).round().astype(int))]
 
 
 def onset_weights(onsets: Indices) -> Array:

@@ -162,6 +162,17 @@ def test_vehicle_with_many_flights() -> None:
     assert best.onset_high - best.onset_low < 20
 
 
+def test_step_between_the_first_onsets_is_no_drift() -> None:
+    """Steps late in 1300 flights, of which only every twentieth is compared first: each is a step since its flight."""
+    rng = np.random.default_rng(16)
+    model, columns = make_model(2, flight=0.05), make_columns(("weak_motor", "scale", 1), tolerances=1)
+    for onset in range(1265, 1285, 4):
+        flights = make_flights(rng, model, 1300, rows=8, change=step(1300, onset, [0.6, 0.0]))
+        best = find_change(model, flights, columns).causes[0]
+        assert best.kind == "step"
+        assert abs(best.onset - onset) <= 2
+
+
 @pytest.mark.parametrize("vehicles", [300, pytest.param(5000, marks=pytest.mark.slow)])
 def test_no_false_discoveries_in_a_large_fleet(vehicles: int) -> None:
     """Among unchanged vehicles nothing is rejected at 1 %, and the mean e-value is at most 1."""

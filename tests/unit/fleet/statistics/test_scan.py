@@ -84,7 +84,10 @@ def test_priors_sum_to_one() -> None:
 def _search(flights: VehicleFlights, model: object) -> ChangeSearch:
     scan = ChangeScan.from_flights(flights.product, flights.gradient, np.zeros(4), np.full(4, 0.64), np.ones(4))
     return ChangeSearch(
-        scan=scan, hypotheses=Hypotheses.from_columns(COLUMNS, np.ones(4, dtype=bool)), time=flights.usable_times()
+        scan=scan,
+        hypotheses=Hypotheses.from_columns(COLUMNS, np.ones(4, dtype=bool)),
+        time=flights.usable_times(),
+        onsets=np.arange(1, len(flights.firmware)),
     )
 
 
