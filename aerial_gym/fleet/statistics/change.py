@@ -93,10 +93,12 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refined()
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
-    causes = search.causes(table, model.mean[shown], own)
     if log_e > 0.0:
-        log_e = search.log_e(table, var_flight)
         searches.append(search.without_change(table))
+        log_e = search.log_e(table, var_flight)
+        search = search.with_own_scatter(table, var_flight)
+        table = search.log_evidence()
+    causes = search.causes(table, model.mean[shown], own)
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
     if odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS:
         rest = find_change(model, flights.select([k for k in range(result.flights) if k != number]), columns)
@@ -165,14 +167,24 @@ class ChangeSearch:
         if count < FEWEST_FLIGHTS:
             return min(float(log_sum(table)), 0.0)
         parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.flights_in_support(table)]
-        return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence) for one in parts)
+        return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[0] for one in parts)
+
+    def with_own_scatter(self, table: Array, var_flight: Array) -> "ChangeSearch":
+        """Return the search with the most probable variance between flights, at least the fleet's.
+
+        Causes, onset and size are then as uncertain as this vehicle's own scatter makes them.
+        """
+        part = self.search_of_candidates(log_sum(table, axis=(0, 1)))
+        places = np.unique(np.concatenate(part.hypotheses.columns))
+        factor = max(part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[1], 1.0)
+        return replace(self, scan=self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])[0]).refined()
 
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
         """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
         table = self.log_evidence_of_flights()
         if (log_e := float(log_sum(table))) > ODD_LOG_E:
             part = self.search_of_candidates(log_sum(table, axis=0))
-            log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)
+            log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)[0]
         return log_e, int(table.max(axis=1).argmax())
 
     def search_of_candidates(self, log_evidence: Array) -> "ChangeSearch":
@@ -187,10 +199,13 @@ class ChangeSearch:
         onsets = np.unique(np.clip(np.searchsorted(flights, self.onsets), 1, flights.size - 1))
         return replace(self, scan=scan, time=self.time[flights], onsets=onsets)
 
-    def log_evidence_with_scatter(self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]") -> float:
+    def log_evidence_with_scatter(
+        self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]"
+    ) -> tuple[float, float]:
         """Return the log evidence of any change if the variance between this vehicle's flights is not known.
 
         In the columns that may have changed it is ``factor var_flight``, with an inverse gamma prior of the factor.
+        The second value is the most probable factor with a change.
         """
         places = np.unique(np.concatenate(self.hypotheses.columns))
         steady, factors = [], []
@@ -201,7 +216,8 @@ class ChangeSearch:
         logs = np.log(SCATTER)
         fine = np.linspace(logs[0], logs[-1], FINE)
         steady, factors = CubicSpline(logs, steady)(fine), CubicSpline(logs, factors)(fine)
-        return float(log_sum(steady + factors) - log_sum(steady))
+        log_e = float(log_sum(steady + factors) - log_sum(steady))
+        return log_e, float(np.exp(fine[(steady + factors).argmax()]))
 
     def flights_in_support(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""

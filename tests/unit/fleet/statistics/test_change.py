@@ -78,6 +78,24 @@ def test_vehicle_with_more_scatter_than_the_fleet_has_not_changed() -> None:
     assert max(find_change(MODEL, one, COLUMNS).log_e for one in vehicles) < np.log(20.0)
 
 
+def test_intervals_of_a_vehicle_with_more_scatter_than_the_fleet() -> None:
+    """Over 60 vehicles with five times the fleet's scatter, intervals of size and onset hold the truth as stated."""
+    rng, model, columns = (
+        np.random.default_rng(17),
+        make_model(2, flight=0.1),
+        make_columns(("weak_motor", "scale", 1), ""),
+    )
+    inside = []
+    for _ in range(60):
+        scatter = 0.5 * rng.standard_normal((30, 2))
+        flights = make_flights(rng, model, 30, change=step(30, 15, [1.0, 0.0]), scatter=scatter)
+        best = find_change(model, flights, columns).causes[0]
+        inside.append([abs(best.change[0] - 0.05) < 1.96 * best.std[0], best.onset_low <= 15 <= best.onset_high])
+    size, onset = np.mean(inside, axis=0)
+    assert size >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / 60.0)
+    assert onset >= 0.9 - 3.0 * np.sqrt(0.9 * 0.1 / 60.0)
+
+
 def test_steady_deviation_is_no_change() -> None:
     """A vehicle deviates by ten fleet standard deviations, which the first five of 12 flights cannot show."""
     rng = np.random.default_rng(5)
