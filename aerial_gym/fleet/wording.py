@@ -16,7 +16,7 @@ QUANTITIES = {
 
 def text_of_change(result: ChangeResult, vehicle: str) -> str:
     """Return one sentence on the most probable change of a vehicle, with its alternatives."""
-    odd = "" if result.odd_flight is None else f"; flight {result.odd_flight + 1} deviates alone"
+    odd = _odd_text(result)
     if not result.causes:
         return f"vehicle {vehicle}: too few flights to judge a change{odd}"
     best, *alternatives = result.candidates
@@ -25,6 +25,19 @@ def text_of_change(result: ChangeResult, vehicle: str) -> str:
         text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
     names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in alternatives]
     return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + odd
+
+
+def text_of_no_change(result: ChangeResult, vehicle: str) -> str:
+    """Return one sentence on a vehicle whose change is not shown."""
+    return (
+        f"vehicle {vehicle}: no change shown{_odd_text(result)}" if result.causes else text_of_change(result, vehicle)
+    )
+
+
+def _odd_text(result: ChangeResult) -> str:
+    numbers = [str(number + 1) for number in result.odd_flights]
+    verb = "flight {} deviates" if len(numbers) == 1 else "flights {} deviate"
+    return f"; {verb.format(join_words(numbers))} alone" if numbers else ""
 
 
 def _rotor_text(change: Change) -> str:

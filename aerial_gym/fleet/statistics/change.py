@@ -30,7 +30,8 @@ LISTED = 3  # Number of causes that are always listed
 IMPROBABLE = 1e-3  # Posterior probability of an onset that is left out of averages
 SCATTER = 2.0 ** np.arange(-3, 13)  # Factors on the variance between the flights of one vehicle
 FINE = 1001  # Points of the integral over these factors, between which the logarithms are splines
-FEWEST_FLIGHTS = 3  # Least number of flights of a change, since it must remain without one of them
+FEWEST_FLIGHTS = 4  # Of a change, since it must remain without one of them: two before it and two after it
+ODD_SHARE = 0.1  # Largest share of flights that are left out as odd; one always may
 TELLING = 2  # Number of flights with the most support for a change, each left out in turn
 
 
@@ -55,10 +56,9 @@ class Change:
     level_slope_cov: tuple[float, ...]  # Covariances of level and slope
     last_time: float  # Time of the last flight
 
-    def count_flight(self, number: int) -> Self:
-        """Return the change with onsets that count a flight which was left out."""
-        onsets = {name: getattr(self, name) for name in ("onset", "onset_low", "onset_high")}
-        return replace(self, **{name: onset + (onset >= number) for name, onset in onsets.items()})
+    def count_flights(self, kept: Indices) -> Self:
+        """Return the change with onsets among all flights, from the indices of those that were judged."""
+        return replace(self, **{name: int(kept[getattr(self, name)]) for name in ("onset", "onset_low", "onset_high")})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class ChangeResult:
     flights: int
     log_e: float = 0.0  # Log evidence of any change against none, without the flight that supports it most
     causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
-    odd_flight: int | None = None  # Index of a flight that deviates alone
+    odd_flights: tuple[int, ...] = ()  # Indices of flights that deviate alone, and are left out
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
 
     @property
@@ -79,13 +79,33 @@ class ChangeResult:
 
 
 def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) -> ChangeResult:
-    """Return the evidence of a change of a vehicle, and its causes."""
+    """Return the evidence of a change of a vehicle, and its causes.
+
+    Flights that deviate alone are left out one by one. Each costs the logarithm of the number of flights, as it was chosen.
+    """
+    count = len(flights.firmware)
+    kept, odd = np.arange(count), list[int]()
+    while True:
+        result, number = _find_among(model, flights.select(kept), columns)
+        if number is None or len(odd) >= max(1, int(ODD_SHARE * count)):
+            break
+        odd.append(int(kept[number]))
+        kept = np.delete(kept, number)
+    causes = tuple(one.count_flights(kept) for one in result.causes)
+    cost = len(odd) * np.log(max(count, 1))
+    return replace(
+        result, flights=count, log_e=float(result.log_e - cost), odd_flights=tuple(sorted(odd)), causes=causes
+    )
+
+
+def _find_among(model: FleetModel, flights: VehicleFlights, columns: Columns) -> tuple[ChangeResult, int | None]:
+    """Return the change among flights that all count, and the index of one that rather deviates alone."""
     result = ChangeResult(vehicle=flights.vehicle, flights=len(flights.firmware))
     shown = np.flatnonzero(np.einsum("nkk->k", flights.product) > 0.0)
     own = [columns[k] for k in shown]
     hypotheses = Hypotheses.from_columns(own, np.ones(shown.size, dtype=bool))
     if result.flights < 2 or not hypotheses.causes:
-        return result
+        return result, None
     root = np.sqrt(model.var_vehicle[shown] + SIZES[-1] ** 2)
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
@@ -100,16 +120,9 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
         table = search.log_evidence()
     causes = search.causes(table, model.mean[shown], own)
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
-    if odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS:
-        rest = find_change(model, flights.select([k for k in range(result.flights) if k != number]), columns)
-        return replace(
-            rest,
-            flights=result.flights,
-            odd_flight=number,
-            causes=tuple(one.count_flight(number) for one in rest.causes),
-        )
+    is_odd = odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS
     change = firmware_change(flights.firmware, causes[0])
-    return replace(result, log_e=log_e, causes=causes, firmware_change=change)
+    return replace(result, log_e=log_e, causes=causes, firmware_change=change), number if is_odd else None
 
 
 def firmware_change(firmware: tuple[str, ...], change: Change) -> tuple[str, str] | None:

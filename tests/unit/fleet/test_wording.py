@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from aerial_gym.fleet.statistics import Change, ChangeResult
-from aerial_gym.fleet.wording import text_of_change
+from aerial_gym.fleet.wording import text_of_change, text_of_no_change
 
 THRUST = Change(
     effect="weak_motor", rotor=3, kind="step", log_evidence=50.0, onset=211, onset_low=211, onset_high=211,
@@ -31,12 +31,17 @@ def test_drift_of_certain_parameters() -> None:
 
 def test_alternatives_firmware_and_odd_flight() -> None:
     result = ChangeResult(
-        vehicle="17", flights=300, log_e=40.0, causes=(THRUST, CENTRE), odd_flight=6, firmware_change=("1.0", "1.1")
+        vehicle="17", flights=300, log_e=40.0, causes=(THRUST, CENTRE), odd_flights=(6,), firmware_change=("1.0", "1.1")
     )
     assert text_of_change(result, "17") == (
         "vehicle 17, rotor 3: -2.1 % thrust (± 0.3 %) since flight 212, as firmware 1.1 replaced 1.0; "
         "or a change of com offset; flight 7 deviates alone"
     )
+
+
+def test_odd_flights_without_a_change() -> None:
+    result = ChangeResult(vehicle="b", flights=30, causes=(THRUST,), odd_flights=(3, 8))
+    assert text_of_no_change(result, "b") == "vehicle b: no change shown; flights 4 and 9 deviate alone"
 
 
 def test_too_few_flights() -> None:

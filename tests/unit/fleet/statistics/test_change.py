@@ -24,7 +24,7 @@ def test_change_of_one_rotor(kind: str, pattern: Any, size: float) -> None:
     best = result.causes[0]
     assert result.log_e > CLEAR
     assert result.candidates == (best,)
-    assert result.odd_flight is None
+    assert result.odd_flights == ()
     assert (best.effect, best.rotor, best.kind, best.parameters) == ("weak_motor", 2, kind, ("scale",))
     assert best.onset_low <= 8 <= best.onset_high
     assert abs(best.change[0] - 0.05 * size) < 3.0 * best.std[0] < 0.01
@@ -114,7 +114,7 @@ def test_steady_deviation_is_no_change() -> None:
 def test_one_odd_flight_is_no_change(number: int) -> None:
     result = _find(6, 12, change=step(12, number, 3.0 * THRUST) - step(12, number + 1, 3.0 * THRUST))
     assert result.log_e < np.log(20.0)
-    assert result.odd_flight == number
+    assert result.odd_flights == (number,)
 
 
 def test_change_beside_an_odd_flight_is_found() -> None:
@@ -122,7 +122,21 @@ def test_change_beside_an_odd_flight_is_found() -> None:
     result = _find(7, 20, change=change)
     assert result.log_e > CLEAR
     assert result.causes[0].onset == 9
-    assert result.odd_flight == 3
+    assert result.odd_flights == (3,)
+
+
+def test_all_odd_flights_are_named() -> None:
+    """Two of 30 flights deviate, in different effects: both are named, and the step keeps its flight."""
+    odd = 4.0 * (np.arange(30) == 5)[:, None] * THRUST + 4.0 * (np.arange(30) == 12)[:, None] * np.eye(6)[1]
+    result = _find(18, 30, change=odd + step(30, 20, 0.6 * THRUST))
+    assert result.odd_flights == (5, 12)
+    assert (result.causes[0].effect, result.causes[0].onset) == ("weak_motor", 20)
+    assert result.log_e > CLEAR
+
+
+def test_at_most_a_tenth_of_the_flights_are_odd() -> None:
+    odd = 4.0 * np.isin(np.arange(20), (3, 8, 12, 17))[:, None] * THRUST
+    assert len(_find(19, 20, change=odd).odd_flights) <= 2
 
 
 def test_change_of_firmware_within_the_onset_is_named() -> None:
