@@ -63,5 +63,5 @@ def _size_text(change: Change) -> str:
 def _onset_text(change: Change) -> str:
     """Return the first changed flight, counted from 1, with its 90 % interval if it is not certain."""
     first, low, high = change.onset + 1, change.onset_low + 1, change.onset_high + 1
-    word = "since" if change.kind == "step" else "by a drift since"
+    word = "by a drift since" if change.kind == "drift" else "since"
     return f"{word} flight {first}" + (f" (90 % interval {low} to {high})" if low < high else "")

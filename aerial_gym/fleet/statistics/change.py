@@ -22,7 +22,7 @@ KINDS: tuple[Kind, Kind] = ("step", "drift")
 
 MOST_ONSETS = 64  # Onsets that are compared first
 ROUNDS = 3  # Of as many onsets each, added about the probable ones
-AMBIGUOUS = float(np.log(20.0))  # Log odds within which causes are not told apart
+AMBIGUOUS = float(np.log(20.0))  # Log odds within which causes, or a step and a drift, are not told apart
 ODD_LOG_E = float(
     np.log(100.0)
 )  # Log evidence of an odd flight: at most one in a hundred unchanged vehicles reaches it
@@ -41,7 +41,7 @@ class Change:
 
     effect: str
     rotor: int  # 0 unless the effect is on one rotor
-    kind: Kind  # A step, or a drift that grows linearly in time
+    kind: Kind | Literal[""]  # A step, a drift that grows linearly in time, or "" if the flights do not tell them apart
     log_evidence: float  # Log Bayes factor of this cause against no change
     onset: int  # Index of the first changed flight, the posterior's median
     onset_low: int  # Ends of its 90 % interval
@@ -270,12 +270,15 @@ class ChangeSearch:
 
     def _describe(self, cause: int, table: Array, log_evidence: float, mean: Array, columns: Columns) -> Change:
         """Return the best kind of change of a cause, from its log evidence (kinds, J, hypotheses of the cause)."""
-        kind = KINDS[int(log_sum(table, axis=(1, 2)).argmax())]
+        logs = log_sum(table, axis=(1, 2))
+        kind = KINDS[int(logs.argmax())]
+        is_clear = abs(logs[0] - logs[1]) > AMBIGUOUS
         start = np.flatnonzero(self.hypotheses.cause == cause)[int(log_sum(table, axis=(0, 1)).argmax())]
         places = self.hypotheses.columns[start]
-        onsets, share = self.onsets, self.onset_posterior(kind, places)
+        onsets, shares = self.onsets, np.array([self.onset_posterior(one, places) for one in KINDS])
+        share = np.exp(logs - log_sum(logs)) @ shares
         onset, low, high = onsets[np.searchsorted(np.cumsum(share), (0.5, 0.05, 0.95))].tolist()
-        average, cov = self._posterior(kind, places, onsets, share, mean[places])
+        average, cov = self._posterior(kind, places, onsets, shares[logs.argmax()], mean[places])
         own = [columns[k] for k in places]
         units = np.array([column.scale for column in own])
         average = average.reshape(3, -1) * units
@@ -285,7 +288,7 @@ class ChangeSearch:
         level_slope = cov[places.size : 2 * places.size, 2 * places.size :].diagonal() * units**2
         names = ("change", "std", "level", "level_std", "slope", "slope_std")
         return Change(
-            effect=own[0].effect, rotor=own[0].rotor, kind=kind, log_evidence=log_evidence,
+            effect=own[0].effect, rotor=own[0].rotor, kind=kind if is_clear else "", log_evidence=log_evidence,
             onset=onset, onset_low=low, onset_high=high, parameters=tuple(column.parameter for column in own),
             level_slope_cov=tuple(level_slope.tolist()), last_time=float(self.time[-1]),
             **dict(zip(names, rows, strict=True)),

@@ -19,14 +19,14 @@ def time_to_limit(change: Change, limit: float, parameter: str = "") -> tuple[fl
         parameter: Name of the parameter; by default the first of the effect.
 
     Returns:
-        Times in the unit of the flights' times; an end is infinite if the drift may stop short of the limit. None for a step,
-        and for a drift that probably never reaches the limit.
+        Times in the unit of the flights' times; an end is infinite if the drift may stop short of the limit. None unless the
+        change is shown to be a drift, and for a drift that probably never reaches the limit.
     """
     place = change.parameters.index(parameter) if parameter else 0
     before = change.level[place] - change.change[place]
     side = np.sign(limit - before)
     slope = side * change.slope[place]
-    if change.kind == "step" or slope <= 0.0:
+    if change.kind != "drift" or slope <= 0.0:
         return None
     excess, duration = side * (change.level[place] - limit), change.change[place] / change.slope[place]
     variances = change.level_std[place] ** 2, change.level_slope_cov[place], change.slope_std[place] ** 2

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aerial_gym.fleet.statistics import ChangeResult, VehicleFlights, benjamini_hochberg, find_change
+from aerial_gym.fleet.statistics import ChangeResult, VehicleFlights, benjamini_hochberg, find_change, time_to_limit
 from tests.unit.fleet.statistics.synthetic import drift, make_columns, make_fleet, make_flights, make_model, step
 
 EFFECTS = [("com_offset", "x", 0), ("com_offset", "y", 0), ("weak_motor", "scale", 1), ("weak_motor", "scale", 2)]
@@ -170,6 +170,15 @@ def test_equal_and_missing_times() -> None:
         assert result.log_e > CLEAR
         assert result.causes[0].onset == 6
         assert all(np.isfinite((*one.change, *one.std, *one.slope_std)).all() for one in result.causes)
+
+
+def test_change_within_a_gap_in_time_has_no_kind() -> None:
+    """Of 20 flights, ten are flown a year later: a step and a drift since then look alike, so no limit is forecast."""
+    flights = make_flights(np.random.default_rng(20), MODEL, 20, change=step(20, 10, -0.6 * THRUST))
+    best = find_change(MODEL, replace(flights, time=flights.time + 3e7 * (np.arange(20) >= 10)), COLUMNS).causes[0]
+    assert (best.effect, best.kind) == ("weak_motor", "")
+    assert best.onset_low <= 10 <= best.onset_high
+    assert time_to_limit(best, 0.9) is None
 
 
 def test_order_of_columns_changes_nothing() -> None:

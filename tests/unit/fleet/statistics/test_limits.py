@@ -37,7 +37,12 @@ def test_crossing_is_not_before_the_onset() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [replace(DRIFT, kind="step", slope=(0.0,)), replace(DRIFT, change=(0.05,), slope=(0.005,))]
+    "change",
+    [
+        replace(DRIFT, kind="step", slope=(0.0,)),
+        replace(DRIFT, kind=""),
+        replace(DRIFT, change=(0.05,), slope=(0.005,)),
+    ],
 )
 def test_no_crossing_of_a_step_or_away_from_the_limit(change: Change) -> None:
     assert time_to_limit(change, 0.85) is None
