@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from deltalake import DeltaTable, Field
+from deltalake.schema import PrimitiveType
 
 Step = Callable[[Path], None]
 
@@ -13,7 +14,7 @@ def _add_firmware(out: Path) -> None:
     for name in ("flights", "vehicles"):
         table = DeltaTable(out / name)
         if "firmware" not in {field.name for field in table.schema().fields}:
-            table.alter.add_columns([Field("firmware", "string")])
+            table.alter.add_columns([Field("firmware", PrimitiveType("string"))])
 
 
 STEPS: dict[int, Step] = {1: _add_firmware}  # By the version that each step starts from

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 _CODEC = pa.Codec("zstd", compression_level=3)
 
 
-def pack_moments(product: "Array", gradient: "Array") -> bytes:
-    """Return the upper triangle of a matrix (K, K), then a vector (K,), as compressed float32."""
-    upper = product[np.triu_indices(gradient.size)]
-    return _CODEC.compress(np.concatenate((upper, gradient)).astype("<f4").tobytes(), asbytes=True)
+def pack_moments(product: "Array", gradient: "Array") -> bytes | None:
+    """Return the upper triangle of a matrix (K, K), then a vector (K,), as compressed float32; None if one is not finite."""
+    with np.errstate(over="ignore"):
+        values = np.concatenate((product[np.triu_indices(gradient.size)], gradient)).astype("<f4")
+    return _CODEC.compress(values.tobytes(), asbytes=True) if np.isfinite(values).all() else None
 
 
 def unpack_moments(data: bytes, size: int) -> "tuple[Array, Array]":

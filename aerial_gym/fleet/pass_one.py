@@ -148,12 +148,15 @@ class PassOne:
             return LogRows(flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"})
         if hasattr(result, "reason"):
             return LogRows(flight=flight | {"reason": log.text(result.reason)})
+        moments = pack_moments(result.product, result.gradient)
+        if moments is None:
+            return LogRows(flight=flight | {"reason": "its moments are not finite"})
         columns = columns_text(result.columns)
         flight |= {
             "firmware": result.firmware, "start_time": result.start_time, "duration_s": result.duration_s, "status": "ok",
             "checks": log.text(_findings_text(result.checks)), "events": log.text(_findings_text(result.events)),
             "rows": result.rows, "square": result.square, "columns": columns_digest(columns),
-            "moments": pack_moments(result.product, result.gradient),
+            "moments": moments,
         }  # fmt: skip
         if isfinite(result.start_time):
             flight["order"] = result.start_time

@@ -18,7 +18,7 @@ import pyarrow.dataset as arrow_dataset
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.moments import unpack_moments
-from aerial_gym.fleet.sources import natural_order
+from aerial_gym.fleet.sources import sort_by_time
 from aerial_gym.fleet.tables import FleetTables, Row
 from aerial_gym.sim2real.json_values import map_leaves
 from aerial_gym.sim2real.progress import Progress, silent
@@ -32,6 +32,8 @@ FIT_FLIGHTS = (
     20  # Flights of a vehicle, equally spaced, that are read for the model of the fleet, so that memory is flat
 )
 FEW = "too_few_flights"  # Verdict
+NO_CHANGE = dict.fromkeys(("onset_flight", "onset_low", "onset_high", "onset_time", "kind", "crosses_limit_at"))
+"""Columns that only a change has."""
 FEWEST_FLIGHTS = 4  # Two before a change and two after it, as no change may rest on one flight
 
 
@@ -100,7 +102,7 @@ class VehicleReader:
         for row in rows.to_pylist():
             by_vehicle[row["vehicle"]].append(row)
         for vehicle, flights in by_vehicle.items():
-            flights.sort(key=lambda row: (row["order"], natural_order(row["path"])))
+            flights = sort_by_time(flights)
             if most is not None and len(flights) > most:
                 flights = [flights[k] for k in np.linspace(0, len(flights) - 1, most).round().astype(int)]
             moments = [unpack_moments(row["moments"], len(self.columns)) for row in flights]
@@ -149,7 +151,7 @@ class VehicleJudge:
 
     def _verdict(self, result: Any, flights: Any) -> dict[str, Any]:
         """Return a row of ``verdicts`` under the assumption that the fleet rejects 'no change'."""
-        few = len(flights.firmware) < FEWEST_FLIGHTS
+        few = len(flights.firmware) - len(result.odd_flights) < FEWEST_FLIGHTS
         best = result.causes[0] if result.causes else None
         row: dict[str, Any] = {
             "verdict": FEW if few or best is None else "changed" if len(result.candidates) == 1 else "ambiguous",
@@ -277,8 +279,10 @@ def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSetting
 def _verdict_row(result: VehicleResult, rejected: bool) -> dict[str, Any]:
     row, vehicle = result.verdict | {"rejected": rejected, "last_hash": result.last_hash}, result.vehicle
     if row["verdict"] == FEW:
-        return row | {"text": f"vehicle {vehicle}: too few flights to judge a change"}
-    return row if rejected else row | {"verdict": "no_change", "text": f"vehicle {vehicle}: no change shown"}
+        return row | NO_CHANGE | {"text": f"vehicle {vehicle}: too few flights to judge a change"}
+    if not rejected:
+        return row | NO_CHANGE | {"verdict": "no_change", "text": f"vehicle {vehicle}: no change shown"}
+    return row if row["verdict"] == "changed" else row | {"crosses_limit_at": None}
 
 
 def _vehicles_by_group(

@@ -4,7 +4,7 @@ import hashlib
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
@@ -42,7 +42,7 @@ class FleetSummary:
     changed: list[str] = field(default_factory=list)  # A sentence for each vehicle that has changed
     alerts: "list[Row]" = field(default_factory=list)  # That this run has raised
     reports: dict[str, str] = field(default_factory=dict)  # What ``close-loop`` says of changed vehicles
-    cohorts: "list[Row]" = field(default_factory=list)  # Differences between firmware versions
+    cohorts: "Sequence[Row]" = field(default_factory=list)  # Differences between firmware versions
 
 
 class FlightWriter:

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,12 @@ def _protocols(system: "AbstractFileSystem") -> Iterable[str]:
 def natural_order(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts ``flight_9`` before ``flight_10``."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
+
+
+def sort_by_time(flights: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of a vehicle's flights by their start times, or all by their paths if a log does not state its time."""
+    rows = sorted(flights, key=lambda row: natural_order(row["path"]))
+    return sorted(rows, key=lambda row: row["start_time"]) if all(isfinite(row["start_time"]) for row in rows) else rows
 
 
 def _state_of_file(entry: Mapping[str, Any]) -> str:

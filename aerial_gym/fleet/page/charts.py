@@ -87,14 +87,14 @@ def _draw_change(
     ends, onset = places[[cause["onset_low"], cause["onset_high"]]], cause["onset"]
     if ends[0] < ends[1]:
         _add_area(panel, ends, limits, CHANGE, "onset, 90 % interval")
-    if cause["kind"] == "step":  # Drawn between the flights around it
+    if cause["kind"] != "drift":  # Drawn between the flights around it
         x = np.insert(places, onset, np.full(2, places[max(onset - 1, 0) : onset + 1].mean()))
         share = (np.arange(x.size) > onset).astype(float)
     else:  # Grows from the flight before its onset
         start = times[max(onset - 1, 0)]
         x, share = places, np.maximum(times - start, 0.0) / max(times[-1] - start, 1e-300)
     y = cause["level"][k] + cause["change"][k] * (share - 1.0)
-    panel.line(x, y, CHANGE, width=1.6, label=f"fit of the {cause['kind']}")
+    panel.line(x, y, CHANGE, width=1.6, label=f"fit of the {cause['kind'] or 'change'}")
 
 
 def _add_area(panel: Panel, x: Array, y: Sequence[float], colour: str, label: str) -> None:

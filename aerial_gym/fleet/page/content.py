@@ -86,7 +86,8 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
 def vehicle_flights(snapshot: FleetSnapshot, own: Row) -> list[Row]:
     """Return the flights of a vehicle that the verdict rests on, numbered from 1 in their order."""
     names = "log_hash, path, firmware, start_time, duration_s, columns"
-    sql = f"""SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY "order", path, log_hash"""
+    order = "CASE WHEN bool_and(isfinite(start_time)) OVER () THEN start_time END, path, log_hash"
+    sql = f"SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY {order}"
     return [{"number": number} | row for number, row in enumerate(snapshot.rows(sql, *_key(own)), 1)]
 
 

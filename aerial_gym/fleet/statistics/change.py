@@ -86,7 +86,7 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     count = len(flights.firmware)
     kept, odd = np.arange(count), list[int]()
     while True:
-        result, number = _find_among(model, flights.select(kept), columns)
+        result, number = _find_in_hypotheses(model, flights.select(kept), columns)
         if number is None or len(odd) >= max(1, int(ODD_SHARE * count)):
             break
         odd.append(int(kept[number]))
@@ -98,7 +98,9 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     )
 
 
-def _find_among(model: FleetModel, flights: VehicleFlights, columns: Columns) -> tuple[ChangeResult, int | None]:
+def _find_in_hypotheses(
+    model: FleetModel, flights: VehicleFlights, columns: Columns
+) -> tuple[ChangeResult, int | None]:
     """Return the change among flights that all count, and the index of one that rather deviates alone."""
     result = ChangeResult(vehicle=flights.vehicle, flights=len(flights.firmware))
     shown = np.flatnonzero(np.einsum("nkk->k", flights.product) > 0.0)
@@ -109,8 +111,8 @@ def _find_among(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     root = np.sqrt(model.var_vehicle[shown] + SIZES[-1] ** 2)
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
-    onsets = spaced(np.arange(1, result.flights), MOST_ONSETS)
-    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refined()
+    onsets = spread_onsets(np.arange(1, result.flights), MOST_ONSETS)
+    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refine()
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
     if log_e > 0.0:
@@ -150,7 +152,7 @@ class ChangeSearch:
     time: Array  # (N,)
     onsets: Indices  # Compared onsets, (J,)
 
-    def refined(self) -> "ChangeSearch":
+    def refine(self) -> "ChangeSearch":
         """Return the search with more onsets about those that are probable for either kind, if there is evidence."""
         search, flights = self, np.arange(1, self.time.size)
         for _ in range(ROUNDS):
@@ -160,7 +162,7 @@ class ChangeSearch:
             added = flights[(onsets[after] != flights) & (probable[after] | probable[after - 1])]
             if not added.size or log_sum(logs) <= 0.0:
                 break
-            search = replace(search, onsets=np.union1d(onsets, spaced(added, MOST_ONSETS)))
+            search = replace(search, onsets=np.union1d(onsets, spread_onsets(added, MOST_ONSETS)))
         return search
 
     def log_evidence(self) -> Array:
@@ -190,7 +192,7 @@ class ChangeSearch:
         part = self.search_of_candidates(log_sum(table, axis=(0, 1)))
         places = np.unique(np.concatenate(part.hypotheses.columns))
         factor = max(part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[1], 1.0)
-        return replace(self, scan=self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])[0]).refined()
+        return replace(self, scan=self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])[0]).refine()
 
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
         """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
@@ -324,7 +326,7 @@ class ChangeSearch:
         return mixture_moments(flat, means.reshape(flat.size, -1), covs.reshape(flat.size, *covs.shape[2:]))
 
 
-def spaced(values: Indices, most: int) -> Indices:
+def spread_onsets(values: Indices, most: int) -> Indices:
     """Return at most some values, equally spaced in their order."""
     return values[np.unique(np.linspace(0, values.size - 1, min(values.size, most)).round().astype(int))]
 

@@ -137,14 +137,14 @@ def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any
 def find_change(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> Any:
     values, middle = _values(flights), len(flights.firmware) // 2
     if not middle:
-        return SimpleNamespace(log_e=0.0, causes=(), candidates=())
+        return SimpleNamespace(log_e=0.0, causes=(), candidates=(), odd_flights=())
     steps = values[middle:].mean(axis=0) - values[:middle].mean(axis=0)
     rotor = int(np.argmax(np.abs(steps[:2])))
     cause = Change(
         effect="weak_motor", rotor=rotor + 1, kind="step", log_evidence=50.0 * abs(steps[rotor]) - 20.0, onset=middle,
         onset_low=middle, onset_high=middle, parameters=("scale",), change=(float(steps[rotor]),),
     )  # fmt: skip
-    return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,))
+    return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,), odd_flights=())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -163,10 +163,13 @@ def test_empty_store_and_other_settings_are_refused(tmp_path: Path) -> None:
 
 
 def test_drift_is_compared_with_the_limit_of_its_parameter(tmp_path: Path) -> None:
-    write_fleet(tmp_path / "logs", vehicles=2, flights=8)
+    """A vehicle without a change has neither an onset nor a limit that it crosses."""
+    write_fleet(tmp_path / "logs", vehicles=2, flights=8, changed=[1])
     verdicts = PassTwoSettings(module=FAKE, wording=FAKE, limits={"weak_motor.scale": 0.9})
     run(tmp_path / "logs", tmp_path / "out", verdicts=verdicts)
-    assert {row["crosses_limit_at"] for row in rows(tmp_path / "out", "verdicts")} == {2e9}
+    by_flag = {row["rejected"]: row for row in rows(tmp_path / "out", "verdicts")}
+    assert (by_flag[True]["crosses_limit_at"], by_flag[False]["crosses_limit_at"]) == (2e9, None)
+    assert (by_flag[True]["onset_flight"], by_flag[False]["onset_flight"]) == (5, None)
 
 
 def test_tables_of_version_1_are_migrated_and_of_newer_versions_refused(tmp_path: Path) -> None:

@@ -15,8 +15,9 @@ from aerial_gym.cli.fleet import print_summary
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError
 from aerial_gym.fleet.alerts import Webhook
+from aerial_gym.fleet.moments import pack_moments
 from aerial_gym.fleet.query import query
-from aerial_gym.fleet.sources import LogStore, hash_of_log
+from aerial_gym.fleet.sources import LogStore, hash_of_log, sort_by_time
 from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules, load_fleet
 from aerial_gym.fleet.watch import watch_fleet
@@ -251,3 +252,17 @@ def test_webhook_repeats_a_failed_delivery_and_follows_no_redirect(monkeypatch: 
 def test_webhook_to_another_machine_is_refused(url: str) -> None:
     with pytest.raises(ConfigError, match="--webhook"):
         Webhook(url, allow_remote=False)
+
+
+def test_flights_keep_the_order_of_their_logs_if_one_states_no_time() -> None:
+    """Logs from indoors, without GPS, came before all others."""
+    rows = [{"path": f"flight_{k}.ulg", "start_time": 1e9 - k} for k in (10, 9, 2)]
+    assert [row["path"] for row in sort_by_time(rows)] == ["flight_10.ulg", "flight_9.ulg", "flight_2.ulg"]
+    rows[0]["start_time"] = float("nan")
+    assert [row["path"] for row in sort_by_time(rows)] == ["flight_2.ulg", "flight_9.ulg", "flight_10.ulg"]
+
+
+def test_moments_that_are_not_finite_are_not_stored() -> None:
+    assert pack_moments(np.eye(2), np.array([0.0, 1.0])) is not None
+    assert pack_moments(np.eye(2), np.array([0.0, np.nan])) is None
+    assert pack_moments(1e39 * np.eye(2), np.zeros(2)) is None

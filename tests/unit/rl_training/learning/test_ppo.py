@@ -152,7 +152,11 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
 def test_settings_that_do_not_fit_trainer_or_task_are_refused() -> None:
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
     assert_refused(
-        ConfigError, "memory, policy_keys, critic_keys, sets and opponents", replace, cfg, ppo=replace(cfg.ppo, memory=8)
+        ConfigError,
+        "memory, policy_keys, critic_keys, sets and opponents",
+        replace,
+        cfg,
+        ppo=replace(cfg.ppo, memory=8),
     )
     with pytest.raises(ConfigError, match="a critic with keys of its own needs separate_value_network"):
         replace(cfg.ppo, separate_value_network=False, critic_keys=("critic",))
