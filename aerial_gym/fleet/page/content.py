@@ -11,6 +11,7 @@ from typing import Any
 from aerial_gym.fleet.page.snapshot import FleetSnapshot, Row
 from aerial_gym.fleet.page.texts import HALF_95, cause_name, change_text, interval_text, unit_text
 from aerial_gym.fleet.report_folder import report_folder
+from aerial_gym.fleet.sources import sort_by_time
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import value_text
@@ -86,9 +87,8 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
 def vehicle_flights(snapshot: FleetSnapshot, own: Row) -> list[Row]:
     """Return the flights of a vehicle that the verdict rests on, numbered from 1 in their order."""
     names = "log_hash, path, firmware, start_time, duration_s, columns"
-    order = "CASE WHEN bool_and(isfinite(start_time)) OVER () THEN start_time END, path, log_hash"
-    sql = f"SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY {order}"
-    return [{"number": number} | row for number, row in enumerate(snapshot.rows(sql, *_key(own)), 1)]
+    rows = snapshot.rows(f"SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY log_hash", *_key(own))
+    return [{"number": number} | row for number, row in enumerate(sort_by_time(rows), 1)]
 
 
 def effect_histories(snapshot: FleetSnapshot, own: Row, flights: list[Row], causes: list[Row]) -> list[Content]:
