@@ -42,6 +42,7 @@ class FleetLogsCmd:
         from aerial_gym.fleet.run import FleetRun
         from aerial_gym.fleet.sources import LogStore
         from aerial_gym.fleet.vehicles import load_fleet, try_read
+        from aerial_gym.physics import EFFECTS
 
         faults, limits, store = list[str](), dict[str, float](), LogStore(url=logs, pattern=self.pattern)
         for text in self.limit:
@@ -50,6 +51,15 @@ class FleetLogsCmd:
                 limits[name] = float(value)
             except ValueError:
                 faults.append(f"--limit {text}: give EFFECT.PARAMETER=VALUE, such as weak_motor.scale=0.9")
+                continue
+            effect, _, _parameter = name.partition(".")
+            known = [f"{effect}.{one.name}" for one in EFFECTS.get(effect).parameters] if effect in EFFECTS else []
+            if name not in known:
+                faults.append(f"--limit {text}: no such parameter. Known: {', '.join(known or EFFECTS)}")
+        if not 0.0 < self.false_discovery < 1.0:
+            faults.append(f"--false-discovery {self.false_discovery:g}: must lie between 0 and 1")
+        if store.is_folder(out):
+            faults.append(f"--out {out}: is the folder of the logs; give another one for the tables")
         fleet = try_read(lambda: load_fleet(self.robots, self.rules), faults)
         try_read(store.check, faults)
         if faults or fleet is None:
@@ -73,7 +83,11 @@ class FleetRunCmd(FleetLogsCmd):
         require("fleet run", "ray", "deltalake", "pyarrow", "fsspec")
         from aerial_gym.fleet.engine import ray_engine, run_serially
         from aerial_gym.fleet.run import run_fleet
+        from aerial_gym.workloads.measure import require_at_least
 
+        if self.workers is not None:
+            require_at_least(1, workers=self.workers)
+        require_at_least(0, reports=self.reports)
         request = replace(self.request(self.logs, self.out), reports=self.reports)
         if self.address:
             print(f"--address {self.address}: whoever can reach this Ray cluster can run code on it", file=sys.stderr)
@@ -173,7 +187,8 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     if as_json:
         print(json_line(vars(summary)))
         return
-    for text in summary.changed or ["no vehicle has changed"]:
+    unchanged = "no vehicle has changed" if summary.judged else "no vehicle can be judged: none has enough flights"
+    for text in summary.changed or [unchanged]:
         print(text)
     for vehicle, text in summary.reports.items():
         print(f"close-loop on vehicle {vehicle}, {text}")

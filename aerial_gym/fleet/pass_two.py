@@ -95,11 +95,12 @@ class VehicleReader:
         ``most``: largest number of flights of a vehicle; of more, equally spaced ones are taken.
         """
         rows = FleetTables(self.out).dataset("flights").to_table(
-            columns=["vehicle", "path", "order", "firmware", "start_time", "log_hash", "moments"],
+            columns=["vehicle", "path", "order", "firmware", "start_time", "log_hash", "moments", "written_at"],
             filter=_filter_of_group(self.group) & arrow_dataset.field("vehicle").isin(list(vehicles)),
         )  # fmt: skip
         by_vehicle: dict[str, list[dict[str, Any]]] = {vehicle: [] for vehicle in vehicles}
-        for row in rows.to_pylist():
+        newest = {row["path"]: row for row in sorted(rows.to_pylist(), key=lambda row: row["written_at"])}
+        for row in newest.values():  # a log that was completed since has an older row
             by_vehicle[row["vehicle"]].append(row)
         for vehicle, flights in by_vehicle.items():
             flights = sort_by_time(flights)

@@ -16,7 +16,7 @@ from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.lock import writer_lock
 from aerial_gym.fleet.moments import columns_digest
 from aerial_gym.fleet.pass_one import LogRows, PassOneSettings
-from aerial_gym.fleet.pass_two import PassTwoSettings, judge_fleet
+from aerial_gym.fleet.pass_two import FEW, PassTwoSettings, judge_fleet
 from aerial_gym.fleet.reports import write_reports
 from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore
@@ -39,6 +39,7 @@ class FleetSummary:
     refused: Counter[str] = field(default_factory=Counter)  # New refusals by reason
     unread: dict[str, str] = field(default_factory=dict)  # Reason by log that its store did not deliver
     vehicles: int = 0
+    judged: int = 0  # Vehicles with enough flights
     changed: list[str] = field(default_factory=list)  # A sentence for each vehicle that has changed
     alerts: "list[Row]" = field(default_factory=list)  # That this run has raised
     reports: dict[str, str] = field(default_factory=dict)  # What ``close-loop`` says of changed vehicles
@@ -130,6 +131,7 @@ def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
             tables.compact()
         verdicts = judge_fleet(tables, run.fleet.hashes.values(), version, engine, run.verdicts, report)
         summary.vehicles, summary.changed = len(verdicts), [one["text"] for one in verdicts if one["rejected"]]
+        summary.judged = sum(one["verdict"] != FEW for one in verdicts)
         summary.alerts = add_alerts(tables, verdicts)
         summary.cohorts = tables.cohorts()
         summary.reports = write_reports(

@@ -103,6 +103,10 @@ class LogStore:
             elif Path(name).suffix.lower() not in NO_LOGS and fnmatch(name, self.pattern):
                 yield entry
 
+    def is_folder(self, folder: Path) -> bool:
+        """Return whether the store is a folder of this machine, this one."""
+        return "://" not in self.url and Path(self.url).resolve() == folder.resolve()
+
     def fetch(self, reference: LogReference, folder: Path) -> Path:
         """Return a local path of a log; one of a remote store is copied into ``folder``."""
         system, _ = self.filesystem()

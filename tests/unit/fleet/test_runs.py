@@ -195,3 +195,13 @@ def test_tables_of_version_1_are_migrated_and_of_newer_versions_refused(tmp_path
     (out / "fleet.json").write_text(json.dumps(description | {"schema_version": 3}), encoding="utf-8")
     with pytest.raises(ConfigError, match="its tables have schema 3"):
         run(tmp_path / "logs", out)
+
+
+def test_log_that_was_completed_counts_once(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "logs", vehicles=1, flights=5)
+    run(tmp_path / "logs", tmp_path / "out")
+    log = sorted((tmp_path / "logs").rglob("*.json"))[0]
+    log.write_text(log.read_text(encoding="utf-8") + " ", encoding="utf-8")
+    run(tmp_path / "logs", tmp_path / "out")
+    assert len(rows(tmp_path / "out", "flights")) == 6
+    assert {row["flights"] for row in rows(tmp_path / "out", "vehicles")} == {5}
