@@ -34,6 +34,8 @@ FIT_FLIGHTS = (
 FEW = "too_few_flights"  # Verdict
 NO_CHANGE = dict.fromkeys(("onset_flight", "onset_low", "onset_high", "onset_time", "kind", "crosses_limit_at"))
 """Columns that only a change has."""
+MOST_ALIKE, MOST_ALIKE_SHARE = 2, 0.2
+"""Vehicles of a run that may change alike at one time, by number and share. Beyond that, something that they share is named."""
 FEWEST_FLIGHTS = 4  # Two before a change and two after it, as no change may rest on one flight
 
 
@@ -73,6 +75,11 @@ class VehicleResult:
     verdict: dict[str, Any]
     parameters: "tuple[Row, ...]"
     last_hash: str  # Hash of the log of its last flight
+    sign: tuple[str, int, bool] | None = None  # Effect, rotor and direction of its most probable change
+    span: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # Times of the last flight before the onset's interval, and of its last flight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +154,7 @@ class VehicleJudge:
         result = self._module.find_change(self._model, flights, columns)
         return VehicleResult(
             vehicle=flights.vehicle, log_e=float(result.log_e), parameters=parameters, last_hash=hashes[-1],
-            verdict=key | self._verdict(result, flights),
+            verdict=key | self._verdict(result, flights), **_sign_and_span(result, flights.time),
         )  # fmt: skip
 
     def _verdict(self, result: Any, flights: Any) -> dict[str, Any]:
@@ -176,6 +183,15 @@ class VehicleJudge:
             if effect == change.effect and parameter in change.parameters
         ]
         return min((one[0] for one in times if one is not None), default=None)
+
+
+def _sign_and_span(result: Any, time: Any) -> dict[str, Any]:
+    """Return the direction of the most probable change, by its largest parameter, and the times within which it began."""
+    if not result.causes:
+        return {}
+    best = result.causes[0]
+    sign = (best.effect, best.rotor, max(best.change, key=abs) > 0.0)
+    return {"sign": sign, "span": (float(time[max(best.onset_low - 1, 0)]), float(time[best.onset_high]))}
 
 
 def _filter_of_group(group: MomentGroup) -> arrow_dataset.Expression:
@@ -274,7 +290,22 @@ def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSetting
     rejected = import_module(settings.module).benjamini_hochberg(np.concatenate((own, rest)), settings.level)
     flags = np.zeros(len(results), dtype=bool)
     flags[enough] = rejected[: own.size]
-    return [_verdict_row(one, bool(flag)) for one, flag in zip(results, flags, strict=True)]
+    changed = [one for one, flag in zip(results, flags, strict=True) if flag]
+    rows = []
+    for one, flag in zip(results, flags, strict=True):
+        row = _verdict_row(one, bool(flag))
+        alike = sum(other.sign == one.sign and _overlap(other.span, one.span) for other in changed) if flag else 0
+        if alike > max(MOST_ALIKE, MOST_ALIKE_SHARE * enough.sum()):
+            count = (
+                f"{alike} of {enough.sum()} vehicles changed alike at that time: season, site, firmware or log format?"
+            )
+            row |= {"verdict": "shared", "crosses_limit_at": None, "text": f"{row['text']}; {count}"}
+        rows.append(row)
+    return rows
+
+
+def _overlap(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    return first[0] <= second[1] and second[0] <= first[1]
 
 
 def _verdict_row(result: VehicleResult, rejected: bool) -> dict[str, Any]:

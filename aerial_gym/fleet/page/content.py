@@ -20,7 +20,8 @@ PAGE_ROWS = 50  # Rows of a table on one page
 TRAIN_FLIGHTS = 6  # Flights that the suggested close-loop is fitted to
 
 VERDICTS = {
-    "changed": "changed", "ambiguous": "changed, cause ambiguous", "no_change": "no change shown",
+    "changed": "changed", "ambiguous": "changed, cause ambiguous",
+    "shared": "changed, as many others", "no_change": "no change shown",
     "too_few_flights": "too few flights", "": "not judged yet",
 }  # fmt: skip
 """Words of each verdict, in the order in which they are sorted."""

@@ -205,3 +205,14 @@ def test_log_that_was_completed_counts_once(tmp_path: Path) -> None:
     run(tmp_path / "logs", tmp_path / "out")
     assert len(rows(tmp_path / "out", "flights")) == 6
     assert {row["flights"] for row in rows(tmp_path / "out", "vehicles")} == {5}
+
+
+def test_change_that_many_vehicles_share_is_no_fault_of_each(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "few", vehicles=5, flights=8, changed=[1, 3], bad=False)
+    run(tmp_path / "few", tmp_path / "a")
+    assert {row["verdict"] for row in rows(tmp_path / "a", "verdicts") if row["rejected"]} == {"changed"}
+    write_fleet(tmp_path / "many", vehicles=5, flights=8, changed=[0, 1, 3], bad=False)
+    run(tmp_path / "many", tmp_path / "b")
+    shared = [row for row in rows(tmp_path / "b", "verdicts") if row["rejected"]]
+    assert [row["verdict"] for row in shared] == ["shared"] * 3
+    assert "3 of 5 vehicles changed alike at that time" in shared[0]["text"]
