@@ -101,8 +101,8 @@ class ReportWriter:
             shutil.rmtree(folder, ignore_errors=True)
             try:
                 self._compare(request, folder)
-            except AerialGymError as error:
-                return f"no report of vehicle {request.vehicle}: {error}"
+            except (AerialGymError, OSError) as error:  # a store may have lost a log since
+                return f"no report: {error}"
             write_atomic(mark, json.dumps(request.key))
         return f"flights {request.first} to {request.last}: {sentence_of_report(folder)}"
 
