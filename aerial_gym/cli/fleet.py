@@ -2,8 +2,10 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +18,7 @@ from aerial_gym.extras import require
 
 if TYPE_CHECKING:
     from aerial_gym.fleet.run import FleetRun, FleetSummary
-
+    from aerial_gym.fleet.tables import Row
 
 Tables = Annotated[Path, tyro.conf.arg(aliases=["--tables"])]
 
@@ -110,24 +112,28 @@ class FleetWatchCmd(FleetLogsCmd):
     allow_remote_webhook: bool = False  # Allow a webhook on another machine
 
     def run(self) -> int:
-        """Print each alert until interrupted."""
+        """Print each alert until interrupted; one that has not arrived everywhere comes again after a new start."""
         require("fleet watch", "deltalake", "pyarrow", "fsspec")
         from aerial_gym.fleet.alerts import Webhook
         from aerial_gym.fleet.watch import watch_fleet
 
         webhook = Webhook(self.webhook, allow_remote=self.allow_remote_webhook) if self.webhook else None
-        with closing(watch_fleet(self.request(self.folder, self.out))) as looks:
+        printed = set[str]()
+
+        def deliver(alerts: "Sequence[Row]") -> "Sequence[Row]":
+            for alert in alerts:
+                if alert["id"] not in printed:
+                    print(json_line(alert) if self.json else alert["text"], flush=True)
+                    printed.add(alert["id"])
+            return webhook.send(alerts) if webhook else alerts
+
+        tell = partial(print, "fleet watch:", file=sys.stderr, flush=True)
+        with closing(watch_fleet(self.request(self.folder, self.out), deliver, tell)) as looks:
             try:
-                for alerts in looks:
-                    for alert in alerts:
-                        print(json_line(alert) if self.json else alert["text"], flush=True)
-                        if webhook:
-                            webhook.send(alert)
+                for _ in looks:
                     time.sleep(self.poll_s)
             except KeyboardInterrupt:
-                print("fleet watch: stopped", file=sys.stderr)
-        if webhook:
-            webhook.close()
+                tell("stopped")
         return 0
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
 from io import BytesIO
@@ -18,7 +19,7 @@ import pyarrow.dataset as arrow_dataset
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.moments import unpack_moments
-from aerial_gym.fleet.sources import sort_by_time
+from aerial_gym.fleet.sources import ORDER, sort_by_time
 from aerial_gym.fleet.tables import FleetTables, Row
 from aerial_gym.sim2real.json_values import map_leaves
 from aerial_gym.sim2real.progress import Progress, silent
@@ -102,12 +103,11 @@ class VehicleReader:
         ``most``: largest number of flights of a vehicle; of more, equally spaced ones are taken.
         """
         rows = FleetTables(self.out).dataset("flights").to_table(
-            columns=["vehicle", "path", "order", "firmware", "start_time", "log_hash", "moments", "written_at"],
+            columns=["vehicle", "firmware", "log_hash", "moments", *ORDER],
             filter=_filter_of_group(self.group) & arrow_dataset.field("vehicle").isin(list(vehicles)),
         )  # fmt: skip
         by_vehicle: dict[str, list[dict[str, Any]]] = {vehicle: [] for vehicle in vehicles}
-        newest = {row["path"]: row for row in sorted(rows.to_pylist(), key=lambda row: row["written_at"])}
-        for row in newest.values():  # a log that was completed since has an older row
+        for row in rows.to_pylist():
             by_vehicle[row["vehicle"]].append(row)
         for vehicle, flights in by_vehicle.items():
             flights = sort_by_time(flights)
@@ -317,15 +317,24 @@ def _verdict_row(result: VehicleResult, rejected: bool) -> dict[str, Any]:
     return row if row["verdict"] == "changed" else row | {"crosses_limit_at": None}
 
 
+def vehicles_to_judge(tables: FleetTables, robots: Collection[str], model_version: str) -> set[str]:
+    """Return the vehicles with a flight that is newer than their verdict, as an interrupted run leaves them."""
+    names, key = ("vehicle", "robot_hash", "written_at"), {"robot_hash": list(robots), "model_version": model_version}
+    judged = {(row["vehicle"], row["robot_hash"]): row["written_at"] for row in tables.rows("verdicts", names, **key)}
+    flown = tables.rows("flights", names, status="ok", **key)
+    never = datetime.min.replace(tzinfo=UTC)
+    return {
+        one["vehicle"] for one in flown if one["written_at"] > judged.get((one["vehicle"], one["robot_hash"]), never)
+    }
+
+
 def _vehicles_by_group(
     tables: FleetTables, robots: Collection[str], model_version: str
 ) -> dict[MomentGroup, dict[str, int]]:
     """Return the vehicles of each group with their numbers of flights, in the order of their first flights."""
     groups = dict[MomentGroup, dict[str, int]]()
     names = ("robot_hash", "columns", "vehicle")
-    for row in tables.rows("flights", names, model_version=model_version, status="ok"):
-        if row["robot_hash"] not in robots:
-            continue
+    for row in tables.rows("flights", names, robot_hash=list(robots), model_version=model_version, status="ok"):
         group = MomentGroup(robot_hash=row["robot_hash"], model_version=model_version, digest=row["columns"])
         vehicles = groups.setdefault(group, {})
         vehicles[row["vehicle"]] = vehicles.get(row["vehicle"], 0) + 1

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.fleet.alerts import add_alerts
+from aerial_gym.fleet.alerts import new_alerts
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.lock import writer_lock
 from aerial_gym.fleet.moments import columns_digest
@@ -75,9 +75,13 @@ class FlightWriter:
             self.commit()
 
     def commit(self) -> None:
-        """Write the rows that wait; ``flights`` last, as its rows mark what is done."""
-        new = list[LogRows]()
-        for rows in self._waiting:
+        """Write the rows that wait; ``flights`` last, as its rows mark what is done.
+
+        An interrupted commit is not repeated: the next run discards its evidence, and reads those logs again.
+        """
+        new, waiting = list[LogRows](), self._waiting
+        self._waiting, self._since = [], time.monotonic()
+        for rows in waiting:
             if rows.unread:
                 self.summary.unread[rows.flight["path"]] = rows.unread
             elif _digest(*(rows.flight[name] for name in KEY)) in self._keys:
@@ -91,7 +95,6 @@ class FlightWriter:
         self._tables.append("flights", [rows.flight for rows in new])
         self.summary.new += len(new)
         self.summary.refused.update(rows.flight["reason"] for rows in new if rows.flight["status"] == "refused")
-        self._waiting, self._since = [], time.monotonic()
 
 
 def _digest(*parts: object) -> bytes:
@@ -132,7 +135,8 @@ def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
         verdicts = judge_fleet(tables, run.fleet.hashes.values(), version, engine, run.verdicts, report)
         summary.vehicles, summary.changed = len(verdicts), [one["text"] for one in verdicts if one["rejected"]]
         summary.judged = sum(one["verdict"] != FEW for one in verdicts)
-        summary.alerts = add_alerts(tables, verdicts)
+        summary.alerts = new_alerts(tables, run.fleet.hashes.values(), version)
+        tables.append("alerts", summary.alerts)
         summary.cohorts = tables.cohorts()
         summary.reports = write_reports(
             tables, run.fleet, run.logs, verdicts, engine, most=run.reports, mapping=run.mapping, report=report

@@ -127,9 +127,16 @@ def natural_order(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
 
 
+ORDER = ("path", "start_time", "written_at")  # Columns of ``flights`` that order the flights of a vehicle
+
+
 def sort_by_time(flights: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows of a vehicle's flights by their start times, or all by their paths if a log does not state its time."""
-    rows = sorted(flights, key=lambda row: natural_order(row["path"]))
+    """Return the rows of a vehicle's flights by their start times, or all by their paths if a log does not state its time.
+
+    Of a log that was completed after it was read, the last row counts.
+    """
+    newest = {row["path"]: row for row in sorted(flights, key=lambda row: row["written_at"])}
+    rows = sorted(newest.values(), key=lambda row: natural_order(row["path"]))
     return sorted(rows, key=lambda row: row["start_time"]) if all(isfinite(row["start_time"]) for row in rows) else rows
 
 

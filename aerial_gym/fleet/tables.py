@@ -23,6 +23,7 @@ from aerial_gym.fleet.schemas import KEY, SCHEMA_VERSION, SCHEMAS
 Row = Mapping[str, Any]
 _FILE_ROWS = WriterProperties(compression="ZSTD", max_row_group_size=1024)
 """Small row groups, so that a reader of a few vehicles skips most of a file."""
+_HISTORY = {"delta.logRetentionDuration": "interval 1 days"}  # Of commits, which are many where a folder is watched
 
 
 class FleetTables:
@@ -47,7 +48,7 @@ class FleetTables:
             tables._check_settings(settings)
             migrate(out, tables.description()["schema_version"])
         for name, schema in SCHEMAS.items():
-            DeltaTable.create(out / name, schema, mode="ignore")
+            DeltaTable.create(out / name, schema, mode="ignore", configuration=_HISTORY)
         write_atomic(out / "fleet.json", json.dumps({"schema_version": SCHEMA_VERSION, "settings": settings}, indent=1))
         return cls(out)
 
@@ -70,10 +71,11 @@ class FleetTables:
         return delta_dataset(DeltaTable(self.out / name), self.out / name)
 
     def rows(self, name: str, columns: Iterable[str], **equal: object) -> Iterator[dict[str, Any]]:
-        """Yield rows of a table, batch by batch; ``equal``: values of columns that rows must have."""
+        """Yield rows of a table, batch by batch; ``equal``: the value of a column that rows must have, or a list of texts."""
         rule = None
         for column, value in equal.items():
-            one = arrow_dataset.field(column) == value
+            field = arrow_dataset.field(column)
+            one = field.isin(pa.array(value, pa.string())) if isinstance(value, list) else field == value
             rule = one if rule is None else rule & one
         for batch in self.dataset(name).to_batches(columns=list(columns), filter=rule):
             yield from batch.to_pylist()
@@ -128,16 +130,21 @@ class FleetTables:
         no_robot = arrow_dataset.field("robot_hash") == ""
         if self.dataset("flights").count_rows(filter=no_robot):
             self.replace("flights", no_robot)
-        if self.keys("evidence") - self.keys("flights"):
-            evidence = DeltaTable(self.out / "evidence")
-            evidence.restore(evidence.version() - 1)  # the last commit, as that of its flights follows each one
+        orphans = self.keys("evidence") - self.keys("flights")
+        for robot_hash, version in {key[1:] for key in orphans}:
+            where = arrow_dataset.field("log_hash").isin(
+                [log for log, *rest in orphans if rest == [robot_hash, version]]
+            )
+            where &= arrow_dataset.field("robot_hash") == robot_hash
+            self.replace("evidence", where & (arrow_dataset.field("model_version") == version))
 
-    def compact(self) -> None:
-        """Join small files, and remove those that no reader of the last day can still use."""
+    def compact(self, most_files: int = 1) -> None:
+        """Join the files of tables that have more than ``most_files``; remove those that no reader of the last hour can use."""
         for name in SCHEMAS:
             table = DeltaTable(self.out / name)
-            table.optimize.compact(writer_properties=_FILE_ROWS)
-            table.vacuum(retention_hours=24, dry_run=False, enforce_retention_duration=False)
+            if len(table.file_uris()) > most_files:
+                table.optimize.compact(writer_properties=_FILE_ROWS)
+            table.vacuum(retention_hours=1, dry_run=False, enforce_retention_duration=False)
 
 
 def delta_dataset(table: DeltaTable, folder: Path) -> arrow_dataset.Dataset:

@@ -87,7 +87,7 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
 
 def vehicle_flights(snapshot: FleetSnapshot, own: Row) -> list[Row]:
     """Return the flights of a vehicle that the verdict rests on, numbered from 1 in their order."""
-    names = "log_hash, path, firmware, start_time, duration_s, columns"
+    names = "log_hash, path, firmware, start_time, duration_s, columns, epoch_us(written_at) AS written_at"
     rows = snapshot.rows(f"SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY log_hash", *_key(own))
     return [{"number": number} | row for number, row in enumerate(sort_by_time(rows), 1)]
 

@@ -1,10 +1,8 @@
-"""Stores of logs, the rules that assign them to vehicles, queries, watching and webhooks."""
+"""Stores of logs, the rules that assign them to vehicles, and queries."""
 
 import json
 import struct
-import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import fsspec
@@ -14,17 +12,13 @@ import pytest
 from aerial_gym.cli.fleet import print_summary
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError
-from aerial_gym.fleet.alerts import Webhook
 from aerial_gym.fleet.moments import pack_moments
 from aerial_gym.fleet.query import query
 from aerial_gym.fleet.sources import LogStore, hash_of_log, sort_by_time
-from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules, load_fleet
-from aerial_gym.fleet.watch import watch_fleet
 from aerial_gym.sim2real.flight_evidence.evidence import log_airframe
-from benchmarks.fleet.kills import table_contents
 from tests.unit.fleet.fake_passes import write_fleet, write_log
-from tests.unit.fleet.runs import request, run, small_fleet
+from tests.unit.fleet.runs import run, small_fleet
 from tests.unit.sim2real.ulog_files import write_ulog
 
 
@@ -203,60 +197,9 @@ def test_summary_states_differences_between_firmware_versions(
     assert text in capsys.readouterr().out
 
 
-def test_watch_judges_complete_logs_and_raises_each_alert_once(tmp_path: Path) -> None:
-    logs, out = tmp_path / "logs", tmp_path / "out"
-    write_fleet(logs, vehicles=4, flights=8, bad=False)
-    run(logs, out)
-    looks = watch_fleet(request(logs, out))
-    alerts = list(next(looks))
-    for flight in range(8, 17):
-        write_log(logs / "vehicle_1" / f"flight_{flight}.csv", [-1.0, 0.0], time=1e9 + 1e3 * flight)
-        assert FleetTables(out).dataset("flights").count_rows() == max(32, 24 + flight - 1)
-        alerts += next(looks)
-    alerts += next(looks)
-    assert [alert["text"][:28] for alert in alerts] == ["vehicle vehicle_1, rotor 1: "]
-    looks.close()
-    run(logs, tmp_path / "calm")
-    same = ("flights", "evidence", "vehicles")
-    both = [{name: table_contents(folder)[name] for name in same} for folder in (out, tmp_path / "calm")]
-    assert [len(both[0][name]) for name in same] == [len(both[1][name]) for name in same]
-
-
-def test_webhook_repeats_a_failed_delivery_and_follows_no_redirect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aerial_gym.fleet.alerts.WAIT_S", 0.01)
-    received, answers = [], [500, 302, 200]
-
-    class Receiver(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            received.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(answers[len(received) - 1])
-            self.send_header("Location", "http://192.0.2.1/")
-            self.end_headers()
-
-        def log_message(self, *args: object) -> None:
-            """Print nothing."""
-
-    server = HTTPServer(("127.0.0.1", 0), Receiver)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    webhook = Webhook(f"http://127.0.0.1:{server.server_port}/", allow_remote=False)
-    webhook.send({"id": "1", "text": "changed"})
-    webhook.close()
-    server.shutdown()
-    server.server_close()
-    assert received == 3 * [{"id": "1", "text": "changed"}]
-
-
-@pytest.mark.parametrize(
-    "url", ["http://example.com/", "http://127.0.0.1.example.com/", "file:///etc/passwd", "http://"]
-)
-def test_webhook_to_another_machine_is_refused(url: str) -> None:
-    with pytest.raises(ConfigError, match="--webhook"):
-        Webhook(url, allow_remote=False)
-
-
 def test_flights_keep_the_order_of_their_logs_if_one_states_no_time() -> None:
     """Logs from indoors, without GPS, came before all others."""
-    rows = [{"path": f"flight_{k}.ulg", "start_time": 1e9 - k} for k in (10, 9, 2)]
+    rows = [{"path": f"flight_{k}.ulg", "start_time": 1e9 - k, "written_at": 0} for k in (10, 9, 2)]
     assert [row["path"] for row in sort_by_time(rows)] == ["flight_10.ulg", "flight_9.ulg", "flight_2.ulg"]
     rows[0]["start_time"] = float("nan")
     assert [row["path"] for row in sort_by_time(rows)] == ["flight_2.ulg", "flight_9.ulg", "flight_10.ulg"]
