@@ -207,7 +207,7 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
             print(f"firmware {after} against {before}: {one['effect'].replace('_', ' ')}{rotor}: {values}")
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
-    parts = [(refused, "refused"), (summary.copies, "copies of others"), (unread, "not delivered by the store")]
+    parts = [(refused, "refused"), (summary.copies, "with known content"), (unread, "not delivered by the store")]
     print(", ".join([counts, *(f"{count} {state}" for count, state in parts if count)]))
     for reason, count in summary.refused.most_common(3):
         print(f"  refused {count}: {reason}")

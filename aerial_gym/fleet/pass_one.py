@@ -1,7 +1,9 @@
 """Pass 1 in a worker: the rows of a batch of logs. The result of a log does not depend on its batch."""
 
+import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -13,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from aerial_gym.errors import AerialGymError
 from aerial_gym.fleet.moments import columns_digest, columns_text, pack_moments
+from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore, hash_of_log
 from aerial_gym.fleet.vehicles import Fleet
 
@@ -31,6 +34,9 @@ _ENDS_PROCESS = SimpleNamespace(
 )
 
 
+_KNOWN = object()  # Result of a log whose content has rows, under this path or another one
+
+
 @dataclass(frozen=True, kw_only=True)
 class PassOneSettings:
     """Inputs of a worker that are the same for all logs."""
@@ -40,6 +46,9 @@ class PassOneSettings:
     module: str = PASS_ONE
     scratch: Path  # Folder of fetched logs and of begun work
     mapping: str | None = None
+    known: AbstractSet[bytes] = (
+        frozenset()
+    )  # Digests of the keys that have rows: such logs are hashed, and not analysed
 
     def make_worker(self) -> "PassOne":
         """Return a worker."""
@@ -109,8 +118,10 @@ class PassOne:
                     logs.append(self._fetch(reference, Path(folder)))
                 except Exception as error:  # of any file system's own type
                     rows[reference.rank] = LogRows(flight={"path": reference.path}, unread=str(error) or repr(error))
-            for robot in sorted({log.robot for log in logs}):
-                same = [log for log in logs if log.robot == robot]
+            known = [log for log in logs if key_digest(self._key(log)) in self._settings.known]
+            rows |= {log.reference.rank: self._rows(log, _KNOWN) for log in known}
+            for robot in sorted({log.robot for log in logs if log not in known}):
+                same = [log for log in logs if log.robot == robot and log not in known]
                 results = len(same) * [_ENDS_PROCESS] if refused else self._results(robot, same)
                 for log, result in zip(same, results, strict=True):
                     rows[log.reference.rank] = self._rows(log, result)
@@ -131,12 +142,15 @@ class PassOne:
         paths = [log.path for log in logs]
         return self._module.flight_evidences(self._fleet.robots[robot], paths, mapping=self._settings.mapping)
 
+    def _key(self, log: _LocalLog) -> dict[str, str]:
+        robot_hash = self._fleet.hashes.get(log.robot, "")
+        return {"log_hash": log.log_hash, "robot_hash": robot_hash, "model_version": self.version}
+
     def _rows(self, log: _LocalLog, result: Any) -> LogRows:
         """Return the rows of a log: of its evidence, of its refusal (``reason``), or for want of a robot (None)."""
         airframe = getattr(result, "airframe", "") or log.airframe
         vehicle, _ = self._fleet.assign(log.reference.path, airframe)
-        key = {"log_hash": log.log_hash, "robot_hash": self._fleet.hashes.get(log.robot, "")}
-        key["model_version"] = self.version
+        key = self._key(log)
         flight: dict[str, Any] = key | {
             "path": log.reference.path, "vehicle": vehicle, "firmware": "", "start_time": nan,
             "order": float(log.reference.rank), "duration_s": 0.0, "status": "refused", "reason": "", "checks": "[]",
@@ -146,6 +160,8 @@ class PassOne:
         if result is None:
             known = ", ".join(self._fleet.robots)
             return LogRows(flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"})
+        if result is _KNOWN:
+            return LogRows(flight=flight | {"status": "known"})
         if hasattr(result, "reason"):
             return LogRows(flight=flight | {"reason": log.text(result.reason)})
         moments = pack_moments(result.product, result.gradient)
@@ -163,6 +179,16 @@ class PassOne:
         names = ("effect", "rotor", "start", "params", "cov", "score")
         evidence = (key | {"vehicle": vehicle} | {name: getattr(one, name) for name in names} for one in result.effects)
         return LogRows(flight=flight, evidence=tuple(evidence), columns=columns)
+
+
+def key_digest(row: "Row") -> bytes:
+    """Return the digest of a flight's key."""
+    return text_digest(*(row[name] for name in KEY))
+
+
+def text_digest(*parts: object) -> bytes:
+    """Return the digest of values as texts."""
+    return hashlib.sha256("\0".join(map(str, parts)).encode("utf-8", "surrogatepass")).digest()
 
 
 def _without_repeated_columns(rows: Sequence[LogRows]) -> list[LogRows]:

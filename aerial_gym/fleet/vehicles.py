@@ -113,12 +113,12 @@ def load_fleet(robots: Path, rules: Path | None) -> Fleet:
     if faults or table is None:
         raise ConfigError(*faults)
     loaded = {name: robot for name, robot in known.items() if robot is not None}
-    return Fleet(robots=loaded, hashes={name: robot_hash(one) for name, one in loaded.items()}, rules=table)
+    return Fleet(robots=loaded, hashes={name: content_hash(one) for name, one in loaded.items()}, rules=table)
 
 
-def robot_hash(robot: RobotCfg) -> str:
-    """Return the hash of a robot with all that its file extends."""
-    return hashlib.sha256(repr(robot).encode()).hexdigest()
+def content_hash(configuration: object) -> str:
+    """Return the hash of a configuration, such as a robot with all that its file extends."""
+    return hashlib.sha256(repr(configuration).encode()).hexdigest()
 
 
 def try_read(read: Callable[[], T], faults: list[str]) -> T | None:

@@ -4,6 +4,7 @@ A log is complete when its size and state stay the same from one look at the sto
 """
 
 from collections.abc import Callable, Generator, Sequence
+from importlib import import_module
 
 from aerial_gym.fleet.alerts import new_alerts
 from aerial_gym.fleet.engine import run_serially
@@ -23,10 +24,10 @@ def watch_fleet(run: FleetRun, deliver: Deliver, tell: Callable[[str], None]) ->
     """
     with writer_lock(run.out):
         tables = FleetTables.create(run.out, run.settings())
-        settings, seen = pass_one_settings(run), dict[str, tuple[int, str]]()
-        worker, robots = settings.make_worker(), run.fleet.hashes.values()
-        writer = FlightWriter(tables, run.fleet, worker.version)
-        vehicles, alerts = vehicles_to_judge(tables, robots, worker.version), None
+        version, seen = import_module(run.pass_one).model_version(), dict[str, tuple[int, str]]()
+        writer = FlightWriter(tables, run.fleet, version)
+        worker, robots = pass_one_settings(run, writer.keys).make_worker(), run.fleet.hashes.values()
+        vehicles, alerts = vehicles_to_judge(tables, robots, version), None
         known, judged = (tables.dataset(name).count_rows() for name in ("flights", "verdicts"))
         tell(f"watching {run.logs.url}; known from {run.out}: {known} logs, verdicts of {judged} vehicles")
         while True:
@@ -41,9 +42,9 @@ def watch_fleet(run: FleetRun, deliver: Deliver, tell: Callable[[str], None]) ->
             writer.commit()
             if vehicles:
                 tell(f"judging {len(vehicles)} vehicles")
-                judge_fleet(tables, robots, worker.version, run_serially, run.verdicts, only=vehicles)
+                judge_fleet(tables, robots, version, run_serially, run.verdicts, only=vehicles)
             if vehicles or alerts is None:
-                alerts = new_alerts(tables, robots, worker.version)
+                alerts = new_alerts(tables, robots, version)
             if complete:
                 tables.compact(MOST_FILES)
             vehicles, arrived = set[str](), deliver(alerts)

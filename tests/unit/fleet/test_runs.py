@@ -20,6 +20,7 @@ from aerial_gym.fleet.pass_two import PassTwoSettings
 from aerial_gym.fleet.schemas import SCHEMA_VERSION, SCHEMAS
 from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules
+from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR
 from benchmarks.fleet.kills import table_contents
 from tests.unit.fleet.fake_passes import write_fleet, write_log
 from tests.unit.fleet.runs import FAKE, request, run, small_fleet
@@ -96,6 +97,30 @@ def test_copies_of_a_log_are_one_flight_of_the_first_path(tmp_path: Path) -> Non
         write_log(tmp_path / "logs" / name / "flight.csv", [0.1, 0.2])
     assert run(tmp_path / "logs", tmp_path / "out").copies == 1
     assert [row["vehicle"] for row in rows(tmp_path / "out", "flights")] == ["a"]
+
+
+def test_moved_and_touched_logs_are_hashed_and_not_analysed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fleet(tmp_path / "logs", vehicles=2, flights=4)
+    run(tmp_path / "logs", tmp_path / "out")
+    before = table_contents(tmp_path / "out")
+    (tmp_path / "logs" / "vehicle_1").rename(tmp_path / "logs" / "archive")
+    os.utime(tmp_path / "logs" / "vehicle_0" / "flight_0.csv", (0, 0))
+    monkeypatch.setattr(PassOne, "_results", lambda *_: pytest.fail("a log was analysed"))
+    for _ in range(2):
+        summary = run(tmp_path / "logs", tmp_path / "out")
+        assert (summary.new, summary.known, summary.copies, dict(summary.refused)) == (0, 4, 5, {})
+    assert table_contents(tmp_path / "out") == before
+
+
+def test_other_mapping_file_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "logs", vehicles=1, flights=1, bad=False)
+    mapping, columns = tmp_path / "mapping.yaml", (MAPPING_DIR / "aerial_gym.yaml").read_text(encoding="utf-8")
+    for text in (columns, f"{columns}# comment"):
+        mapping.write_text(text, encoding="utf-8")
+        run(tmp_path / "logs", tmp_path / "out", mapping=str(mapping))
+    mapping.write_text((MAPPING_DIR / "crazypad.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(ConfigError, match="was made with mapping = 'content "):
+        run(tmp_path / "logs", tmp_path / "out", mapping=str(mapping))
 
 
 def test_other_robot_file_or_model_version_makes_new_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
