@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from aerial_gym.cli.terminal import print_table, progress_bar
-from aerial_gym.config.console import json_line
+from aerial_gym.config.console import json_line, one_line
 from aerial_gym.errors import ConfigError
 from aerial_gym.extras import require
 
@@ -152,7 +152,7 @@ class FleetQueryCmd:
 
         names, rows = query(self.out, self.sql)
         if not self.json:
-            print_table((tuple(map(str, row)) for row in rows), names)
+            print_table((tuple(one_line(str(value)) for value in row) for row in rows), names)
         for row in rows if self.json else ():
             print(json_line({name: _json_value(value) for name, value in zip(names, row, strict=True)}))
         return 0
@@ -212,5 +212,5 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     for reason, count in summary.refused.most_common(3):
         print(f"  refused {count}: {reason}")
     for path, reason in list(summary.unread.items())[:3]:
-        print(f"  not delivered, tried again by the next run: {path} ({reason})")
+        print(one_line(f"  not delivered, tried again by the next run: {path} ({reason})"))
     print(f"next: aerial-gym fleet view --out {out}")

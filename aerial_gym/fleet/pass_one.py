@@ -13,11 +13,13 @@ from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from aerial_gym.errors import AerialGymError
+from aerial_gym.config.console import one_line
+from aerial_gym.errors import AerialGymError, DataError
 from aerial_gym.fleet.moments import columns_digest, columns_text, pack_moments
 from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore, hash_of_log
 from aerial_gym.fleet.vehicles import Fleet
+from aerial_gym.sim2real.json_values import plain
 
 if TYPE_CHECKING:
     from aerial_gym.fleet.tables import Row
@@ -76,8 +78,14 @@ class _LocalLog:
     robot: str  # Name; "" without one
 
     def text(self, content: str) -> str:
-        """Return a text with the log's own path in place of that of its copy."""
-        return content.removeprefix(f"{self.path}: ").replace(str(self.path), self.reference.path)
+        """Return a text in one line, with the log's own path in place of that of its copy."""
+        return one_line(content.removeprefix(f"{self.path}: ").replace(str(self.path), self.reference.path))
+
+    def findings_text(self, findings: Iterable[Any]) -> str:
+        """Return findings as JSON, with the log's own path in place of that of its copy."""
+        content = [{"code": one.code, "subject": one.subject, "values": plain(one.values)} for one in findings]
+        copy, own = (json.dumps(str(path), ensure_ascii=False)[1:-1] for path in (self.path, self.reference.path))
+        return json.dumps(content, ensure_ascii=False, default=str).replace(copy, own)
 
 
 class PassOne:
@@ -128,11 +136,13 @@ class PassOne:
         return _without_repeated_columns([rows[rank] for rank in sorted(rows)])
 
     def _fetch(self, reference: LogReference, folder: Path) -> _LocalLog:
+        if one_line(reference.path) != reference.path:
+            raise DataError("its name has control characters, or bytes that are not UTF-8: rename it")
         path, airframe = self._settings.store.fetch(reference, folder), ""
         digest = hash_of_log(path)
         if self._fleet.robot_needs_airframe(reference.path):
             with suppress(AerialGymError):  # pass 1 states the reason
-                airframe = self._module.log_airframe(path)
+                airframe = one_line(self._module.log_airframe(path))
         robot = self._fleet.assign(reference.path, airframe)[1]
         return _LocalLog(reference=reference, path=path, log_hash=digest, airframe=airframe, robot=robot)
 
@@ -148,7 +158,7 @@ class PassOne:
 
     def _rows(self, log: _LocalLog, result: Any) -> LogRows:
         """Return the rows of a log: of its evidence, of its refusal (``reason``), or for want of a robot (None)."""
-        airframe = getattr(result, "airframe", "") or log.airframe
+        airframe = one_line(getattr(result, "airframe", "")) or log.airframe
         vehicle, _ = self._fleet.assign(log.reference.path, airframe)
         key = self._key(log)
         flight: dict[str, Any] = key | {
@@ -169,8 +179,9 @@ class PassOne:
             return LogRows(flight=flight | {"reason": "its moments are not finite"})
         columns = columns_text(result.columns)
         flight |= {
-            "firmware": result.firmware, "start_time": result.start_time, "duration_s": result.duration_s, "status": "ok",
-            "checks": log.text(_findings_text(result.checks)), "events": log.text(_findings_text(result.events)),
+            "firmware": one_line(result.firmware), "start_time": result.start_time,
+            "duration_s": result.duration_s, "status": "ok",
+            "checks": log.findings_text(result.checks), "events": log.findings_text(result.events),
             "rows": result.rows, "square": result.square, "columns": columns_digest(columns),
             "moments": moments,
         }  # fmt: skip
@@ -198,10 +209,3 @@ def _without_repeated_columns(rows: Sequence[LogRows]) -> list[LogRows]:
         kept.append(replace(row, columns="") if row.columns in stated else row)
         stated.add(row.columns)
     return kept
-
-
-def _findings_text(findings: Iterable[Any]) -> str:
-    from aerial_gym.sim2real.json_values import plain
-
-    content = [{"code": one.code, "subject": one.subject, "values": plain(one.values)} for one in findings]
-    return json.dumps(content, ensure_ascii=False, default=str)

@@ -1,6 +1,7 @@
 """Logs in folders and object stores (fsspec): listing, fetching and hashing, each with flat memory."""
 
 import hashlib
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -80,12 +81,21 @@ class LogStore:
         """Yield the logs folder by folder, in the order of their names, numbers in them by value."""
         system, root = self.filesystem()
         system.invalidate_cache()
-        for rank, entry in enumerate(self._entries(system, root)):
-            path = entry["name"] if "file" in _protocols(system) else system.unstrip_protocol(entry["name"])
-            yield LogReference(path=path, size=entry["size"] or 0, modified=_state_of_file(entry), rank=rank)
+        try:
+            for rank, entry in enumerate(self._entries(system, root, set())):
+                path = entry["name"] if "file" in _protocols(system) else system.unstrip_protocol(entry["name"])
+                yield LogReference(path=path, size=entry["size"] or 0, modified=_state_of_file(entry), rank=rank)
+        except OSError as error:
+            raise ConfigError(f"--logs {self.url}: cannot be listed ({error})") from None
 
-    def _entries(self, system: "AbstractFileSystem", folder: str) -> Iterator[dict[str, Any]]:
-        entries = [entry for entry in system.ls(folder, detail=True) if entry["name"].rstrip("/") != folder.rstrip("/")]
+    def _entries(self, system: "AbstractFileSystem", folder: str, entered: set[str]) -> Iterator[dict[str, Any]]:
+        """Yield files and folders that are logs. Links count as their targets, but each folder is entered once."""
+        if "file" in _protocols(system):
+            if (place := os.path.realpath(folder)) in entered:
+                return
+            entered.add(place)
+        listed = [_link_target(system, entry) for entry in system.ls(folder, detail=True)]
+        entries = [entry for entry in listed if entry["name"].rstrip("/") != folder.rstrip("/")]
         if any(Path(entry["name"]).name == "fleet.json" for entry in entries):  # tables of a fleet
             return
         suffixes = {Path(entry["name"]).suffix for entry in entries}
@@ -99,9 +109,9 @@ class LogStore:
             if name.startswith("."):
                 continue
             if entry["type"] == "directory":
-                yield from self._entries(system, entry["name"])
-            elif Path(name).suffix.lower() not in NO_LOGS and fnmatch(name, self.pattern):
-                yield entry
+                yield from self._entries(system, entry["name"], entered)
+            elif entry["type"] == "file" and Path(name).suffix.lower() not in NO_LOGS and fnmatch(name, self.pattern):
+                yield entry  # and no pipe, socket or device, which could keep a reader waiting
 
     def is_folder(self, folder: Path) -> bool:
         """Return whether the store is a folder of this machine, this one."""
@@ -116,6 +126,14 @@ class LogStore:
         local.parent.mkdir(parents=True, exist_ok=True)
         system.get(system._strip_protocol(reference.path), str(local), recursive=True)
         return local
+
+
+def _link_target(system: "AbstractFileSystem", entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry, that of its target for a link. A broken link stays, as a file that is not delivered."""
+    try:
+        return system.info(entry["name"]) if entry.get("islink") else entry
+    except OSError:
+        return entry | {"type": "file"}
 
 
 def _protocols(system: "AbstractFileSystem") -> Iterable[str]:
@@ -147,7 +165,7 @@ def _state_of_file(entry: Mapping[str, Any]) -> str:
 def hash_of_log(path: Path) -> str:
     """Return the SHA-256 of a file, or of a folder's files with their names."""
     digest = hashlib.sha256()
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+    for file in sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]:
         if path.is_dir():
             digest.update(file.name.encode() + b"\0")
         with file.open("rb") as stream:

@@ -5,6 +5,7 @@ One program writes at a time (``lock.py``). A flight counts as done once its row
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
@@ -13,10 +14,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.dataset as arrow_dataset
 from deltalake import DeltaTable, WriterProperties, write_deltalake
+from deltalake.exceptions import DeltaError
 from pyarrow.fs import LocalFileSystem, SubTreeFileSystem
 
-from aerial_gym.config.storage import write_atomic
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.storage import FULL, storage_message, write_atomic
+from aerial_gym.errors import AerialGymError, ConfigError, StorageError
 from aerial_gym.fleet.migration import migrate
 from aerial_gym.fleet.schemas import KEY, SCHEMA_VERSION, SCHEMAS
 
@@ -24,6 +26,21 @@ Row = Mapping[str, Any]
 _FILE_ROWS = WriterProperties(compression="ZSTD", max_row_group_size=1024)
 """Small row groups, so that a reader of a few vehicles skips most of a file."""
 _HISTORY = {"delta.logRetentionDuration": "interval 1 days"}  # Of commits, which are many where a folder is watched
+
+
+@contextmanager
+def table_errors(out: Path) -> Iterator[None]:
+    """Raise ``StorageError`` with the remedy in place of errors of the disk and of the packages of the tables."""
+    try:
+        yield
+    except (AerialGymError, BrokenPipeError):
+        raise
+    except (DeltaError, pa.ArrowInvalid, OSError) as error:
+        text = " ".join(str(error).split())
+        code = next((code for code in FULL if f"os error {code})" in text), getattr(error, "errno", None))
+        remedy = "Allow access to the folder, or restore it; then start again, as finished flights are kept"
+        message = storage_message(OSError(code, "")) if code in FULL else f"the tables fail ({text}). {remedy}"
+        raise StorageError(f"{out}: {message}") from None
 
 
 class FleetTables:
@@ -68,7 +85,8 @@ class FleetTables:
 
     def dataset(self, name: str) -> arrow_dataset.Dataset:
         """Return a table as an Arrow dataset, of its present version."""
-        return delta_dataset(DeltaTable(self.out / name), self.out / name)
+        with table_errors(self.out):
+            return delta_dataset(DeltaTable(self.out / name), self.out / name)
 
     def rows(self, name: str, columns: Iterable[str], **equal: object) -> Iterator[dict[str, Any]]:
         """Yield rows of a table, batch by batch; ``equal``: the value of a column that rows must have, or a list of texts."""

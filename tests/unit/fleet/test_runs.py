@@ -176,6 +176,32 @@ def test_second_writer_is_refused_until_the_first_ends(tmp_path: Path) -> None:
     assert run(tmp_path / "logs", tmp_path / "out").new == 1
 
 
+@pytest.mark.parametrize("fault", ["file size", "no folder", "damaged"])
+def test_failures_of_the_disk_are_one_sentence_with_the_remedy(tmp_path: Path, fault: str) -> None:
+    """In a process of its own: a limit of the file size acts like a full disk, also for users who may write anywhere."""
+    write_fleet(tmp_path / "logs", vehicles=2, flights=6)
+    out = tmp_path / "out"
+    if fault == "no folder":
+        out.write_text("a file")
+    else:
+        run(tmp_path / "logs", out)
+        write_log(tmp_path / "logs" / "new.csv", [0.0, 0.0])
+    if fault == "damaged":
+        for file in (out / "flights").glob("*.parquet"):
+            file.write_bytes(b"nothing")
+    code = (
+        "import resource, signal; from pathlib import Path; from tests.unit.fleet.runs import run\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"{'resource.setrlimit(resource.RLIMIT_FSIZE, (900, 900))' if fault == 'file size' else ''}\n"
+        f"run({str(tmp_path / 'logs')!r}, Path({str(out)!r}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    remedy = {"file size": "the disk is full. Free some space"}.get(fault, "start again, as finished flights are kept")
+    last = result.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"aerial_gym.errors.StorageError: {out}: ")
+    assert remedy in last
+
+
 def test_empty_store_and_other_settings_are_refused(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     with pytest.raises(ConfigError, match="holds no log whose name matches '\\*'"):

@@ -1,8 +1,11 @@
 """Stores of logs, the rules that assign them to vehicles, and queries."""
 
 import json
+import os
+import socket
 import struct
 from collections.abc import Iterator
+from contextlib import chdir
 from pathlib import Path
 
 import fsspec
@@ -40,6 +43,51 @@ def test_folder_of_parquet_files_is_one_log(tmp_path: Path) -> None:
     before = hash_of_log(tmp_path / "log")
     (tmp_path / "log" / "table.parquet").write_text("other", encoding="utf-8")
     assert hash_of_log(tmp_path / "log") != before
+
+
+def test_links_are_followed_once_and_pipes_sockets_and_empty_folders_are_no_logs(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    (logs / "folder.ulg").mkdir(parents=True)
+    (logs / "a.ulg").write_text("x", encoding="utf-8")
+    os.mkfifo(logs / "pipe.ulg")
+    (logs / "pipe_link.ulg").symlink_to(logs / "pipe.ulg")
+    with socket.socket(socket.AF_UNIX) as local, chdir(logs):
+        local.bind("socket.ulg")
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "b.ulg").write_text("y", encoding="utf-8")
+    (tmp_path / "far" / "back").symlink_to(logs)
+    (logs / "linked").symlink_to(tmp_path / "far")
+    (logs / "loop").symlink_to(logs)
+    (logs / "link.ulg").symlink_to(logs / "a.ulg")
+    (logs / "none.ulg").symlink_to(tmp_path / "nowhere")
+    names = [log.path.removeprefix(f"{logs}/") for log in LogStore(url=str(logs)).logs()]
+    assert names == ["a.ulg", "link.ulg", "linked/b.ulg", "none.ulg"]
+
+
+def test_pipe_in_the_folder_of_a_log_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "table.parquet").write_text("x", encoding="utf-8")
+    before = hash_of_log(tmp_path)
+    os.mkfifo(tmp_path / "pipe.parquet")
+    assert hash_of_log(tmp_path) == before
+
+
+def test_names_and_identities_with_line_breaks_break_no_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log with such a name, or one that is not UTF-8, is stated; of identities in logs, the signs are escaped."""
+    for name in ("a\nb.csv", os.fsdecode(b"c\xff.csv"), "d.csv", "e f \u00e9.csv"):
+        write_log(tmp_path / name, [0.1, float(len(name))], airframe="A\n\x1b[31m7", firmware="1\r2")
+    (tmp_path / "broken.csv").symlink_to(tmp_path / "nowhere")
+    summary = run(tmp_path, tmp_path / "out")
+    print_summary(summary, tmp_path / "out", as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if "a\\nb.csv (its name has control characters" in line]
+    assert [line for line in lines if "c\\udcff.csv (its name has" in line]
+    assert "3 not delivered by the store" in lines[1]
+    assert next(query(tmp_path / "out", "SELECT DISTINCT vehicle, firmware FROM flights")[1]) == (
+        "A\\n\\x1b[31m7",
+        "1\\r2",
+    )
 
 
 @pytest.mark.parametrize("url", ["memory://fleet", "s3://fleet/logs"])
