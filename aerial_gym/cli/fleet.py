@@ -190,21 +190,18 @@ def _json_value(value: object) -> object:
 
 def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     """Print the result of a run: changed vehicles first."""
+    from aerial_gym.fleet.wording import is_shown, text_of_difference
+
     if as_json:
         print(json_line(vars(summary)))
         return
-    unchanged = "no vehicle has changed" if summary.judged else "no vehicle can be judged: none has enough flights"
+    unchanged = "no vehicle has changed" if summary.judged else "no vehicle can be judged by its flights"
     for text in summary.changed or [unchanged]:
         print(text)
     for vehicle, text in summary.reports.items():
         print(f"close-loop on vehicle {vehicle}, {text}")
-    for one in summary.cohorts:
-        if one["rejected"] and one["leading"]:
-            rotor = f", rotor {one['rotor']}" if one["rotor"] else ""
-            rows = zip(one["parameters"], one["difference"], one["low"], one["high"], strict=True)
-            values = ", ".join(f"{name} {value:+.3g} ({low:+.3g} to {high:+.3g})" for name, value, low, high in rows)
-            before, after = one["firmware"]
-            print(f"firmware {after} against {before}: {one['effect'].replace('_', ' ')}{rotor}: {values}")
+    for text in map(text_of_difference, filter(is_shown, summary.cohorts)):
+        print(text)
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
     parts = [(refused, "refused"), (summary.copies, "with known content"), (unread, "not delivered by the store")]

@@ -66,7 +66,7 @@ def _request(tables: FleetTables, fleet: Fleet, verdict: Row) -> ReportRequest |
     key = {name: verdict[name] for name in ("robot_hash", "model_version")}
     rows = sort_by_time(tables.rows("flights", names, vehicle=verdict["vehicle"], status="ok", **key))
     first = max(verdict["onset_high"], len(rows) - MOST_FLIGHTS + 1)
-    used = rows[first - 1 :]
+    used = [row for row in rows[first - 1 :] if row["log_hash"] not in verdict["odd_logs"]]
     if len(used) < FEWEST_FLIGHTS:
         return None
     logs = tuple(

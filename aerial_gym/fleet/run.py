@@ -16,7 +16,7 @@ from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.lock import writer_lock
 from aerial_gym.fleet.moments import columns_digest
 from aerial_gym.fleet.pass_one import LogRows, PassOneSettings, key_digest, text_digest
-from aerial_gym.fleet.pass_two import FEW, PassTwoSettings, judge_fleet
+from aerial_gym.fleet.pass_two import UNJUDGED, PassTwoSettings, judge_fleet
 from aerial_gym.fleet.reports import write_reports
 from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore
@@ -132,7 +132,7 @@ def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
             tables.compact()
         verdicts = judge_fleet(tables, run.fleet.hashes.values(), version, engine, run.verdicts, report)
         summary.vehicles, summary.changed = len(verdicts), [one["text"] for one in verdicts if one["rejected"]]
-        summary.judged = sum(one["verdict"] != FEW for one in verdicts)
+        summary.judged = sum(one["verdict"] not in UNJUDGED for one in verdicts)
         summary.alerts = new_alerts(tables, run.fleet.hashes.values(), version)
         tables.append("alerts", summary.alerts)
         summary.cohorts = tables.cohorts()

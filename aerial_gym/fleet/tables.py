@@ -85,17 +85,26 @@ class FleetTables:
 
     def dataset(self, name: str) -> arrow_dataset.Dataset:
         """Return a table as an Arrow dataset, of its present version."""
+        files = SubTreeFileSystem(
+            str(self.out / name), LocalFileSystem()
+        )  # deltalake's own can abort Python at its end
         with table_errors(self.out):
-            return delta_dataset(DeltaTable(self.out / name), self.out / name)
+            return DeltaTable(self.out / name).to_pyarrow_dataset(filesystem=files)
 
-    def rows(self, name: str, columns: Iterable[str], **equal: object) -> Iterator[dict[str, Any]]:
+    def versions(self) -> list[int]:
+        """Return the version of each table."""
+        with table_errors(self.out):
+            return [DeltaTable(self.out / name).version() for name in SCHEMAS]
+
+    def rows(self, name: str, columns: Iterable[str], /, **equal: object) -> Iterator[dict[str, Any]]:
         """Yield rows of a table, batch by batch; ``equal``: the value of a column that rows must have, or a list of texts."""
         rule = None
         for column, value in equal.items():
             field = arrow_dataset.field(column)
             one = field.isin(pa.array(value, pa.string())) if isinstance(value, list) else field == value
             rule = one if rule is None else rule & one
-        for batch in self.dataset(name).to_batches(columns=list(columns), filter=rule):
+        ahead = {"batch_readahead": 1, "fragment_readahead": 1}  # Arrow reads 16 batches of moments ahead by itself
+        for batch in self.dataset(name).to_batches(columns=list(columns), filter=rule, **ahead):
             yield from batch.to_pylist()
 
     def keys(self, name: str) -> set[tuple[str, ...]]:
@@ -163,11 +172,6 @@ class FleetTables:
             if len(table.file_uris()) > most_files:
                 table.optimize.compact(writer_properties=_FILE_ROWS)
             table.vacuum(retention_hours=1, dry_run=False, enforce_retention_duration=False)
-
-
-def delta_dataset(table: DeltaTable, folder: Path) -> arrow_dataset.Dataset:
-    """Return the rows of a Delta table in a folder; the file system that deltalake would take can abort Python at its end."""
-    return table.to_pyarrow_dataset(filesystem=SubTreeFileSystem(str(folder), LocalFileSystem()))
 
 
 def _table(name: str, rows: Iterable[Row]) -> pa.Table:

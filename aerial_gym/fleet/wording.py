@@ -1,5 +1,8 @@
 """Sentences on changed vehicles."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from aerial_gym.fleet.statistics import Change, ChangeResult
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.statistics import normal_quantile
@@ -16,22 +19,33 @@ QUANTITIES = {
 
 def text_of_change(result: ChangeResult, vehicle: str) -> str:
     """Return one sentence on the most probable change of a vehicle, with its alternatives."""
-    odd = _odd_text(result)
-    if not result.causes:
-        return f"vehicle {vehicle}: too few flights to judge a change{odd}"
     best, *alternatives = result.candidates
     text = f"vehicle {vehicle}{_rotor_text(best)}: {_size_text(best)} {_onset_text(best)}"
     if result.firmware_change:
         text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
     names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in alternatives]
-    return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + odd
+    return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + _odd_text(result)
 
 
-def text_of_no_change(result: ChangeResult, vehicle: str) -> str:
-    """Return one sentence on a vehicle whose change is not shown."""
-    return (
-        f"vehicle {vehicle}: no change shown{_odd_text(result)}" if result.causes else text_of_change(result, vehicle)
-    )
+def text_of_no_change(result: ChangeResult, vehicle: str, verdict: str) -> str:
+    """Return one sentence on a vehicle whose change is not shown, or cannot be."""
+    few, blind = "too few flights to judge a change", "its flights show no effect, so no change can be judged"
+    text = {"too_few_flights": few, "not_testable": blind}.get(verdict, "no change shown")
+    return f"vehicle {vehicle}: {text}{_odd_text(result)}"
+
+
+def is_shown(difference: Mapping[str, Any]) -> bool:
+    """Return whether a difference between firmware versions is significant, and explained best by its effect."""
+    return difference["rejected"] and difference["leading"]
+
+
+def text_of_difference(difference: Mapping[str, Any]) -> str:
+    """Return one sentence on the difference of an effect between two firmware versions, with 95 % intervals."""
+    values = zip(*(difference[name] for name in ("parameters", "difference", "low", "high")), strict=True)
+    sizes = ", ".join(f"{name} {value:+.3g} ({low:+.3g} to {high:+.3g})" for name, value, low, high in values)
+    before, after = difference["firmware"]
+    rotor = f", rotor {difference['rotor']}" if difference["rotor"] else ""
+    return f"firmware {after} against {before}: {difference['effect'].replace('_', ' ')}{rotor}: {sizes}"
 
 
 def _odd_text(result: ChangeResult) -> str:

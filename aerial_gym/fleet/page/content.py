@@ -12,6 +12,7 @@ from aerial_gym.fleet.page.snapshot import FleetSnapshot, Row
 from aerial_gym.fleet.page.texts import HALF_95, cause_name, change_text, interval_text, unit_text
 from aerial_gym.fleet.report_folder import report_folder
 from aerial_gym.fleet.sources import sort_by_time
+from aerial_gym.fleet.wording import is_shown, text_of_difference
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import value_text
@@ -22,7 +23,7 @@ TRAIN_FLIGHTS = 6  # Flights that the suggested close-loop is fitted to
 VERDICTS = {
     "changed": "changed", "ambiguous": "changed, cause ambiguous",
     "shared": "changed, as many others", "no_change": "no change shown",
-    "too_few_flights": "too few flights", "": "not judged yet",
+    "too_few_flights": "too few flights", "not_testable": "no effect visible", "": "not judged yet",
 }  # fmt: skip
 """Words of each verdict, in the order in which they are sorted."""
 
@@ -46,6 +47,7 @@ def fleet_content(snapshot: FleetSnapshot, _: str, options: Options) -> Content:
     content = snapshot.row("FROM totals") or {}
     content["verdicts"] = dict.fromkeys(VERDICTS, 0) | {row["verdict"]: row["vehicles"] for row in counts}
     content |= {name: snapshot.rows(f"FROM {name}") for name in ("changes", "reasons", "cohorts")}
+    content["differences"] = [text_of_difference(row) for row in snapshot.tables.cohorts() if is_shown(row)]
     verdict, sort = options.get("verdict", "any"), options.get("sort", "")
     sort = sort if sort in SORTS else "evidence"
     chosen = {
@@ -72,7 +74,6 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
     flights, causes = vehicle_flights(snapshot, own), json.loads(own["causes"])
     for cause in causes:
         cause |= {"name": cause_name(cause), "size": change_text(cause)}
-        cause["candidate"] &= own["rejected"]
     page = _pages(len(flights), options)
     end = len(flights) - PAGE_ROWS * (page["page"] - 1)
     pairs = [pair for pair in pairwise(flights) if pair[0]["firmware"] != pair[1]["firmware"]]
@@ -81,7 +82,7 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
         "causes": causes, "effects": effect_histories(snapshot, own, flights, causes), "updates": updates,
         "all_flights": flights, "timed": all(isfinite(flight["start_time"]) for flight in flights),
         "shown_flights": flights[max(end - PAGE_ROWS, 0) : end][::-1],
-        "report": report_link(snapshot.out, own, flights, len(flights)),
+        "report": report_link(snapshot.tables.out, own, flights, len(flights)),
     }  # fmt: skip
 
 
@@ -140,7 +141,7 @@ def flight_content(snapshot: FleetSnapshot, log_hash: str, _: Options) -> Conten
         "previous": flights[number - 2]["log_hash"] if number > 1 else None,
         "next": flights[number]["log_hash"] if 0 < number < len(flights) else None,
         **{name: [_sentence(one) for one in json.loads(flight[name] or "[]")] for name in ("checks", "events")},
-        "report": report_link(snapshot.out, current, flights, number),
+        "report": report_link(snapshot.tables.out, current, flights, number),
     }  # fmt: skip
 
 

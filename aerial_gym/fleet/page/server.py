@@ -141,7 +141,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _report(self, vehicle: str) -> str | None:
         """Return the report of a vehicle, if it lies in the folder of reports."""
-        out = self.server.store.out
+        out = self.server.store.snapshot().tables.out
         file = (report_folder(out, vehicle) / "report.html").resolve()
         inside = file.is_relative_to((out / "reports").resolve())
         return file.read_text(encoding="utf-8", errors="replace") if inside and file.is_file() else None
