@@ -15,11 +15,13 @@ from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.config.console import json_line, one_line
 from aerial_gym.errors import ConfigError
 from aerial_gym.extras import require
+from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 
 if TYPE_CHECKING:
     from aerial_gym.fleet.run import FleetRun, FleetSummary
     from aerial_gym.fleet.tables import Row
 
+Limits = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 Tables = Annotated[Path, tyro.conf.arg(aliases=["--tables"])]
 
 
@@ -32,10 +34,7 @@ class FleetLogsCmd:
     mapping: str | None = None  # Mapping of CSV files: a name or a file (.yaml)
     pattern: str = "*"  # Names of logs, such as *.ulg
     false_discovery: float = 0.01  # Largest expected share of unchanged vehicles among those that are named
-    limit: Annotated[
-        tuple[str, ...], tyro.conf.UseAppendAction
-    ] = ()  # EFFECT.PARAMETER=VALUE: say when a drift crosses it
-
+    limit: Limits = ()  # EFFECT.PARAMETER=VALUE: say when a drift crosses it
     json: bool = False  # Print JSON in place of sentences
 
     def request(self, logs: str, out: Path) -> "FleetRun":
@@ -154,7 +153,7 @@ class FleetQueryCmd:
         if not self.json:
             print_table((tuple(one_line(str(value)) for value in row) for row in rows), names)
         for row in rows if self.json else ():
-            print(json_line({name: _json_value(value) for name, value in zip(names, row, strict=True)}))
+            print(json_line(map_leaves(dict(zip(names, row, strict=True)), _json_value)))
         return 0
 
 
@@ -177,20 +176,14 @@ class FleetViewCmd:
 
 def _json_value(value: object) -> object:
     """Return a value of a table as JSON: numbers that are not finite as null, bytes in hexadecimal, others as text."""
-    from math import isfinite
-
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    if isinstance(value, list | tuple):
-        return [_json_value(one) for one in value]
     if isinstance(value, bytes):
         return value.hex()
-    return value if isinstance(value, int | str | None) else str(value)
+    return finite_or_none(value) if isinstance(value, int | float | str | None) else str(value)
 
 
 def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     """Print the result of a run: changed vehicles first."""
-    from aerial_gym.fleet.wording import is_shown, text_of_difference
+    from aerial_gym.fleet.wording import texts_of_differences
 
     if as_json:
         print(json_line(vars(summary)))
@@ -200,7 +193,7 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
         print(text)
     for vehicle, text in summary.reports.items():
         print(f"close-loop on vehicle {vehicle}, {text}")
-    for text in map(text_of_difference, filter(is_shown, summary.cohorts)):
+    for text in texts_of_differences(summary.cohorts):
         print(text)
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)

@@ -11,10 +11,9 @@ import subprocess
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
 from itertools import islice
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from aerial_gym.errors import ConfigError
 
@@ -26,12 +25,8 @@ CONNECT_S = 60.0  # Longest time until a cluster answers
 STORE_BYTES = 512 << 20  # Shared memory of Ray on this machine; batches of results take some megabytes
 
 
-class Engine(Protocol):
-    """Function that makes workers, gives each one batch at a time, and yields the results in order."""
-
-    def __call__(self, batches: Iterable[T], make_worker: Callable[[], Callable[[T], R]]) -> Iterator[R]:
-        """Yield the result of each batch."""
-        ...
+Engine = Callable[[Iterable[Any], Callable[[], Callable[[Any], Any]]], Iterator[Any]]
+"""Function of batches and a function that makes workers: gives workers one batch at a time, and yields the results in order."""
 
 
 def run_serially(batches: Iterable[T], make_worker: Callable[[], Callable[[T], R]]) -> Iterator[R]:
@@ -57,12 +52,7 @@ class _RayWorker:
             return pickle.dumps(self._worker(batch))
         except Exception as error:
             error.add_note(traceback.format_exc())
-            return pickle.dumps(_WorkerError(error=error))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _WorkerError:
-    error: Exception
+            return pickle.dumps(error)
 
 
 def _local_settings() -> dict[str, str]:
@@ -73,29 +63,25 @@ def _local_settings() -> dict[str, str]:
 
 def _check_cluster(address: str) -> None:
     """Raise ``ConfigError`` unless a process of its own connects to a cluster in time, as Ray tries on and on."""
-    code = (
-        "import ray, sys; ray.init(sys.argv[1], log_to_driver=False); sys.exit(not ray.cluster_resources().get('CPU'))"
-    )
-    with suppress(subprocess.TimeoutExpired):
-        command = [sys.executable, "-c", code, address]
-        if not subprocess.run(command, capture_output=True, timeout=CONNECT_S, check=False).returncode:
-            return
-    raise ConfigError(
-        f"--address {address}: no Ray cluster with processors answers within {CONNECT_S:g} s. Start one with: ray start --head"
-    )
+    code = f"import ray; ray.init({address!r}, log_to_driver=False); ray.cluster_resources()['CPU']"
+    try:
+        subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=CONNECT_S, check=True)
+    except subprocess.SubprocessError:
+        message = f"no Ray cluster with processors answers within {CONNECT_S:g} s. Start one with: ray start --head"
+        raise ConfigError(f"--address {address}: {message}") from None
 
 
 @contextmanager
 def _native_output_off() -> Iterator[None]:
     """Discard what native code writes to stderr, such as the log level that Ray reads."""
-    own, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
+    own = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
     try:
         yield
     finally:
         os.dup2(own, 2)
         os.close(own)
-        os.close(nowhere)
 
 
 @contextmanager
@@ -126,8 +112,8 @@ def ray_engine(workers: int | None = None, address: str | None = None) -> Iterat
                 compute=ActorPoolStrategy(size=min(count, len(some))),
             )  # fmt: skip
             for row in results.iter_rows():
-                if isinstance(result := pickle.loads(row["result"]), _WorkerError):
-                    raise result.error
+                if isinstance(result := pickle.loads(row["result"]), Exception):
+                    raise result
                 yield result
 
     try:

@@ -4,7 +4,6 @@ import fcntl
 import json
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
@@ -28,12 +27,8 @@ def writer_lock(out: Path) -> Iterator[None]:
         except OSError:
             raise ConfigError(f"{out}: {_holder(file.name)} writes these tables. Wait for it, or stop it") from None
         file.truncate(0)
-        holder = {
-            "pid": os.getpid(),
-            "host": socket.gethostname(),
-            "since": datetime.now(UTC).isoformat("T", "seconds"),
-        }
-        file.write(json.dumps(holder | {"command": Path(sys.argv[0]).name}))
+        since = datetime.now(UTC).isoformat("T", "seconds")
+        file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}))
         file.flush()
         yield
 

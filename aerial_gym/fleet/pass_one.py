@@ -30,12 +30,8 @@ PASS_ONE = "aerial_gym.sim2real.flight_evidence.evidence"
 BATCH_ATTEMPTS, LOG_ATTEMPTS = (
     2,
     5,
-)  # Attempts after which a batch is split, and a log is refused; workers may die for any reason
-_ENDS_PROCESS = SimpleNamespace(
-    reason=f"its analysis has ended the process {LOG_ATTEMPTS} times, perhaps for want of memory"
-)
-
-
+)  # After which a batch is split, and a log is refused; workers may die for any reason
+_ENDS_PROCESS = SimpleNamespace(reason=f"its analysis has ended the process {LOG_ATTEMPTS} times: too little memory?")
 _KNOWN = object()  # Result of a log whose content has rows, under this path or another one
 
 
@@ -48,9 +44,7 @@ class PassOneSettings:
     module: str = PASS_ONE
     scratch: Path  # Folder of fetched logs and of begun work
     mapping: str | None = None
-    known: AbstractSet[bytes] = (
-        frozenset()
-    )  # Digests of the keys that have rows: such logs are hashed, and not analysed
+    known: AbstractSet[bytes] = frozenset()  # Digests of keys that have rows: such logs are hashed, not analysed
 
     def make_worker(self) -> "PassOne":
         """Return a worker."""
@@ -126,7 +120,7 @@ class PassOne:
                     logs.append(self._fetch(reference, Path(folder)))
                 except Exception as error:  # of any file system's own type
                     rows[reference.rank] = LogRows(flight={"path": reference.path}, unread=str(error) or repr(error))
-            known = [log for log in logs if key_digest(self._key(log)) in self._settings.known]
+            known = [log for log in logs if row_digest(self._key(log)) in self._settings.known]
             rows |= {log.reference.rank: self._rows(log, _KNOWN) for log in known}
             for robot in sorted({log.robot for log in logs if log not in known}):
                 same = [log for log in logs if log.robot == robot and log not in known]
@@ -192,14 +186,9 @@ class PassOne:
         return LogRows(flight=flight, evidence=tuple(evidence), columns=columns)
 
 
-def key_digest(row: "Row") -> bytes:
-    """Return the digest of a flight's key."""
-    return text_digest(*(row[name] for name in KEY))
-
-
-def text_digest(*parts: object) -> bytes:
-    """Return the digest of values as texts."""
-    return hashlib.sha256("\0".join(map(str, parts)).encode("utf-8", "surrogatepass")).digest()
+def row_digest(row: "Row", names: Sequence[str] = KEY) -> bytes:
+    """Return the digest of some columns of a flight."""
+    return hashlib.sha256("\0".join(str(row[name]) for name in names).encode("utf-8", "surrogatepass")).digest()
 
 
 def _without_repeated_columns(rows: Sequence[LogRows]) -> list[LogRows]:

@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
 from io import BytesIO
@@ -14,13 +13,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pyarrow.dataset as arrow_dataset
 
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.moments import unpack_moments
 from aerial_gym.fleet.sources import ORDER, sort_by_time
-from aerial_gym.fleet.tables import FleetTables, Row
+from aerial_gym.fleet.tables import FleetTables, Row, match_columns
 from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 from aerial_gym.sim2real.progress import Progress, silent
 
@@ -112,12 +110,12 @@ class VehicleReader:
         stored = tables.rows("flights", ("log_hash", "moments"), **where)
         moments = {row["log_hash"]: row["moments"] for row in stored}
         for vehicle, rows in by_vehicle.items():
-            size, note = len(self.columns), f"; of its last {len(rows)} flights" if rows[0]["number"] else ""
+            size, note = len(self.columns), f"; judged by its last {len(rows)} flights" if rows[0]["number"] else ""
             product, gradient = np.empty((len(rows), size, size)), np.empty((len(rows), size))
             parts = zip(rows, product, gradient, strict=True)
             intact = np.array([unpack_moments(moments.pop(row["log_hash"]), *own) for row, *own in parts], dtype=bool)
             if not intact.all():
-                note += f"; {(~intact).sum()} flights do not count, as their stored moments are damaged"
+                note += f"; the moments of {(~intact).sum()} of {len(rows)} flights are damaged, and left out"
                 product, gradient = product[intact], gradient[intact]
                 rows = [row for row, is_intact in zip(rows, intact, strict=True) if is_intact]
             if rows:
@@ -178,13 +176,9 @@ class VehicleJudge:
         return row
 
     def _crossing(self, change: Any) -> float | None:
-        times = [
-            self._module.time_to_limit(change, limit, parameter)
-            for (effect, _, parameter), limit in (
-                (name.partition("."), value) for name, value in self._settings.limits.items()
-            )
-            if effect == change.effect and parameter in change.parameters
-        ]
+        limits = {name: self._settings.limits.get(f"{change.effect}.{name}") for name in change.parameters}
+        known = ((limit, name) for name, limit in limits.items() if limit is not None)
+        times = [self._module.time_to_limit(change, *one) for one in known]
         return min((one[0] for one in times if one is not None), default=None)
 
 
@@ -252,11 +246,9 @@ def judge_fleet(
         logs = [row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] not in UNJUDGED]
         rest = np.array(logs, dtype=float)
     verdicts = decide(results, rest, settings)
-    where = arrow_dataset.scalar(True)
-    if only is not None:  # else rows of earlier model versions and robot files go as well
-        where = arrow_dataset.field("vehicle").isin(list(only)) | (
-            arrow_dataset.field("model_version") != model_version
-        )
+    where = ~match_columns(model_version=model_version) | match_columns(
+        **({} if only is None else {"vehicle": list(only)})
+    )
     tables.replace("vehicles", where, [row for one in results for row in one.parameters])
     tables.replace("verdicts", where, verdicts)
     if only is None:
@@ -294,10 +286,9 @@ def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSetting
         row = _verdict_row(one, bool(flag), import_module(settings.wording))
         alike = sum(other.sign == one.sign and _overlap(other.span, one.span) for other in changed) if flag else 0
         if alike > max(MOST_ALIKE, MOST_ALIKE_SHARE * enough.sum()):
-            count = (
-                f"{alike} of {enough.sum()} vehicles changed alike at that time: season, site, firmware or log format?"
-            )
-            row |= {"verdict": "shared", "crosses_limit_at": None, "text": f"{row['text']}; {count}"}
+            alike_text = f"{alike} of {enough.sum()} vehicles changed alike at that time"
+            text = f"{row['text']}; {alike_text}: season, site, firmware or log format?"
+            row |= {"verdict": "shared", "crosses_limit_at": None, "text": text}
         rows.append(row)
     return rows
 
@@ -321,11 +312,8 @@ def vehicles_to_judge(tables: FleetTables, robots: Collection[str], model_versio
     """Return the vehicles with a flight that is newer than their verdict, as an interrupted run leaves them."""
     names, key = ("vehicle", "robot_hash", "written_at"), {"robot_hash": list(robots), "model_version": model_version}
     judged = {(row["vehicle"], row["robot_hash"]): row["written_at"] for row in tables.rows("verdicts", names, **key)}
-    flown = tables.rows("flights", names, status="ok", **key)
-    never = datetime.min.replace(tzinfo=UTC)
-    return {
-        one["vehicle"] for one in flown if one["written_at"] > judged.get((one["vehicle"], one["robot_hash"]), never)
-    }
+    flown = ((row.pop("written_at"), *row.values()) for row in tables.rows("flights", names, status="ok", **key))
+    return {vehicle for time, vehicle, robot in flown if time >= judged.get((vehicle, robot), time)}
 
 
 def _vehicles_by_group(

@@ -3,7 +3,7 @@
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -15,7 +15,7 @@ from aerial_gym.fleet.alerts import new_alerts
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.lock import writer_lock
 from aerial_gym.fleet.moments import columns_digest
-from aerial_gym.fleet.pass_one import LogRows, PassOneSettings, key_digest, text_digest
+from aerial_gym.fleet.pass_one import LogRows, PassOneSettings, row_digest
 from aerial_gym.fleet.pass_two import UNJUDGED, PassTwoSettings, judge_fleet
 from aerial_gym.fleet.reports import write_reports
 from aerial_gym.fleet.schemas import KEY
@@ -23,11 +23,11 @@ from aerial_gym.fleet.sources import LogReference, LogStore
 from aerial_gym.fleet.tables import FleetTables, Row
 from aerial_gym.fleet.vehicles import Fleet, content_hash
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.progress import Progress
 
+FILE_STATE = ("path", "size", "modified")  # Columns that tell a log without reading it
 BATCH = 16  # Logs of one batch, which share launches
 COMMIT_FLIGHTS, COMMIT_S = 512, 60.0  # Rows are committed after so many flights or seconds, whichever comes first
-
-Report = Callable[[str, float], None]
 
 
 @dataclass(kw_only=True)
@@ -60,14 +60,14 @@ class FlightWriter:
             self._remember(row)
 
     def _remember(self, row: "Row") -> None:
-        self.keys.add(key_digest(row))
+        self.keys.add(row_digest(row))
         robot = self._fleet.assign(row["path"], row["airframe"])[1]
         if self._fleet.hashes.get(robot, "") == row["robot_hash"]:
-            self._files.add(text_digest(row["path"], row["size"], row["modified"]))
+            self._files.add(row_digest(row, FILE_STATE))
 
     def is_known(self, log: LogReference) -> bool:
         """Return whether the rows of a log are written, without reading the log."""
-        return text_digest(log.path, log.size, log.modified) in self._files
+        return row_digest(vars(log), FILE_STATE) in self._files
 
     def add(self, rows: Iterable[LogRows]) -> None:
         """Take rows of logs; write all that wait if they are many or old."""
@@ -85,7 +85,7 @@ class FlightWriter:
         for rows in waiting:
             if rows.unread:
                 self.summary.unread[rows.flight["path"]] = rows.unread
-            elif key_digest(rows.flight) in self.keys:
+            elif row_digest(rows.flight) in self.keys:
                 self.summary.copies += 1
                 self._remember(rows.flight)
             else:
@@ -116,7 +116,7 @@ class FleetRun:
         return {"mapping": mapping, "rules": repr(self.fleet.rules.rules)}
 
 
-def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
+def run_fleet(run: FleetRun, engine: Engine, report: Progress) -> FleetSummary:
     """Bring the tables up to date with the logs; return what has changed."""
     total = sum(1 for _ in run.logs.logs())
     if not total:
@@ -145,7 +145,7 @@ def run_fleet(run: FleetRun, engine: Engine, report: Report) -> FleetSummary:
 def _run_pass_one(run: FleetRun, writer: FlightWriter, engine: Engine, progress: "_FlightProgress") -> None:
     batches = batches_of_logs(_new_logs(run.logs, writer))
     try:
-        for rows in engine(batches, pass_one_settings(run, writer.keys).make_worker):
+        for rows in engine(batches, pass_one_settings(run, frozenset(writer.keys)).make_worker):
             writer.add(rows)
             progress.add(rows)
     finally:
@@ -179,7 +179,7 @@ def batches_of_logs(logs: Iterator[LogReference]) -> Iterator[list[LogReference]
 class _FlightProgress:
     """Progress of pass 1: logs done, rate and refusals."""
 
-    def __init__(self, total: int, summary: FleetSummary, report: Report) -> None:
+    def __init__(self, total: int, summary: FleetSummary, report: Progress) -> None:
         self._total, self._summary, self._report = total, summary, report
         self._done = self._refused = 0
         self._start = time.monotonic()

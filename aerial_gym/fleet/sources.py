@@ -15,22 +15,9 @@ from aerial_gym.errors import ConfigError, MissingDependencyError
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
-NO_LOGS = (
-    ".json",
-    ".yaml",
-    ".yml",
-    ".md",
-    ".html",
-    ".png",
-    ".jpg",
-    ".svg",
-    ".pdf",
-    ".xml",
-    ".zip",
-    ".gz",
-    ".npz",
-    ".py",
-)
+NO_LOGS = {
+    ".json", ".yaml", ".yml", ".xml", ".md", ".html", ".pdf", ".png", ".jpg", ".svg", ".zip", ".gz", ".npz", ".py",
+}  # fmt: skip
 DESCRIPTIONS = {"metadata.json": {".parquet"}, "metadata.yaml": {".db3", ".mcap"}}
 """Files that make a folder one log, with the suffixes of its data: Parquet of ``log convert``, and bags of ROS 2."""
 
@@ -63,9 +50,7 @@ class LogStore:
         except ImportError as error:
             raise MissingDependencyError(f"--logs {self.url}: {error}") from None
         except ValueError as error:
-            raise ConfigError(
-                f"--logs {self.url}: {error}. Give a folder, or a URL such as s3://bucket/folder"
-            ) from None
+            raise ConfigError(f"--logs {self.url}: {error}. Give a folder, or a URL such as s3://bucket/logs") from None
 
     def check(self) -> None:
         """Raise ``ConfigError`` if the store does not exist or cannot be reached."""

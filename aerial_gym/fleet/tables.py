@@ -7,7 +7,9 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import reduce
 from itertools import chain
+from operator import and_
 from pathlib import Path
 from typing import Any
 
@@ -98,13 +100,8 @@ class FleetTables:
 
     def rows(self, name: str, columns: Iterable[str], /, **equal: object) -> Iterator[dict[str, Any]]:
         """Yield rows of a table, batch by batch; ``equal``: the value of a column that rows must have, or a list of texts."""
-        rule = None
-        for column, value in equal.items():
-            field = arrow_dataset.field(column)
-            one = field.isin(pa.array(value, pa.string())) if isinstance(value, list) else field == value
-            rule = one if rule is None else rule & one
         ahead = {"batch_readahead": 1, "fragment_readahead": 1}  # Arrow reads 16 batches of moments ahead by itself
-        for batch in self.dataset(name).to_batches(columns=list(columns), filter=rule, **ahead):
+        for batch in self.dataset(name).to_batches(columns=list(columns), filter=match_columns(**equal), **ahead):
             yield from batch.to_pylist()
 
     def keys(self, name: str) -> set[tuple[str, ...]]:
@@ -154,16 +151,13 @@ class FleetTables:
 
     def discard_incomplete(self) -> None:
         """Remove evidence whose flights are not written, as the program was killed, and refusals for want of a robot."""
-        no_robot = arrow_dataset.field("robot_hash") == ""
+        no_robot = match_columns(robot_hash="")
         if self.dataset("flights").count_rows(filter=no_robot):
             self.replace("flights", no_robot)
         orphans = self.keys("evidence") - self.keys("flights")
         for robot_hash, version in {key[1:] for key in orphans}:
-            where = arrow_dataset.field("log_hash").isin(
-                [log for log, *rest in orphans if rest == [robot_hash, version]]
-            )
-            where &= arrow_dataset.field("robot_hash") == robot_hash
-            self.replace("evidence", where & (arrow_dataset.field("model_version") == version))
+            logs = [log for log, *rest in orphans if rest == [robot_hash, version]]
+            self.replace("evidence", match_columns(log_hash=logs, robot_hash=robot_hash, model_version=version))
 
     def compact(self, most_files: int = 1) -> None:
         """Join the files of tables that have more than ``most_files``; remove those that no reader of the last hour can use."""
@@ -172,6 +166,13 @@ class FleetTables:
             if len(table.file_uris()) > most_files:
                 table.optimize.compact(writer_properties=_FILE_ROWS)
             table.vacuum(retention_hours=1, dry_run=False, enforce_retention_duration=False)
+
+
+def match_columns(**values: object) -> arrow_dataset.Expression:
+    """Return the condition that columns have values; a list of texts allows each of them."""
+    fields = ((arrow_dataset.field(name), value) for name, value in values.items())
+    rules = (f.isin(pa.array(v, pa.string())) if isinstance(v, list) else f == v for f, v in fields)
+    return reduce(and_, rules, arrow_dataset.scalar(True))
 
 
 def _table(name: str, rows: Iterable[Row]) -> pa.Table:

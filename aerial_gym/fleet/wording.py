@@ -1,6 +1,6 @@
 """Sentences on changed vehicles."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from aerial_gym.fleet.statistics import Change, ChangeResult
@@ -23,7 +23,7 @@ def text_of_change(result: ChangeResult, vehicle: str) -> str:
     text = f"vehicle {vehicle}{_rotor_text(best)}: {_size_text(best)} {_onset_text(best)}"
     if result.firmware_change:
         text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
-    names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in alternatives]
+    names = [cause_name(vars(other)) for other in alternatives]
     return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + _odd_text(result)
 
 
@@ -34,18 +34,21 @@ def text_of_no_change(result: ChangeResult, vehicle: str, verdict: str) -> str:
     return f"vehicle {vehicle}: {text}{_odd_text(result)}"
 
 
-def is_shown(difference: Mapping[str, Any]) -> bool:
-    """Return whether a difference between firmware versions is significant, and explained best by its effect."""
-    return difference["rejected"] and difference["leading"]
+def texts_of_differences(differences: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return one sentence on each difference between firmware versions that is significant, and leads other effects."""
+    return [_difference_text(one) for one in differences if one["rejected"] and one["leading"]]
 
 
-def text_of_difference(difference: Mapping[str, Any]) -> str:
-    """Return one sentence on the difference of an effect between two firmware versions, with 95 % intervals."""
+def _difference_text(difference: Mapping[str, Any]) -> str:
     values = zip(*(difference[name] for name in ("parameters", "difference", "low", "high")), strict=True)
     sizes = ", ".join(f"{name} {value:+.3g} ({low:+.3g} to {high:+.3g})" for name, value, low, high in values)
     before, after = difference["firmware"]
-    rotor = f", rotor {difference['rotor']}" if difference["rotor"] else ""
-    return f"firmware {after} against {before}: {difference['effect'].replace('_', ' ')}{rotor}: {sizes}"
+    return f"firmware {after} against {before}: {cause_name(difference)}: {sizes}"
+
+
+def cause_name(cause: Mapping[str, Any]) -> str:
+    """Return the name of an effect, with its rotor."""
+    return cause["effect"].replace("_", " ") + (f", rotor {cause['rotor']}" if cause["rotor"] else "")
 
 
 def _odd_text(result: ChangeResult) -> str:

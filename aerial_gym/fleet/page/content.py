@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.fleet.page.snapshot import FleetSnapshot, Row
-from aerial_gym.fleet.page.texts import HALF_95, cause_name, change_text, interval_text, unit_text
+from aerial_gym.fleet.page.texts import HALF_95, change_text, interval_text, unit_text
 from aerial_gym.fleet.report_folder import report_folder
 from aerial_gym.fleet.sources import sort_by_time
-from aerial_gym.fleet.wording import is_shown, text_of_difference
+from aerial_gym.fleet.wording import cause_name, texts_of_differences
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import value_text
@@ -47,14 +47,11 @@ def fleet_content(snapshot: FleetSnapshot, _: str, options: Options) -> Content:
     content = snapshot.row("FROM totals") or {}
     content["verdicts"] = dict.fromkeys(VERDICTS, 0) | {row["verdict"]: row["vehicles"] for row in counts}
     content |= {name: snapshot.rows(f"FROM {name}") for name in ("changes", "reasons", "cohorts")}
-    content["differences"] = [text_of_difference(row) for row in snapshot.tables.cohorts() if is_shown(row)]
+    content["differences"] = texts_of_differences(snapshot.tables.cohorts())
     verdict, sort = options.get("verdict", "any"), options.get("sort", "")
     sort = sort if sort in SORTS else "evidence"
-    chosen = {
-        "verdict": verdict if verdict in VERDICTS else "any",
-        "text": options.get("text", "").strip(),
-        "sort": sort,
-    }
+    verdict = verdict if verdict in VERDICTS else "any"
+    chosen = {"verdict": verdict, "text": options.get("text", "").strip(), "sort": sort}
     chosen["down"] = options.get("down", "1" if sort == "evidence" else "0")
     filters = (chosen["verdict"], chosen["text"])
     matches = (snapshot.row(f"SELECT count(*) AS vehicles {CHOSEN}", *filters) or {})["vehicles"]
@@ -125,9 +122,7 @@ def flight_content(snapshot: FleetSnapshot, log_hash: str, _: Options) -> Conten
     flight = snapshot.row(sql, log_hash)
     if flight is None:
         return None
-    sql = (
-        "SELECT evidence.* EXCLUDE (written_at) FROM evidence JOIN newest USING (log_hash, robot_hash, model_version) "
-    )
+    sql = f"SELECT evidence.* EXCLUDE (written_at) FROM evidence JOIN newest {same} "
     effects = snapshot.rows(f"{sql}WHERE log_hash = ? ORDER BY score DESC, effect, rotor, start", log_hash)
     for row in effects:
         row |= {"name": cause_name(row), "parameters": snapshot.parameters(row, flight["columns"])}

@@ -7,9 +7,10 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from aerial_gym.fleet.page.texts import cause_name, change_in_scales, change_text
+from aerial_gym.fleet.page.texts import change_in_scales, change_text
 from aerial_gym.fleet.query import connect
 from aerial_gym.fleet.tables import FleetTables
+from aerial_gym.fleet.wording import cause_name
 
 Row = dict[str, Any]
 

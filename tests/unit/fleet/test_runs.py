@@ -269,7 +269,7 @@ def test_verdicts_state_odd_and_damaged_flights_and_blind_vehicles(tmp_path: Pat
     write_deltalake(tmp_path / "out" / "flights", table, mode="overwrite")
     run(tmp_path / "logs", tmp_path / "out")
     verdicts = rows(tmp_path / "out", "verdicts")
-    damaged = "; 1 flights do not count, as their stored moments are damaged"
+    damaged = "; the moments of 1 of 6 flights are damaged, and left out"
     assert {row["text"].split(": ")[1] for row in verdicts} == {
         f"no_change, 0 odd flights{damaged}", "no_change, 1 odd flights", "not_testable, 0 odd flights",
     }  # fmt: skip
@@ -283,7 +283,7 @@ def test_verdict_rests_on_the_last_flights_and_numbers_all(tmp_path: Path, monke
     for flight in range(16, 20):
         write_log(tmp_path / "logs" / "vehicle_0" / f"flight_{flight}.csv", [-1.0, 0.0], time=1e9 + 1e3 * flight)
     assert run(tmp_path / "logs", tmp_path / "out").changed == [
-        "vehicle vehicle_0, rotor 1: changed since flight 17; of its last 8 flights"
+        "vehicle vehicle_0, rotor 1: changed since flight 17; judged by its last 8 flights"
     ]
     (row,) = (row for row in rows(tmp_path / "out", "verdicts") if row["rejected"])
     assert (row["onset_flight"], row["onset_time"], json.loads(row["causes"])[0]["onset"]) == (17, 1e9 + 16e3, 16)
