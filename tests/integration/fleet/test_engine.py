@@ -1,6 +1,8 @@
 """The engine of Ray: results in order, errors as they are, silence on stderr, and clusters that do not answer."""
 
 import socket
+import subprocess
+import sys
 from collections.abc import Callable
 from importlib.util import find_spec
 
@@ -23,12 +25,19 @@ def make_worker() -> Callable[[int], int]:
     return work
 
 
-def test_ray_prints_nothing_and_raises_the_error_of_a_worker(capfd: pytest.CaptureFixture[str]) -> None:
-    with engine.ray_engine(1) as run:
-        assert list(run([1, 2], make_worker)) == [2, 4]
-        with pytest.raises(StorageError, match="the disk is full"):
-            list(run([3], make_worker))
-    assert capfd.readouterr() == ("", "")
+def test_ray_prints_nothing_and_raises_the_error_of_a_worker() -> None:
+    """In a process of its own, as Ray reads its settings when it is imported."""
+    code = """
+from tests.integration.fleet.test_engine import StorageError, engine, make_worker
+with engine.ray_engine(1) as run:
+    print(list(run([1, 2], make_worker)))
+    try:
+        list(run([3], make_worker))
+    except StorageError as error:
+        print(error)
+"""
+    result = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert (result.stdout, result.stderr) == ("[2, 4]\nthe disk is full\n", "")
 
 
 def test_cluster_that_does_not_answer_is_refused_in_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,7 +76,7 @@ def test_names_and_identities_with_line_breaks_break_no_line(
 ) -> None:
     """A log with such a name, or one that is not UTF-8, is stated; of identities in logs, the signs are escaped."""
     for name in ("a\nb.csv", os.fsdecode(b"c\xff.csv"), "d.csv", "e f \u00e9.csv"):
-        write_log(tmp_path / name, [0.1, float(len(name))], airframe="A\n\x1b[31m7", firmware="1\r2")
+        write_log(tmp_path / name, [0.1, 0.01 * len(name)], airframe="A\n\x1b[31m7", firmware="1\r2")
     (tmp_path / "broken.csv").symlink_to(tmp_path / "nowhere")
     summary = run(tmp_path, tmp_path / "out")
     print_summary(summary, tmp_path / "out", as_json=False)
