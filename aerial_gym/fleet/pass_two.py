@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from io import BytesIO
@@ -34,6 +34,7 @@ FIT_FLIGHTS = (
 FEW = "too_few_flights"  # Verdict
 NO_CHANGE = dict.fromkeys(("onset_flight", "onset_low", "onset_high", "onset_time", "kind", "crosses_limit_at"))
 """Columns that only a change has."""
+CAMPAIGN = "or a campaign: the other vehicles do not rule out such changes by site, season or load"
 MOST_ALIKE, MOST_ALIKE_SHARE = 2, 0.2
 """Vehicles of a run that may change alike at one time, by number and share. Beyond that, something that they share is named."""
 FEWEST_FLIGHTS = 4  # Two before a change and two after it, as no change may rest on one flight
@@ -75,6 +76,7 @@ class VehicleResult:
     verdict: dict[str, Any]
     parameters: "tuple[Row, ...]"
     last_hash: str  # Hash of the log of its last flight
+    change: Any  # ``ChangeResult``
     sign: tuple[str, int, bool] | None = None  # Effect, rotor and direction of its most probable change
     span: tuple[float, float] = (
         0.0,
@@ -153,7 +155,7 @@ class VehicleJudge:
         )  # fmt: skip
         result = self._module.find_change(self._model, flights, columns)
         return VehicleResult(
-            vehicle=flights.vehicle, log_e=float(result.log_e), parameters=parameters, last_hash=hashes[-1],
+            vehicle=flights.vehicle, log_e=float(result.log_e), parameters=parameters, last_hash=hashes[-1], change=result,
             verdict=key | self._verdict(result, flights), **_sign_and_span(result, flights.time),
         )  # fmt: skip
 
@@ -164,7 +166,6 @@ class VehicleJudge:
         row: dict[str, Any] = {
             "verdict": FEW if few or best is None else "changed" if len(result.candidates) == 1 else "ambiguous",
             "causes": _json_text([asdict(one) | {"candidate": one in result.candidates} for one in result.causes]),
-            "log_e": float(result.log_e), "p_value": min(1.0, exp(-max(result.log_e, -1.0))),
             "text": import_module(self._settings.wording).text_of_change(result, flights.vehicle),
         }  # fmt: skip
         if best is not None:
@@ -249,9 +250,11 @@ def judge_fleet(
                 cohorts += [group.key() | asdict(row) for row in rows]
         vehicles = [vehicle for vehicle in flights if only is None or vehicle in only]
         batches = (vehicles[k : k + VEHICLES_AT_ONCE] for k in range(0, len(vehicles), VEHICLES_AT_ONCE))
-        for judged in engine(batches, partial(VehicleJudge, reader, model, settings)):
-            results += judged
-            report(f"vehicles {len(results)}/{total}", len(results) / total)
+        judged = list[VehicleResult]()
+        for batch in engine(batches, partial(VehicleJudge, reader, model, settings)):
+            judged += batch
+            report(f"vehicles {len(results) + len(judged)}/{total}", (len(results) + len(judged)) / total)
+        results += _beyond_campaigns(judged, reader, module, only is None)
     if only is not None:
         stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), model_version=model_version)
         rest = np.array([row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] != FEW], float)
@@ -276,6 +279,25 @@ def _model_on_disk(reader: VehicleReader, flights: int, module: Any) -> Any:
     return module.FleetModel(**arrays) if flights < 2 * arrays.pop("flights") else None
 
 
+def _beyond_campaigns(
+    results: Sequence[VehicleResult], reader: VehicleReader, module: Any, is_whole: bool
+) -> list[VehicleResult]:
+    """Return the results with evidence against the campaigns of the fleet, which are stored for vehicles judged alone."""
+    file = reader.model_file().with_suffix(".campaigns.json")
+    if is_whole:
+        fleet = module.campaign_evidence(one.change for one in results)
+        content = [[*cause, logs.tolist()] for cause, logs in fleet.items()]
+        write_atomic(file, json.dumps(content))
+        return [replace(one, log_e=float(module.log_e_beyond_campaigns(one.change, fleet))) for one in results]
+    stored = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
+    known = {(effect, rotor): np.array(logs) for effect, rotor, logs in stored}
+    fleets = [module.campaign_evidence([one.change], known) for one in results]
+    return [
+        replace(one, log_e=float(module.log_e_beyond_campaigns(one.change, fleet)))
+        for one, fleet in zip(results, fleets, strict=True)
+    ]
+
+
 def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
     content = BytesIO()
     np.savez(content, flights=flights, **vars(model))
@@ -286,14 +308,17 @@ def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
 def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:
     """Return the verdicts of vehicles, with the false discovery rate over them and the log e-values ``rest`` of others."""
     enough = np.array([one.verdict["verdict"] != FEW for one in results], dtype=bool)
-    own = np.array([one.log_e for one in results])[enough]
-    rejected = import_module(settings.module).benjamini_hochberg(np.concatenate((own, rest)), settings.level)
-    flags = np.zeros(len(results), dtype=bool)
-    flags[enough] = rejected[: own.size]
+    reject = import_module(settings.module).benjamini_hochberg
+    flags, evident = np.zeros((2, len(results)), dtype=bool)
+    for chosen, logs in ((flags, [one.log_e for one in results]), (evident, [one.change.log_e for one in results])):
+        own = np.array(logs)[enough]
+        chosen[enough] = reject(np.concatenate((own, rest)), settings.level)[: own.size]
     changed = [one for one, flag in zip(results, flags, strict=True) if flag]
     rows = []
-    for one, flag in zip(results, flags, strict=True):
+    for one, flag, is_evident in zip(results, flags, evident, strict=True):
         row = _verdict_row(one, bool(flag))
+        if is_evident and not flag:
+            row |= {"verdict": "campaign", "text": f"{one.verdict['text']}, {CAMPAIGN}"}
         alike = sum(other.sign == one.sign and _overlap(other.span, one.span) for other in changed) if flag else 0
         if alike > max(MOST_ALIKE, MOST_ALIKE_SHARE * enough.sum()):
             count = (
@@ -310,6 +335,7 @@ def _overlap(first: tuple[float, float], second: tuple[float, float]) -> bool:
 
 def _verdict_row(result: VehicleResult, rejected: bool) -> dict[str, Any]:
     row, vehicle = result.verdict | {"rejected": rejected, "last_hash": result.last_hash}, result.vehicle
+    row |= {"log_e": result.log_e, "p_value": min(1.0, exp(-max(result.log_e, -1.0)))}
     if row["verdict"] == FEW:
         return row | NO_CHANGE | {"text": f"vehicle {vehicle}: too few flights to judge a change"}
     if not rejected:

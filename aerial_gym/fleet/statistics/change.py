@@ -5,8 +5,8 @@ vehicles is 1, which makes it an e-value. It counts what remains without the fli
 The prior of the vehicle's base is as broad as that of a change, so that no change explains a steady deviation better.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -17,6 +17,8 @@ from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
 from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_posterior, log_sum, mixture_moments
 from aerial_gym.sim2real.arrays import Array, Indices
 
+Support = Mapping[tuple[str, int], Array]
+"""Log Bayes factors of a change of each cause, averaged over kinds, onsets and starts, (sizes,)."""
 Kind = Literal["step", "drift"]
 KINDS: tuple[Kind, Kind] = ("step", "drift")
 
@@ -68,9 +70,18 @@ class ChangeResult:
     vehicle: str
     flights: int
     log_e: float = 0.0  # Log evidence of any change against none, without the flight that supports it most
+    support: Support = field(default_factory=dict)  # With all flights; without the best cause, where that is clear
+    robust_support: tuple[
+        Support, ...
+    ] = ()  # Of the candidates, without each of the flights that support the change most
     causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
     odd_flights: tuple[int, ...] = ()  # Indices of flights that deviate alone, and are left out
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
+
+    @property
+    def odd_cost(self) -> float:
+        """Return the log evidence that the choice of the odd flights costs: the logarithm of the flights for each."""
+        return len(self.odd_flights) * float(np.log(max(self.flights, 1)))
 
     @property
     def candidates(self) -> tuple[Change, ...]:
@@ -92,10 +103,8 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
         odd.append(int(kept[number]))
         kept = np.delete(kept, number)
     causes = tuple(one.count_flights(kept) for one in result.causes)
-    cost = len(odd) * np.log(max(count, 1))
-    return replace(
-        result, flights=count, log_e=float(result.log_e - cost), odd_flights=tuple(sorted(odd)), causes=causes
-    )
+    result = replace(result, flights=count, odd_flights=tuple(sorted(odd)), causes=causes)
+    return replace(result, log_e=float(result.log_e - result.odd_cost))
 
 
 def _find_in_hypotheses(
@@ -115,16 +124,30 @@ def _find_in_hypotheses(
     search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refine()
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
-    if log_e > 0.0:
+    support = search.support(log_sum(table, axis=(0, 1)))
+    robust_support = (support,)
+    if result.flights < FEWEST_FLIGHTS:
+        log_e = min(log_e, 0.0)
+    elif log_e > 0.0:
         searches.append(search.without_change(table))
-        log_e = search.log_e(table, var_flight)
+        support = searches[-1].support_beside_change(support)
+        robust_support = search.robust_support(table, var_flight)
+        log_e = min(log_e_of_support(one, len(support)) for one in robust_support)
         search = search.with_own_scatter(table, var_flight)
         table = search.log_evidence()
     causes = search.causes(table, model.mean[shown], own)
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
     is_odd = odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS
     change = firmware_change(flights.firmware, causes[0])
-    return replace(result, log_e=log_e, causes=causes, firmware_change=change), number if is_odd else None
+    result = replace(
+        result, log_e=log_e, support=support, robust_support=robust_support, causes=causes, firmware_change=change
+    )
+    return result, number if is_odd else None
+
+
+def log_e_of_support(support: Support, causes: int) -> float:
+    """Return the log evidence of a change of any of some equally probable causes."""
+    return float(log_sum(np.array(list(support.values())))) - float(np.log(causes * len(SIZES)))
 
 
 def firmware_change(firmware: tuple[str, ...], change: Change) -> tuple[str, str] | None:
@@ -156,7 +179,7 @@ class ChangeSearch:
         """Return the search with more onsets about those that are probable for either kind, if there is evidence."""
         search, flights = self, np.arange(1, self.time.size)
         for _ in range(ROUNDS):
-            onsets, logs = search.onsets, log_sum(search.log_evidence(), axis=2)
+            onsets, logs = search.onsets, log_sum(search.log_evidence(), axis=(2, 3))
             probable = (logs > log_sum(logs, axis=1)[:, None] + np.log(IMPROBABLE)).any(axis=0)
             after = np.searchsorted(onsets, flights)
             added = flights[(onsets[after] != flights) & (probable[after] | probable[after - 1])]
@@ -166,32 +189,47 @@ class ChangeSearch:
         return search
 
     def log_evidence(self) -> Array:
-        """Return log Bayes factor plus log prior of each kind, onset and hypothesis, (kinds, J, H)."""
+        """Return log Bayes factor plus log prior of each kind, onset, hypothesis and size, (kinds, J, H, sizes)."""
         onsets = self.onsets
         patterns = np.concatenate([change_patterns(kind, onsets, self.time) for kind in KINDS])
-        factors = self.scan.log_factors(patterns, self.hypotheses).reshape(len(KINDS), onsets.size, -1)
-        return factors + np.log(onset_weights(onsets) / len(KINDS))[:, None] + self.hypotheses.log_prior
+        factors = self.scan.log_factors(patterns, self.hypotheses)
+        priors = np.log(onset_weights(onsets))[:, None] + self.hypotheses.log_prior
+        return factors.reshape(len(KINDS), *priors.shape, -1) + (priors - np.log(len(KINDS) * len(SIZES)))[..., None]
+
+    def log_evidence_by_size(self) -> Array:
+        """Return the log evidence of each hypothesis and size, (H, sizes)."""
+        return log_sum(self.log_evidence(), axis=(0, 1))
+
+    def support(self, log_evidence: Array) -> Support:
+        """Return the log Bayes factors of the causes, from the log evidence by size, (H, sizes)."""
+        causes, own = self.hypotheses.causes, self.hypotheses.cause
+        logs = log_evidence + np.log(len(causes) * len(SIZES))
+        return {causes[k]: log_sum(logs[own == k], axis=0) for k in np.unique(own)}
 
     def log_evidence_of_flights(self) -> Array:
         """Return log Bayes factor plus log prior of a change in one flight alone, (N, H)."""
         return self.scan.log_factors_of_flights(self.hypotheses) + self.hypotheses.log_prior - np.log(self.time.size)
 
-    def log_e(self, table: Array, var_flight: Array) -> float:
-        """Return the log evidence of a change that remains without its most telling flight and with uncertain scatter."""
-        part, count = self.search_of_candidates(log_sum(table, axis=(0, 1))), self.time.size
-        if count < FEWEST_FLIGHTS:
-            return min(float(log_sum(table)), 0.0)
+    def support_beside_change(self, support: Support) -> Support:
+        """Return the support, that of causes other than the candidates from this search, which is without their change."""
+        best, own = max(map(log_sum, support.values())), self.support(self.log_evidence_by_size())
+        return {cause: logs if log_sum(logs) >= best - AMBIGUOUS else own[cause] for cause, logs in support.items()}
+
+    def robust_support(self, table: Array, var_flight: Array) -> tuple[Support, ...]:
+        """Return the support that remains without each of the most telling flights, with uncertain scatter."""
+        part, count = self.search_of_candidates(log_sum(table, axis=(0, 1, 3))), self.time.size
         parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.flights_in_support(table)]
-        return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[0] for one in parts)
+        tables = [one.with_scatter(var_flight, ChangeSearch.log_evidence_by_size)[0] for one in parts]
+        return tuple(one.support(own) for one, own in zip(parts, tables, strict=True))
 
     def with_own_scatter(self, table: Array, var_flight: Array) -> "ChangeSearch":
         """Return the search with the most probable variance between flights, at least the fleet's.
 
         Causes, onset and size are then as uncertain as this vehicle's own scatter makes them.
         """
-        part = self.search_of_candidates(log_sum(table, axis=(0, 1)))
+        part = self.search_of_candidates(log_sum(table, axis=(0, 1, 3)))
         places = np.unique(np.concatenate(part.hypotheses.columns))
-        factor = max(part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[1], 1.0)
+        factor = max(part.with_scatter(var_flight, ChangeSearch.log_evidence_by_size)[1], 1.0)
         return replace(self, scan=self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])[0]).refine()
 
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
@@ -199,7 +237,7 @@ class ChangeSearch:
         table = self.log_evidence_of_flights()
         if (log_e := float(log_sum(table))) > ODD_LOG_E:
             part = self.search_of_candidates(log_sum(table, axis=0))
-            log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)[0]
+            log_e = float(log_sum(part.with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)[0]))
         return log_e, int(table.max(axis=1).argmax())
 
     def search_of_candidates(self, log_evidence: Array) -> "ChangeSearch":
@@ -214,25 +252,24 @@ class ChangeSearch:
         onsets = np.unique(np.clip(np.searchsorted(flights, self.onsets), 1, flights.size - 1))
         return replace(self, scan=scan, time=self.time[flights], onsets=onsets)
 
-    def log_evidence_with_scatter(
-        self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]"
-    ) -> tuple[float, float]:
-        """Return the log evidence of any change if the variance between this vehicle's flights is not known.
+    def with_scatter(self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]") -> tuple[Array, float]:
+        """Return the log evidence, as that with the fleet's scatter, if the variance between this vehicle's flights is unknown.
 
         In the columns that may have changed it is ``factor var_flight``, with an inverse gamma prior of the factor.
         The second value is the most probable factor with a change.
         """
         places = np.unique(np.concatenate(self.hypotheses.columns))
-        steady, factors = [], []
+        steady, changed = [], []
         for factor in SCATTER:
             scan, constant = self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])
             steady.append(constant + scan.log_marginal - 0.5 * FREEDOM * (np.log(factor) + 1.0 / factor))
-            factors.append(log_sum(evidence(replace(self, scan=scan))))
+            changed.append(evidence(replace(self, scan=scan)))
         logs = np.log(SCATTER)
         fine = np.linspace(logs[0], logs[-1], FINE)
-        steady, factors = CubicSpline(logs, steady)(fine), CubicSpline(logs, factors)(fine)
-        log_e = float(log_sum(steady + factors) - log_sum(steady))
-        return log_e, float(np.exp(fine[(steady + factors).argmax()]))
+        prior = CubicSpline(logs, steady)(fine)
+        table = CubicSpline(logs, changed)(fine) + prior.reshape(-1, *np.ones_like(changed[0].shape))
+        total = log_sum(table, axis=tuple(range(1, table.ndim)))
+        return log_sum(table, axis=0) - log_sum(prior), float(np.exp(fine[total.argmax()]))
 
     def flights_in_support(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
@@ -248,7 +285,8 @@ class ChangeSearch:
 
     def _best_change(self, table: Array) -> tuple[Array, Array, Array]:
         """Return the base (K,), the most probable change of the flights, (N, K), and the shift of the base with it, (K,)."""
-        kind, onset, hypothesis = np.unravel_index(table.argmax(), table.shape)
+        logs = log_sum(table, axis=3)
+        kind, onset, hypothesis = np.unravel_index(logs.argmax(), logs.shape)
         places = self.hypotheses.columns[hypothesis]
         patterns = change_patterns(KINDS[kind], self.onsets[[onset]], self.time)
         product, right, side = self.scan.change_moments(patterns, places[None])
@@ -263,7 +301,8 @@ class ChangeSearch:
 
     def causes(self, table: Array, mean: Array, columns: Columns) -> tuple[Change, ...]:
         """Return the causes by falling evidence, the improbable ones left out."""
-        of_cause = [table[:, :, self.hypotheses.cause == k] for k in range(len(self.hypotheses.causes))]
+        logs = log_sum(table, axis=3)
+        of_cause = [logs[:, :, self.hypotheses.cause == k] for k in range(len(self.hypotheses.causes))]
         evidence = np.array([log_sum(part) for part in of_cause]) + np.log(len(of_cause))
         order = np.argsort(-evidence, kind="stable")
         least = max(float(evidence.max()) - AMBIGUOUS, 0.0)
@@ -299,7 +338,7 @@ class ChangeSearch:
     def onset_posterior(self, kind: Kind, places: Indices) -> Array:
         """Return the posterior probabilities of the onsets, (J,)."""
         only = Hypotheses(causes=(("", 0),), cause=np.zeros(1, dtype=int), columns=(places,), log_prior=np.zeros(1))
-        logs = self.scan.log_factors(change_patterns(kind, self.onsets, self.time), only)[:, 0]
+        logs = log_sum(self.scan.log_factors(change_patterns(kind, self.onsets, self.time), only)[:, 0], axis=1)
         logs += np.log(onset_weights(self.onsets))
         return np.exp(logs - log_sum(logs))
 

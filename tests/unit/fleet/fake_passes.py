@@ -147,6 +147,14 @@ def find_change(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> 
     return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,), odd_flights=())
 
 
+def campaign_evidence(results: Iterable[Any], known: Any = None) -> Any:
+    return {}
+
+
+def log_e_beyond_campaigns(result: Any, fleet: Any) -> float:
+    return result.log_e
+
+
 @dataclass(frozen=True, kw_only=True)
 class Difference:
     firmware: tuple[str, str]
