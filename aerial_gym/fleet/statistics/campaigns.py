@@ -41,7 +41,7 @@ def log_e_beyond_campaigns(result: ChangeResult, fleet: Support) -> float:
         for k, (cause, logs) in enumerate(part.items()):
             weights = fleet[cause] - _log_likelihood(result.support[cause]) + PRIOR
             campaigns[k] = log_sum(weights + _log_factors(logs)) - log_sum(weights)
-        excess = log_e_of_support(part, count) - float(log_sum(campaigns)) + np.log(count) - result.odd_cost
+        excess = log_e_of_support(part, count) - float(log_sum(campaigns)) + np.log(count) - result.choice_cost
         log_e = min(log_e, excess)
     return log_e
 

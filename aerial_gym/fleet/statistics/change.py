@@ -58,9 +58,10 @@ class Change:
     level_slope_cov: tuple[float, ...]  # Covariances of level and slope
     last_time: float  # Time of the last flight
 
-    def count_flights(self, kept: Indices) -> Self:
+    def count_flights(self, kept: Indices, end: int) -> Self:
         """Return the change with onsets among all flights, from the indices of those that were judged."""
-        return replace(self, **{name: int(kept[getattr(self, name)]) for name in ("onset", "onset_low", "onset_high")})
+        names, first = ("onset", "onset_low", "onset_high"), int(np.argmin(kept)) if end else 0
+        return replace(self, **{name: int(kept[max(getattr(self, name), first)]) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,11 +78,22 @@ class ChangeResult:
     causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
     odd_flights: tuple[int, ...] = ()  # Indices of flights that deviate alone, and are left out
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
+    end: int | None = None  # Index of the first flight after the change, unless it lasts
+    second: "ChangeResult | None" = None  # Change that the flights show beside it, at another time
 
     @property
-    def odd_cost(self) -> float:
-        """Return the log evidence that the choice of the odd flights costs: the logarithm of the flights for each."""
-        return len(self.odd_flights) * float(np.log(max(self.flights, 1)))
+    def choice_cost(self) -> float:
+        """Return the log evidence that the choice of odd flights and of an end costs: the logarithm of the flights for each."""
+        return (len(self.odd_flights) + (self.end is not None)) * float(np.log(max(self.flights, 1)))
+
+    def count_flights(self, kept: Indices, end: int = 0) -> Self:
+        """Return the result with onsets among all flights; of those judged, the ones after the end of a change come first."""
+        return replace(self, causes=tuple(one.count_flights(kept, end) for one in self.causes))
+
+    def is_apart_from(self, first: "ChangeResult") -> bool:
+        """Return whether the change is evident, and its onset's interval apart from that of another one."""
+        own, other = self.causes[0], first.causes[0]
+        return self.log_e > ODD_LOG_E and (own.onset_low > other.onset_high or own.onset_high < other.onset_low)
 
     @property
     def candidates(self) -> tuple[Change, ...]:
@@ -92,31 +104,46 @@ class ChangeResult:
 def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) -> ChangeResult:
     """Return the evidence of a change of a vehicle, and its causes.
 
-    Flights that deviate alone are left out one by one. Each costs the logarithm of the number of flights, as it was chosen.
+    Flights that deviate alone are left out one by one. A change that ends is one that lasts if the flights after its end come
+    first. Each such choice costs the logarithm of the number of flights.
     """
     count = len(flights.firmware)
     kept, odd = np.arange(count), list[int]()
     while True:
-        result, number = _find_in_hypotheses(model, flights.select(kept), columns)
-        if number is None or len(odd) >= max(1, int(ODD_SHARE * count)):
+        finding = _find_in_hypotheses(model, flights.select(kept), columns)
+        if finding.odd is None or len(odd) >= max(1, int(ODD_SHARE * count)):
             break
-        odd.append(int(kept[number]))
-        kept = np.delete(kept, number)
-    causes = tuple(one.count_flights(kept) for one in result.causes)
-    result = replace(result, flights=count, odd_flights=tuple(sorted(odd)), causes=causes)
-    return replace(result, log_e=float(result.log_e - result.odd_cost))
+        odd.append(int(kept[finding.odd]))
+        kept = np.delete(kept, finding.odd)
+    result, end, second = finding.result, None, None
+    if finding.end is not None:
+        ended = _find_in_hypotheses(model, flights.select(np.roll(kept, -finding.end)), columns).result
+        if ended.log_e - np.log(count) > result.log_e:
+            result, end, kept = ended, int(kept[finding.end]), np.roll(kept, -finding.end)
+    if finding.rest is not None and end is None:
+        second = _find_in_hypotheses(model, finding.rest, columns).result
+        second = second.count_flights(kept) if second.is_apart_from(result) else None
+    result = replace(result.count_flights(kept, end or 0), flights=count, odd_flights=tuple(sorted(odd)), end=end)
+    return replace(result, log_e=float(result.log_e - result.choice_cost), second=second)
 
 
-def _find_in_hypotheses(
-    model: FleetModel, flights: VehicleFlights, columns: Columns
-) -> tuple[ChangeResult, int | None]:
-    """Return the change among flights that all count, and the index of one that rather deviates alone."""
+@dataclass(frozen=True, kw_only=True)
+class _Finding:
+    """Change among flights that all count, and what else may explain them."""
+
+    result: ChangeResult
+    odd: int | None = None  # Flight that rather deviates alone
+    end: int | None = None  # First flight after a change that does not last
+    rest: VehicleFlights | None = None  # Flights without the change
+
+
+def _find_in_hypotheses(model: FleetModel, flights: VehicleFlights, columns: Columns) -> _Finding:
     result = ChangeResult(vehicle=flights.vehicle, flights=len(flights.firmware))
     shown = np.flatnonzero(np.einsum("nkk->k", flights.product) > 0.0)
     own = [columns[k] for k in shown]
     hypotheses = Hypotheses.from_columns(own, np.ones(shown.size, dtype=bool))
     if result.flights < 2 or not hypotheses.causes:
-        return result, None
+        return _Finding(result=result)
     root = np.sqrt(model.var_vehicle[shown] + SIZES[-1] ** 2)
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
@@ -125,16 +152,20 @@ def _find_in_hypotheses(
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
     support = search.support(log_sum(table, axis=(0, 1)))
-    robust_support = (support,)
+    robust_support, end, rest = (support,), None, None
     if result.flights < FEWEST_FLIGHTS:
         log_e = min(log_e, 0.0)
     elif log_e > 0.0:
+        end = search.end_of_change(table)
         searches.append(search.without_change(table))
         support = searches[-1].support_beside_change(support)
         robust_support = search.robust_support(table, var_flight)
         log_e = min(log_e_of_support(one, len(support)) for one in robust_support)
         search = search.with_own_scatter(table, var_flight)
         table = search.log_evidence()
+        gradient = flights.gradient.copy()
+        gradient -= np.einsum("nkp,np->nk", flights.product[:, :, shown], search.best_change(table)[1])
+        rest = replace(flights, gradient=gradient)
     causes = search.causes(table, model.mean[shown], own)
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
     is_odd = odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS
@@ -142,7 +173,7 @@ def _find_in_hypotheses(
     result = replace(
         result, log_e=log_e, support=support, robust_support=robust_support, causes=causes, firmware_change=change
     )
-    return result, number if is_odd else None
+    return _Finding(result=result, odd=number if is_odd else None, end=end, rest=rest if log_e > ODD_LOG_E else None)
 
 
 def log_e_of_support(support: Support, causes: int) -> float:
@@ -271,19 +302,40 @@ class ChangeSearch:
         total = log_sum(table, axis=tuple(range(1, table.ndim)))
         return log_sum(table, axis=0) - log_sum(prior), float(np.exp(fine[total.argmax()]))
 
+    def end_of_change(self, table: Array) -> int | None:
+        """Return the first flight after a change that ends, if that explains the flights better than one that lasts.
+
+        From the best step on, start and end are improved in turn, for its hypothesis alone.
+        """
+        flights, (onset, hypothesis) = (
+            np.arange(self.time.size),
+            np.unravel_index(log_sum(table[0], axis=2).argmax(), table.shape[1:3]),
+        )
+        only, side = self.hypotheses.select([int(hypothesis)]), int(self.onsets[onset])
+        lasting = change_patterns("step", flights[1:], self.time), change_patterns("drift", flights[1:], self.time)
+        best = log_sum(self.scan.log_factors(np.concatenate(lasting), only), axis=(1, 2)).max()
+        for _ in range(2):
+            starts, ends = np.minimum(flights, side), np.maximum(flights, side)
+            patterns = (flights >= starts[:, None]) & (flights < ends[:, None])
+            logs = log_sum(self.scan.log_factors(patterns.astype(float), only), axis=(1, 2))
+            logs[(starts < 2) | (ends - starts < 2) | (ends > self.time.size - 2)] = -np.inf
+            place = int(logs.argmax())
+            end, side = ends[place], place
+        return int(end) if logs[place] > best else None
+
     def flights_in_support(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
-        base, change, shift = self._best_change(table)
+        base, change, shift = self.best_change(table)
         gain = self._log_likelihood(base + shift + change) - self._log_likelihood(base)
         return np.argsort(-gain, kind="stable")[:TELLING].tolist()
 
     def without_change(self, table: Array) -> "ChangeSearch":
         """Return the search of the flights without their most probable change."""
-        change = self._best_change(table)[1]
+        change = self.best_change(table)[1]
         gradient = self.scan.gradient - (self.scan.product @ change[:, :, None])[:, :, 0]
         return replace(self, scan=replace(self.scan, gradient=gradient))
 
-    def _best_change(self, table: Array) -> tuple[Array, Array, Array]:
+    def best_change(self, table: Array) -> tuple[Array, Array, Array]:
         """Return the base (K,), the most probable change of the flights, (N, K), and the shift of the base with it, (K,)."""
         logs = log_sum(table, axis=3)
         kind, onset, hypothesis = np.unravel_index(logs.argmax(), logs.shape)
