@@ -19,6 +19,7 @@ from aerial_gym.config.storage import write_atomic
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.moments import unpack_moments
 from aerial_gym.fleet.sources import sort_by_time
+from aerial_gym.fleet.statistics.moments import usable_times
 from aerial_gym.fleet.tables import FleetTables, Row
 from aerial_gym.sim2real.json_values import map_leaves
 from aerial_gym.sim2real.progress import Progress, silent
@@ -72,7 +73,8 @@ class VehicleResult:
     """Rows of one vehicle, before the verdicts of the fleet are compared."""
 
     vehicle: str
-    log_e: float
+    log_e: float  # Against campaigns too, once all vehicles of the group are judged
+    own_log_e: float  # Of its flights alone
     verdict: dict[str, Any]
     parameters: "tuple[Row, ...]"
     last_hash: str  # Hash of the log of its last flight
@@ -115,13 +117,15 @@ class VehicleReader:
             flights = sort_by_time(flights)
             if most is not None and len(flights) > most:
                 flights = [flights[k] for k in np.linspace(0, len(flights) - 1, most).round().astype(int)]
+            time, is_timed = usable_times(np.array([row["start_time"] for row in flights], dtype=float))
             moments = [unpack_moments(row["moments"], len(self.columns)) for row in flights]
             yield (
                 module.VehicleFlights(
                     vehicle=vehicle,
                     product=np.array([product for product, _ in moments]),
                     gradient=np.array([gradient for _, gradient in moments]),
-                    time=_times(flights),
+                    time=time,
+                    is_timed=is_timed,
                     firmware=tuple(row["firmware"] or "" for row in flights),
                 ),
                 [row["log_hash"] for row in flights],
@@ -145,7 +149,8 @@ class VehicleJudge:
 
     def _judge(self, flights: Any, hashes: list[str], last_time: float) -> VehicleResult:
         columns, key = self._reader.columns, {"vehicle": flights.vehicle} | self._reader.group.key()
-        posterior = self._module.vehicle_posterior(self._model, flights, columns)
+        result = self._module.find_change(self._model, flights, columns)
+        posterior = self._module.vehicle_posterior(self._model, flights, columns, result)
         last = {"flights": len(hashes), "firmware": flights.firmware[-1], "last_time": last_time}
         parameters = tuple(
             key | {"effect": column.effect, "rotor": column.rotor, "parameter": column.parameter} | last
@@ -153,10 +158,10 @@ class VehicleJudge:
             for column, value, std in zip(columns, posterior.mean, posterior.std, strict=True)
             if column.effect
         )  # fmt: skip
-        result = self._module.find_change(self._model, flights, columns)
         return VehicleResult(
-            vehicle=flights.vehicle, log_e=float(result.log_e), parameters=parameters, last_hash=hashes[-1], change=result,
-            verdict=key | self._verdict(result, flights), **_sign_and_span(result, flights.time),
+            vehicle=flights.vehicle, log_e=float(result.log_e), own_log_e=float(result.log_e), parameters=parameters,
+            last_hash=hashes[-1], change=result, verdict=key | self._verdict(result, flights),
+            **_sign_and_span(result, flights.time),
         )  # fmt: skip
 
     def _verdict(self, result: Any, flights: Any) -> dict[str, Any]:
@@ -166,12 +171,12 @@ class VehicleJudge:
         row: dict[str, Any] = {
             "verdict": FEW if few or best is None else "changed" if len(result.candidates) == 1 else "ambiguous",
             "causes": _json_text([asdict(one) | {"candidate": one in result.candidates} for one in result.causes]),
-            "text": import_module(self._settings.wording).text_of_change(result, flights.vehicle),
         }  # fmt: skip
         if best is not None:
             row |= {
                 "onset_flight": best.onset + 1, "onset_low": best.onset_low + 1, "onset_high": best.onset_high + 1,
-                "onset_time": float(flights.time[best.onset]), "kind": best.kind, "crosses_limit_at": self._crossing(best),
+                "onset_time": float(flights.time[best.onset]), "kind": best.kind,
+                "crosses_limit_at": self._crossing(best) if flights.is_timed and result.end is None else None,
             }  # fmt: skip
         return row
 
@@ -200,12 +205,6 @@ def _filter_of_group(group: MomentGroup) -> arrow_dataset.Expression:
     for name, value in (group.key() | {"columns": group.digest}).items():
         where &= arrow_dataset.field(name) == value
     return where
-
-
-def _times(flights: Sequence[Mapping[str, Any]]) -> Any:
-    """Return the start times [s], (N,); the numbers of the flights if a log does not state it."""
-    times = np.array([row["start_time"] for row in flights], dtype=float)
-    return times if np.isfinite(times).all() else np.arange(1.0, len(flights) + 1.0)
 
 
 def _json_text(content: Any) -> str:
@@ -282,20 +281,16 @@ def _model_on_disk(reader: VehicleReader, flights: int, module: Any) -> Any:
 def _beyond_campaigns(
     results: Sequence[VehicleResult], reader: VehicleReader, module: Any, is_whole: bool
 ) -> list[VehicleResult]:
-    """Return the results with evidence against the campaigns of the fleet, which are stored for vehicles judged alone."""
-    file = reader.model_file().with_suffix(".campaigns.json")
+    """Return the results with evidence against the campaigns of the fleet, which a run over all vehicles stores."""
+    file, known = reader.model_file().with_suffix(".campaigns.json"), dict[tuple[str, int], Any]()
+    if not is_whole and file.is_file():
+        stored = json.loads(file.read_text(encoding="utf-8"))
+        known = {(effect, rotor): np.array(logs) for effect, rotor, logs in stored}
+    fleet = module.campaign_evidence((one.change for one in results), known)
     if is_whole:
-        fleet = module.campaign_evidence(one.change for one in results)
-        content = [[*cause, logs.tolist()] for cause, logs in fleet.items()]
-        write_atomic(file, json.dumps(content))
-        return [replace(one, log_e=float(module.log_e_beyond_campaigns(one.change, fleet))) for one in results]
-    stored = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
-    known = {(effect, rotor): np.array(logs) for effect, rotor, logs in stored}
-    fleets = [module.campaign_evidence([one.change], known) for one in results]
-    return [
-        replace(one, log_e=float(module.log_e_beyond_campaigns(one.change, fleet)))
-        for one, fleet in zip(results, fleets, strict=True)
-    ]
+        write_atomic(file, json.dumps([[*cause, logs.tolist()] for cause, logs in fleet.items()]))
+    changes = [module.exclude_campaigns(one.change, fleet) for one in results]
+    return [replace(one, log_e=float(new.log_e), change=new) for one, new in zip(results, changes, strict=True)]
 
 
 def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
@@ -310,15 +305,17 @@ def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSetting
     enough = np.array([one.verdict["verdict"] != FEW for one in results], dtype=bool)
     reject = import_module(settings.module).benjamini_hochberg
     flags, evident = np.zeros((2, len(results)), dtype=bool)
-    for chosen, logs in ((flags, [one.log_e for one in results]), (evident, [one.change.log_e for one in results])):
+    for chosen, logs in ((flags, [one.log_e for one in results]), (evident, [one.own_log_e for one in results])):
         own = np.array(logs)[enough]
         chosen[enough] = reject(np.concatenate((own, rest)), settings.level)[: own.size]
     changed = [one for one, flag in zip(results, flags, strict=True) if flag]
     rows = []
     for one, flag, is_evident in zip(results, flags, evident, strict=True):
         row = _verdict_row(one, bool(flag))
+        if flag or is_evident:
+            row["text"] = import_module(settings.wording).text_of_change(one.change, one.vehicle)
         if is_evident and not flag:
-            row |= {"verdict": "campaign", "text": f"{one.verdict['text']}, {CAMPAIGN}"}
+            row |= {"verdict": "campaign", "text": f"{row['text']}, {CAMPAIGN}"}
         alike = sum(other.sign == one.sign and _overlap(other.span, one.span) for other in changed) if flag else 0
         if alike > max(MOST_ALIKE, MOST_ALIKE_SHARE * enough.sum()):
             count = (

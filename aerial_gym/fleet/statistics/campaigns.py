@@ -7,6 +7,7 @@ Source: Stephens (2017), False discovery rates: a new deal, Biostatistics 18 (ef
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,17 +34,25 @@ def campaign_evidence(results: Iterable[ChangeResult], known: Support | None = N
     return fleet
 
 
-def log_e_beyond_campaigns(result: ChangeResult, fleet: Support) -> float:
-    """Return the log evidence of a change against campaigns; ``fleet`` is their evidence, with this vehicle."""
+def exclude_campaigns(result: ChangeResult, fleet: Support) -> ChangeResult:
+    """Return a result with its evidence against campaigns; ``fleet`` is their evidence, with this vehicle.
+
+    A second change is kept if it is evident.
+    """
+    weights = {cause: fleet[cause] - _log_likelihood(logs) + PRIOR for cause, logs in result.support.items()}
+    second = result.second and replace(result.second, log_e=_log_e(result.second, weights))
+    return replace(result, log_e=_log_e(result, weights), second=second if second and second.is_evident else None)
+
+
+def _log_e(result: ChangeResult, weights: Support) -> float:
     log_e, count = result.log_e, len(result.support)
     for part in result.robust_support:
         campaigns = np.zeros(count)  # Log evidence of each cause's campaigns; 0 of causes that are no candidates
         for k, (cause, logs) in enumerate(part.items()):
-            weights = fleet[cause] - _log_likelihood(result.support[cause]) + PRIOR
-            campaigns[k] = log_sum(weights + _log_factors(logs)) - log_sum(weights)
+            campaigns[k] = log_sum(weights[cause] + _log_factors(logs)) - log_sum(weights[cause])
         excess = log_e_of_support(part, count) - float(log_sum(campaigns)) + np.log(count) - result.choice_cost
         log_e = min(log_e, excess)
-    return log_e
+    return float(log_e)
 
 
 def _log_likelihood(logs: Array) -> Array:

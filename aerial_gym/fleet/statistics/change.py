@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from aerial_gym.fleet.statistics.fit import FREEDOM, FleetModel
-from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
+from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights, usable_times
 from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_posterior, log_sum, mixture_moments
 from aerial_gym.sim2real.arrays import Array, Indices
 
@@ -25,9 +25,7 @@ KINDS: tuple[Kind, Kind] = ("step", "drift")
 MOST_ONSETS = 64  # Onsets that are compared first
 ROUNDS = 3  # Of as many onsets each, added about the probable ones
 AMBIGUOUS = float(np.log(20.0))  # Log odds within which causes, or a step and a drift, are not told apart
-ODD_LOG_E = float(
-    np.log(100.0)
-)  # Log evidence of an odd flight: at most one in a hundred unchanged vehicles reaches it
+EVIDENT = float(np.log(100.0))  # Log evidence that at most one in a hundred unchanged vehicles reaches
 LISTED = 3  # Number of causes that are always listed
 IMPROBABLE = 1e-3  # Posterior probability of an onset that is left out of averages
 SCATTER = 2.0 ** np.arange(-3, 13)  # Factors on the variance between the flights of one vehicle
@@ -86,14 +84,19 @@ class ChangeResult:
         """Return the log evidence that the choice of odd flights and of an end costs: the logarithm of the flights for each."""
         return (len(self.odd_flights) + (self.end is not None)) * float(np.log(max(self.flights, 1)))
 
+    @property
+    def is_evident(self) -> bool:
+        """Return whether at most one in a hundred unchanged vehicles reaches the evidence."""
+        return self.log_e > EVIDENT
+
     def count_flights(self, kept: Indices, end: int = 0) -> Self:
         """Return the result with onsets among all flights; of those judged, the ones after the end of a change come first."""
         return replace(self, causes=tuple(one.count_flights(kept, end) for one in self.causes))
 
-    def is_apart_from(self, first: "ChangeResult") -> bool:
+    def is_separate(self, first: "ChangeResult") -> bool:
         """Return whether the change is evident, and its onset's interval apart from that of another one."""
         own, other = self.causes[0], first.causes[0]
-        return self.log_e > ODD_LOG_E and (own.onset_low > other.onset_high or own.onset_high < other.onset_low)
+        return self.is_evident and (own.onset_low > other.onset_high or own.onset_high < other.onset_low)
 
     @property
     def candidates(self) -> tuple[Change, ...]:
@@ -107,7 +110,7 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
     Flights that deviate alone are left out one by one. A change that ends is one that lasts if the flights after its end come
     first. Each such choice costs the logarithm of the number of flights.
     """
-    count = len(flights.firmware)
+    count, flights = len(flights.firmware), replace(flights, time=usable_times(flights.time)[0])
     kept, odd = np.arange(count), list[int]()
     while True:
         finding = _find_in_hypotheses(model, flights.select(kept), columns)
@@ -122,7 +125,7 @@ def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) ->
             result, end, kept = ended, int(kept[finding.end]), np.roll(kept, -finding.end)
     if finding.rest is not None and end is None:
         second = _find_in_hypotheses(model, finding.rest, columns).result
-        second = second.count_flights(kept) if second.is_apart_from(result) else None
+        second = second.count_flights(kept) if second.is_separate(result) else None
     result = replace(result.count_flights(kept, end or 0), flights=count, odd_flights=tuple(sorted(odd)), end=end)
     return replace(result, log_e=float(result.log_e - result.choice_cost), second=second)
 
@@ -148,7 +151,7 @@ def _find_in_hypotheses(model: FleetModel, flights: VehicleFlights, columns: Col
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
     onsets = spread_onsets(np.arange(1, result.flights), MOST_ONSETS)
-    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refine()
+    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=usable_times(flights.time)[0], onsets=onsets).refine()
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
     support = search.support(log_sum(table, axis=(0, 1)))
@@ -168,12 +171,12 @@ def _find_in_hypotheses(model: FleetModel, flights: VehicleFlights, columns: Col
         rest = replace(flights, gradient=gradient)
     causes = search.causes(table, model.mean[shown], own)
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
-    is_odd = odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS
+    is_odd = odd_log_e > max(log_e, EVIDENT) and result.flights >= FEWEST_FLIGHTS
     change = firmware_change(flights.firmware, causes[0])
     result = replace(
         result, log_e=log_e, support=support, robust_support=robust_support, causes=causes, firmware_change=change
     )
-    return _Finding(result=result, odd=number if is_odd else None, end=end, rest=rest if log_e > ODD_LOG_E else None)
+    return _Finding(result=result, odd=number if is_odd else None, end=end, rest=rest if result.is_evident else None)
 
 
 def log_e_of_support(support: Support, causes: int) -> float:
@@ -266,7 +269,7 @@ class ChangeSearch:
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
         """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
         table = self.log_evidence_of_flights()
-        if (log_e := float(log_sum(table))) > ODD_LOG_E:
+        if (log_e := float(log_sum(table))) > EVIDENT:
             part = self.search_of_candidates(log_sum(table, axis=0))
             log_e = float(log_sum(part.with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)[0]))
         return log_e, int(table.max(axis=1).argmax())

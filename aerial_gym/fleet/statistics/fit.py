@@ -9,12 +9,16 @@ whose likelihood never falls); Lange, Little, Taylor (1989), Robust statistical 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights, integrate_flights, solve_lower, whitening
 from aerial_gym.fleet.statistics.scan import ChangeScan
 from aerial_gym.sim2real.arrays import Array
+
+if TYPE_CHECKING:  # imports this module
+    from aerial_gym.fleet.statistics.change import ChangeResult
 
 MOST_VEHICLES = 64  # Vehicles of a fit; the relative standard error of a variance is then at most 18 %
 MOST_FLIGHTS = 20  # Flights of each vehicle in a fit
@@ -69,14 +73,37 @@ def fit_fleet(vehicles: Sequence[VehicleFlights], columns: Columns) -> FleetMode
     return FleetModel(**fitted)
 
 
-def vehicle_posterior(model: FleetModel, flights: VehicleFlights, columns: Columns) -> VehiclePosterior:
-    """Return mean and standard deviation of a vehicle's parameters, given its flights and the fleet."""
+def vehicle_posterior(
+    model: FleetModel, flights: VehicleFlights, columns: Columns, result: "ChangeResult | None" = None
+) -> VehiclePosterior:
+    """Return mean and standard deviation of a vehicle's parameters at its last flight, given its flights and the fleet.
+
+    Flights of another state count no more: odd ones, and those on the other side of a change that is evident.
+    """
+    place, named = np.arange(len(flights.firmware)), dict[str, tuple[float, float]]()
+    if result is not None:
+        kept = ~np.isin(place, result.odd_flights)
+        if result.is_evident:
+            best = result.causes[0]
+            is_before = place < best.onset_low
+            kept &= place >= best.onset_high if result.end is None else is_before | (place >= result.end)
+            if result.end is None and len(result.candidates) == 1:
+                named = dict(zip(best.parameters, zip(best.level, best.level_std, strict=True), strict=True))
+        flights = flights.select(place[kept])
     root = np.sqrt(model.var_vehicle)
     scan = ChangeScan.from_flights(flights.product, flights.gradient, model.mean, model.var_flight, root)
     scale = np.array([column.scale for column in columns])
     neutral = np.array([column.neutral for column in columns])
-    std: Array = np.sqrt(scan.base_cov(np.arange(root.size)).diagonal())
-    return VehiclePosterior(mean=neutral + scale * (model.mean + scan.base()), std=std * scale)
+    mean: Array = neutral + scale * (model.mean + scan.base())
+    std: Array = np.sqrt(scan.base_cov(np.arange(root.size)).diagonal()) * scale
+    for k, column in enumerate(columns):
+        if (
+            result is not None
+            and named
+            and (column.effect, column.rotor) == (result.causes[0].effect, result.causes[0].rotor)
+        ):
+            mean[k], std[k] = named[column.parameter]
+    return VehiclePosterior(mean=mean, std=std)
 
 
 def _thin_flights(flights: VehicleFlights) -> VehicleFlights:

@@ -96,6 +96,7 @@ class VehicleFlights:
     gradient: np.ndarray
     time: np.ndarray
     firmware: tuple[str, ...]
+    is_timed: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +130,7 @@ def _values(flights: VehicleFlights) -> np.ndarray:
     return np.linalg.solve(flights.product, flights.gradient[:, :, None])[:, :, 0]
 
 
-def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> Any:
+def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any], result: Any) -> Any:
     values = _values(flights)
     return SimpleNamespace(mean=values.mean(axis=0), std=values.std(axis=0))
 
@@ -137,22 +138,22 @@ def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any
 def find_change(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> Any:
     values, middle = _values(flights), len(flights.firmware) // 2
     if not middle:
-        return SimpleNamespace(log_e=0.0, causes=(), candidates=(), odd_flights=())
+        return SimpleNamespace(log_e=0.0, causes=(), candidates=(), odd_flights=(), end=None)
     steps = values[middle:].mean(axis=0) - values[:middle].mean(axis=0)
     rotor = int(np.argmax(np.abs(steps[:2])))
     cause = Change(
         effect="weak_motor", rotor=rotor + 1, kind="step", log_evidence=50.0 * abs(steps[rotor]) - 20.0, onset=middle,
         onset_low=middle, onset_high=middle, parameters=("scale",), change=(float(steps[rotor]),),
     )  # fmt: skip
-    return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,), odd_flights=())
+    return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,), odd_flights=(), end=None)
 
 
 def campaign_evidence(results: Iterable[Any], known: Any = None) -> Any:
     return {}
 
 
-def log_e_beyond_campaigns(result: Any, fleet: Any) -> float:
-    return result.log_e
+def exclude_campaigns(result: Any, fleet: Any) -> Any:
+    return result
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,7 +86,7 @@ def _search(flights: VehicleFlights, model: object) -> ChangeSearch:
     return ChangeSearch(
         scan=scan,
         hypotheses=Hypotheses.from_columns(COLUMNS, np.ones(4, dtype=bool)),
-        time=flights.usable_times(),
+        time=flights.time,
         onsets=np.arange(1, len(flights.firmware)),
     )
 
