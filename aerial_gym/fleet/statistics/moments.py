@@ -56,7 +56,7 @@ def integrate_flights(product: Array, gradient: Array, variance: Array) -> tuple
     Args:
         variance: Variances of the deviations, (K,) or (N, K).
     """
-    products, gradients = np.array(product, dtype=float), np.array(gradient, dtype=float)
+    products, gradients = np.array(product, dtype=float, order="C"), np.array(gradient, dtype=float)
     for flight, root in enumerate(np.sqrt(np.broadcast_to(variance, gradients.shape))):
         own = products[flight]
         np.fill_diagonal(own, own.diagonal() * (1.0 + ROUNDING))
