@@ -18,6 +18,7 @@ from aerial_gym.config.storage import write_atomic
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.moments import unpack_moments
 from aerial_gym.fleet.sources import ORDER, sort_by_time
+from aerial_gym.fleet.statistics.moments import usable_times
 from aerial_gym.fleet.tables import FleetTables, Row, match_columns
 from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 from aerial_gym.sim2real.progress import Progress, silent
@@ -32,6 +33,7 @@ FIT_FLIGHTS, MOST_FLIGHTS = 20, 500
 FEW, NOT_TESTABLE = UNJUDGED = ("too_few_flights", "not_testable")  # Verdicts of vehicles that cannot be judged
 NO_CHANGE = dict.fromkeys(("onset_flight", "onset_low", "onset_high", "onset_time", "kind", "crosses_limit_at"))
 NO_CHANGE |= {"causes": "[]"}  # Columns that only a change has
+CAMPAIGN = "or a campaign: the other vehicles do not rule out such changes by site, season or load"
 MOST_ALIKE, MOST_ALIKE_SHARE = 2, 0.2
 """Vehicles of a run that may change alike at one time, by number and share. Beyond that, something that they share is named."""
 FEWEST_FLIGHTS = 4  # Two before a change and two after it, as no change may rest on one flight
@@ -69,7 +71,8 @@ class VehicleResult:
     """Rows of one vehicle, before the verdicts of the fleet are compared."""
 
     vehicle: str
-    log_e: float
+    log_e: float  # Against campaigns too, once all vehicles of the group are judged
+    own_log_e: float  # Of its flights alone
     verdict: dict[str, Any]
     parameters: "tuple[Row, ...]"
     change: Any  # ``ChangeResult``
@@ -119,8 +122,12 @@ class VehicleReader:
                 product, gradient = product[intact], gradient[intact]
                 rows = [row for row, is_intact in zip(rows, intact, strict=True) if is_intact]
             if rows:
-                firmware = tuple(row["firmware"] or "" for row in rows)
-                own = {"product": product, "gradient": gradient, "time": _times(rows), "firmware": firmware}
+                times, is_timed = usable_times(np.array([row["start_time"] for row in rows], dtype=float))
+                own = {
+                    "product": product, "gradient": gradient, "is_timed": is_timed,
+                    "time": times if is_timed else np.array([row["number"] + 1.0 for row in rows]),
+                    "firmware": tuple(row["firmware"] or "" for row in rows),
+                }  # fmt: skip
                 yield module.VehicleFlights(vehicle=vehicle, **own), rows, note
 
 
@@ -140,7 +147,8 @@ class VehicleJudge:
 
     def _judge(self, flights: Any, rows: Sequence[Row], note: str) -> VehicleResult:
         columns, key = self._reader.columns, {"vehicle": flights.vehicle} | self._reader.group.key()
-        posterior = self._module.vehicle_posterior(self._model, flights, columns)
+        result = self._module.find_change(self._model, flights, columns)
+        posterior = self._module.vehicle_posterior(self._model, flights, columns, result)
         last = {"flights": len(rows), "firmware": flights.firmware[-1], "last_time": rows[-1]["start_time"]}
         parameters = tuple(
             key | {"effect": column.effect, "rotor": column.rotor, "parameter": column.parameter} | last
@@ -148,30 +156,28 @@ class VehicleJudge:
             for column, value, std in zip(columns, posterior.mean, posterior.std, strict=True)
             if column.effect
         )  # fmt: skip
-        result, numbers = self._module.find_change(self._model, flights, columns), [row["number"] for row in rows]
-        causes, odd = tuple(one.count_flights(np.array(numbers)) for one in result.causes), result.odd_flights
-        change = replace(result, causes=causes, odd_flights=tuple(numbers[k] for k in odd))
-        verdict = key | self._verdict(change, len(rows))
-        if causes:
+        change = result.renumber(np.array([row["number"] for row in rows]))
+        verdict = key | self._verdict(change, len(rows), forecasts=flights.is_timed and result.end is None)
+        if result.causes:
             verdict["onset_time"] = float(flights.time[result.causes[0].onset])
         return VehicleResult(
-            vehicle=flights.vehicle, log_e=float(result.log_e), parameters=parameters, change=change, verdict=verdict,
-            note=note, odd_logs=tuple(rows[k]["log_hash"] for k in odd), **_sign_and_span(result, flights.time),
+            vehicle=flights.vehicle, log_e=float(result.log_e), own_log_e=float(result.log_e), parameters=parameters,
+            change=change, verdict=verdict, note=note, odd_logs=tuple(rows[k]["log_hash"] for k in result.odd_flights),
+            **_sign_and_span(result, flights.time),
         )  # fmt: skip
 
-    def _verdict(self, result: Any, flights: int) -> dict[str, Any]:
+    def _verdict(self, result: Any, flights: int, *, forecasts: bool) -> dict[str, Any]:
         """Return a row of ``verdicts`` under the assumption that the fleet rejects 'no change'."""
         few, best = flights - len(result.odd_flights) < FEWEST_FLIGHTS, result.causes[0] if result.causes else None
         name = "changed" if len(result.candidates) == 1 else "ambiguous"
         row: dict[str, Any] = {
             "verdict": FEW if few else NOT_TESTABLE if best is None else name,
             "causes": _json_text([asdict(one) | {"candidate": one in result.candidates} for one in result.causes]),
-            "log_e": float(result.log_e), "p_value": min(1.0, exp(-max(result.log_e, -1.0))),
         }  # fmt: skip
         if best is not None:
             row |= {
                 "onset_flight": best.onset + 1, "onset_low": best.onset_low + 1, "onset_high": best.onset_high + 1,
-                "kind": best.kind, "crosses_limit_at": self._crossing(best),
+                "kind": best.kind, "crosses_limit_at": self._crossing(best) if forecasts else None,
             }  # fmt: skip
         return row
 
@@ -189,12 +195,6 @@ def _sign_and_span(result: Any, time: Any) -> dict[str, Any]:
     best = result.causes[0]
     sign = (best.effect, best.rotor, max(best.change, key=abs) > 0.0)
     return {"sign": sign, "span": (float(time[max(best.onset_low - 1, 0)]), float(time[best.onset_high]))}
-
-
-def _times(flights: Sequence[Mapping[str, Any]]) -> Any:
-    """Return the start times [s], (N,); the numbers of the flights if a log does not state it."""
-    times = np.array([row["start_time"] for row in flights], dtype=float)
-    return times if np.isfinite(times).all() else np.arange(1.0, len(flights) + 1.0)
 
 
 def _json_text(content: Any) -> str:
@@ -237,9 +237,11 @@ def judge_fleet(
                 cohorts += [group.key() | asdict(row) for row in rows]
         vehicles = [vehicle for vehicle in flights if only is None or vehicle in only]
         batches = (vehicles[k : k + VEHICLES_AT_ONCE] for k in range(0, len(vehicles), VEHICLES_AT_ONCE))
-        for judged in engine(batches, partial(VehicleJudge, reader, model, settings)):
-            results += judged
-            report(f"vehicles {len(results)}/{total}", len(results) / total)
+        judged = list[VehicleResult]()
+        for batch in engine(batches, partial(VehicleJudge, reader, model, settings)):
+            judged += batch
+            report(f"vehicles {len(results) + len(judged)}/{total}", (len(results) + len(judged)) / total)
+        results += _beyond_campaigns(judged, reader, module, only is None)
     if only is not None:
         key = {"model_version": model_version, "robot_hash": list(robots)}
         stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), **key)
@@ -266,6 +268,21 @@ def _model_on_disk(reader: VehicleReader, flights: int, module: Any) -> Any:
     return module.FleetModel(**arrays) if flights < 2 * arrays.pop("flights") else None
 
 
+def _beyond_campaigns(
+    results: Sequence[VehicleResult], reader: VehicleReader, module: Any, is_whole: bool
+) -> list[VehicleResult]:
+    """Return the results with evidence against the campaigns of the fleet, which a run over all vehicles stores."""
+    file, known = reader.model_file().with_suffix(".campaigns.json"), dict[tuple[str, int], Any]()
+    if not is_whole and file.is_file():
+        stored = json.loads(file.read_text(encoding="utf-8"))
+        known = {(effect, rotor): np.array(logs) for effect, rotor, logs in stored}
+    fleet = module.campaign_evidence((one.change for one in results), known)
+    if is_whole:
+        write_atomic(file, json.dumps([[*cause, logs.tolist()] for cause, logs in fleet.items()]))
+    changes = [module.exclude_campaigns(one.change, fleet) for one in results]
+    return [replace(one, log_e=float(new.log_e), change=new) for one, new in zip(results, changes, strict=True)]
+
+
 def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
     content = BytesIO()
     np.savez(content, flights=flights, **vars(model))
@@ -276,14 +293,18 @@ def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
 def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:
     """Return the verdicts of vehicles, with the false discovery rate over them and the log e-values ``rest`` of others."""
     enough = np.array([one.verdict["verdict"] not in UNJUDGED for one in results], dtype=bool)
-    own = np.array([one.log_e for one in results])[enough]
-    rejected = import_module(settings.module).benjamini_hochberg(np.concatenate((own, rest)), settings.level)
-    flags = np.zeros(len(results), dtype=bool)
-    flags[enough] = rejected[: own.size]
+    reject, wording = import_module(settings.module).benjamini_hochberg, import_module(settings.wording)
+    flags, evident = (np.zeros(len(results), dtype=bool) for _ in range(2))
+    for chosen, logs in ((flags, [one.log_e for one in results]), (evident, [one.own_log_e for one in results])):
+        own = np.array(logs)[enough]
+        chosen[enough] = reject(np.concatenate((own, rest)), settings.level)[: own.size]
     changed = [one for one, flag in zip(results, flags, strict=True) if flag]
     rows = []
-    for one, flag in zip(results, flags, strict=True):
-        row = _verdict_row(one, bool(flag), import_module(settings.wording))
+    for one, flag, is_evident in zip(results, flags, evident, strict=True):
+        row = _verdict_row(one, bool(flag), wording)
+        if is_evident and not flag:
+            text = f"{wording.text_of_change(one.change, one.vehicle)}, {CAMPAIGN}"
+            row |= {"verdict": "campaign", "text": text + one.note}
         alike = sum(other.sign == one.sign and _overlap(other.span, one.span) for other in changed) if flag else 0
         if alike > max(MOST_ALIKE, MOST_ALIKE_SHARE * enough.sum()):
             alike_text = f"{alike} of {enough.sum()} vehicles changed alike at that time"
@@ -299,6 +320,7 @@ def _overlap(first: tuple[float, float], second: tuple[float, float]) -> bool:
 
 def _verdict_row(result: VehicleResult, rejected: bool, wording: Any) -> dict[str, Any]:
     row = result.verdict | {"rejected": rejected, "odd_logs": result.odd_logs}
+    row |= {"log_e": result.log_e, "p_value": min(1.0, exp(-max(result.log_e, -1.0)))}
     if rejected:
         row |= {} if row["verdict"] == "changed" else {"crosses_limit_at": None}
         text = wording.text_of_change(result.change, result.vehicle)

@@ -41,7 +41,8 @@ SCHEMAS = {
         | {"flights": COUNT, "firmware": TEXT, "last_time": NUMBER},
         "verdicts": _VEHICLE_KEY
         | {
-            "verdict": TEXT,  # ``no_change``, ``changed``, ``ambiguous``, ``shared``, ``too_few_flights`` or ``not_testable``
+            # ``no_change``, ``changed``, ``ambiguous``, ``shared``, ``campaign``, ``too_few_flights`` or ``not_testable``
+            "verdict": TEXT,
             "causes": TEXT,  # JSON, ranked
             "log_e": NUMBER,
             "p_value": NUMBER,

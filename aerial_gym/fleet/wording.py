@@ -19,12 +19,17 @@ QUANTITIES = {
 
 def text_of_change(result: ChangeResult, vehicle: str) -> str:
     """Return one sentence on the most probable change of a vehicle, with its alternatives."""
+    second = f"; second change{_cause_text(result.second)}" if result.second else ""
+    return f"vehicle {vehicle}{_cause_text(result)}{second}{_odd_text(result)}"
+
+
+def _cause_text(result: ChangeResult) -> str:
     best, *alternatives = result.candidates
-    text = f"vehicle {vehicle}{_rotor_text(best)}: {_size_text(best)} {_onset_text(best)}"
+    text = f"{_rotor_text(best)}: {_size_text(best)} {_onset_text(best, result.end)}"
     if result.firmware_change:
         text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
     names = [cause_name(vars(other)) for other in alternatives]
-    return text + (f"; or a change of {join_words(names, 'or')}" if names else "") + _odd_text(result)
+    return text + (f"; or a change of {join_words(names, 'or')}" if names else "")
 
 
 def text_of_no_change(result: ChangeResult, vehicle: str, verdict: str) -> str:
@@ -77,8 +82,9 @@ def _size_text(change: Change) -> str:
     return f"{quantity} {join_words(f'{name} {size} ({half})' for _, name, size, half in certain)}"
 
 
-def _onset_text(change: Change) -> str:
-    """Return the first changed flight, counted from 1, with its 90 % interval if it is not certain."""
+def _onset_text(change: Change, end: int | None) -> str:
+    """Return the first changed flight, counted from 1, with its 90 % interval if uncertain, and the last if the change ends."""
     first, low, high = change.onset + 1, change.onset_low + 1, change.onset_high + 1
-    word = "by a drift since" if change.kind == "drift" else "since"
-    return f"{word} flight {first}" + (f" (90 % interval {low} to {high})" if low < high else "")
+    word = ("by a drift " if change.kind == "drift" else "") + ("since" if end is None else "from")
+    interval = f" (90 % interval {low} to {high})" if low < high else ""
+    return f"{word} flight {first}{interval}" + ("" if end is None else f" to flight {end}")

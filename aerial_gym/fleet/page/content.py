@@ -22,7 +22,7 @@ TRAIN_FLIGHTS = 6  # Flights that the suggested close-loop is fitted to
 
 VERDICTS = {
     "changed": "changed", "ambiguous": "changed, cause ambiguous",
-    "shared": "changed, as many others", "no_change": "no change shown",
+    "shared": "changed, as many others", "campaign": "change or campaign", "no_change": "no change shown",
     "too_few_flights": "too few flights", "not_testable": "no effect visible", "": "not judged yet",
 }  # fmt: skip
 """Words of each verdict, in the order in which they are sorted."""

@@ -5,6 +5,7 @@ Model: flight i of a vehicle has ``x_i = mean + u + w_i + change``, with ``u ~ N
 Letters: N flights of a vehicle, K columns, H hypotheses of a change, J onsets, P parameters of one effect.
 """
 
+from aerial_gym.fleet.statistics.campaigns import campaign_evidence, exclude_campaigns
 from aerial_gym.fleet.statistics.change import Change, ChangeResult, find_change
 from aerial_gym.fleet.statistics.cohorts import CohortDifference, compare_cohorts
 from aerial_gym.fleet.statistics.discovery import benjamini_hochberg
@@ -20,8 +21,10 @@ __all__ = [
     "VehicleFlights",
     "VehiclePosterior",
     "benjamini_hochberg",
+    "campaign_evidence",
     "compare_cohorts",
     "draw_vehicles",
+    "exclude_campaigns",
     "find_change",
     "fit_fleet",
     "time_to_limit",

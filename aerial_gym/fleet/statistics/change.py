@@ -5,27 +5,27 @@ vehicles is 1, which makes it an e-value. It counts what remains without the fli
 The prior of the vehicle's base is as broad as that of a change, so that no change explains a steady deviation better.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from aerial_gym.fleet.statistics.fit import FREEDOM, FleetModel
-from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights
+from aerial_gym.fleet.statistics.moments import Columns, VehicleFlights, usable_times
 from aerial_gym.fleet.statistics.scan import SIZES, ChangeScan, Hypotheses, change_posterior, log_sum, mixture_moments
 from aerial_gym.sim2real.arrays import Array, Indices
 
+Support = Mapping[tuple[str, int], Array]
+"""Log Bayes factors of a change of each cause, averaged over kinds, onsets and starts, (sizes,)."""
 Kind = Literal["step", "drift"]
 KINDS: tuple[Kind, Kind] = ("step", "drift")
 
 MOST_ONSETS = 64  # Onsets that are compared first
 ROUNDS = 3  # Of as many onsets each, added about the probable ones
 AMBIGUOUS = float(np.log(20.0))  # Log odds within which causes, or a step and a drift, are not told apart
-ODD_LOG_E = float(
-    np.log(100.0)
-)  # Log evidence of an odd flight: at most one in a hundred unchanged vehicles reaches it
+EVIDENT = float(np.log(100.0))  # Log evidence that at most one in a hundred unchanged vehicles reaches
 LISTED = 3  # Number of causes that are always listed
 IMPROBABLE = 1e-3  # Posterior probability of an onset that is left out of averages
 SCATTER = 2.0 ** np.arange(-3, 13)  # Factors on the variance between the flights of one vehicle
@@ -56,9 +56,10 @@ class Change:
     level_slope_cov: tuple[float, ...]  # Covariances of level and slope
     last_time: float  # Time of the last flight
 
-    def count_flights(self, kept: Indices) -> Self:
+    def count_flights(self, kept: Indices, end: int) -> Self:
         """Return the change with onsets among all flights, from the indices of those that were judged."""
-        return replace(self, **{name: int(kept[getattr(self, name)]) for name in ("onset", "onset_low", "onset_high")})
+        names, first = ("onset", "onset_low", "onset_high"), int(np.argmin(kept)) if end else 0
+        return replace(self, **{name: int(kept[max(getattr(self, name), first)]) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +69,42 @@ class ChangeResult:
     vehicle: str
     flights: int
     log_e: float = 0.0  # Log evidence of any change against none, without the flight that supports it most
+    support: Support = field(default_factory=dict)  # With all flights; without the best cause, where that is clear
+    robust_support: tuple[
+        Support, ...
+    ] = ()  # Of the candidates, without each of the flights that support the change most
     causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
     odd_flights: tuple[int, ...] = ()  # Indices of flights that deviate alone, and are left out
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
+    end: int | None = None  # Index of the first flight after the change, unless it lasts
+    second: "ChangeResult | None" = None  # Change that the flights show beside it, at another time
+
+    @property
+    def choice_cost(self) -> float:
+        """Return the log evidence that the choice of odd flights and of an end costs: the logarithm of the flights for each."""
+        return (len(self.odd_flights) + (self.end is not None)) * float(np.log(max(self.flights, 1)))
+
+    @property
+    def is_evident(self) -> bool:
+        """Return whether at most one in a hundred unchanged vehicles reaches the evidence."""
+        return self.log_e > EVIDENT
+
+    def count_flights(self, kept: Indices, end: int = 0) -> Self:
+        """Return the result with onsets among all flights; of those judged, the ones after the end of a change come first."""
+        return replace(self, causes=tuple(one.count_flights(kept, end) for one in self.causes))
+
+    def renumber(self, numbers: Indices) -> Self:
+        """Return the result with the numbers of the flights in place of their indices."""
+        end, second = self.end, self.second
+        return replace(
+            self.count_flights(numbers), odd_flights=tuple(int(numbers[k]) for k in self.odd_flights),
+            end=None if end is None else int(numbers[end]), second=second and second.renumber(numbers),
+        )  # fmt: skip
+
+    def is_separate(self, first: "ChangeResult") -> bool:
+        """Return whether the change is evident, and its onset's interval apart from that of another one."""
+        own, other = self.causes[0], first.causes[0]
+        return self.is_evident and (own.onset_low > other.onset_high or own.onset_high < other.onset_low)
 
     @property
     def candidates(self) -> tuple[Change, ...]:
@@ -81,50 +115,81 @@ class ChangeResult:
 def find_change(model: FleetModel, flights: VehicleFlights, columns: Columns) -> ChangeResult:
     """Return the evidence of a change of a vehicle, and its causes.
 
-    Flights that deviate alone are left out one by one. Each costs the logarithm of the number of flights, as it was chosen.
+    Flights that deviate alone are left out one by one. A change that ends is one that lasts if the flights after its end come
+    first. Each such choice costs the logarithm of the number of flights.
     """
-    count = len(flights.firmware)
+    count, flights = len(flights.firmware), replace(flights, time=usable_times(flights.time)[0])
     kept, odd = np.arange(count), list[int]()
     while True:
-        result, number = _find_in_hypotheses(model, flights.select(kept), columns)
-        if number is None or len(odd) >= max(1, int(ODD_SHARE * count)):
+        finding = _find_in_hypotheses(model, flights.select(kept), columns)
+        if finding.odd is None or len(odd) >= max(1, int(ODD_SHARE * count)):
             break
-        odd.append(int(kept[number]))
-        kept = np.delete(kept, number)
-    causes = tuple(one.count_flights(kept) for one in result.causes)
-    cost = len(odd) * np.log(max(count, 1))
-    return replace(
-        result, flights=count, log_e=float(result.log_e - cost), odd_flights=tuple(sorted(odd)), causes=causes
-    )
+        odd.append(int(kept[finding.odd]))
+        kept = np.delete(kept, finding.odd)
+    result, end, second = finding.result, None, None
+    if finding.end is not None:
+        ended = _find_in_hypotheses(model, flights.select(np.roll(kept, -finding.end)), columns).result
+        if ended.log_e - np.log(count) > result.log_e:
+            result, end, kept = ended, int(kept[finding.end]), np.roll(kept, -finding.end)
+    if finding.rest is not None and end is None:
+        second = _find_in_hypotheses(model, finding.rest, columns).result
+        second = second.count_flights(kept) if second.is_separate(result) else None
+    result = replace(result.count_flights(kept, end or 0), flights=count, odd_flights=tuple(sorted(odd)), end=end)
+    return replace(result, log_e=float(result.log_e - result.choice_cost), second=second)
 
 
-def _find_in_hypotheses(
-    model: FleetModel, flights: VehicleFlights, columns: Columns
-) -> tuple[ChangeResult, int | None]:
-    """Return the change among flights that all count, and the index of one that rather deviates alone."""
+@dataclass(frozen=True, kw_only=True)
+class _Finding:
+    """Change among flights that all count, and what else may explain them."""
+
+    result: ChangeResult
+    odd: int | None = None  # Flight that rather deviates alone
+    end: int | None = None  # First flight after a change that does not last
+    rest: VehicleFlights | None = None  # Flights without the change
+
+
+def _find_in_hypotheses(model: FleetModel, flights: VehicleFlights, columns: Columns) -> _Finding:
     result = ChangeResult(vehicle=flights.vehicle, flights=len(flights.firmware))
     shown = np.flatnonzero(np.einsum("nkk->k", flights.product) > 0.0)
     own = [columns[k] for k in shown]
     hypotheses = Hypotheses.from_columns(own, np.ones(shown.size, dtype=bool))
     if result.flights < 2 or not hypotheses.causes:
-        return result, None
+        return _Finding(result=result)
     root = np.sqrt(model.var_vehicle[shown] + SIZES[-1] ** 2)
     moments = flights.product[:, shown[:, None], shown], flights.gradient[:, shown]
     scan = ChangeScan.from_flights(*moments, model.mean[shown], model.var_flight[shown], root)
     onsets = spread_onsets(np.arange(1, result.flights), MOST_ONSETS)
-    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=flights.usable_times(), onsets=onsets).refine()
+    search = ChangeSearch(scan=scan, hypotheses=hypotheses, time=usable_times(flights.time)[0], onsets=onsets).refine()
     table, var_flight = search.log_evidence(), model.var_flight[shown]
     log_e, searches = float(log_sum(table)), [search]
-    if log_e > 0.0:
+    support = search.support(log_sum(table, axis=(0, 1)))
+    robust_support, end, rest = (support,), None, None
+    if result.flights < FEWEST_FLIGHTS:
+        log_e = min(log_e, 0.0)
+    elif log_e > 0.0:
+        end = search.end_of_change(table)
         searches.append(search.without_change(table))
-        log_e = search.log_e(table, var_flight)
+        support = searches[-1].support_beside_change(support)
+        robust_support = search.robust_support(table, var_flight)
+        log_e = min(log_e_of_support(one, len(support)) for one in robust_support)
         search = search.with_own_scatter(table, var_flight)
         table = search.log_evidence()
+        gradient = flights.gradient.copy()
+        gradient -= np.einsum("nkp,np->nk", flights.product[:, :, shown], search.best_change(table)[1])
+        rest = replace(flights, gradient=gradient)
     causes = search.causes(table, model.mean[shown], own)
     odd_log_e, number = max(one.odd_flight(var_flight) for one in searches)
-    is_odd = odd_log_e > max(log_e, ODD_LOG_E) and result.flights >= FEWEST_FLIGHTS
+    is_odd = odd_log_e > max(log_e, EVIDENT) and result.flights >= FEWEST_FLIGHTS
     change = firmware_change(flights.firmware, causes[0])
-    return replace(result, log_e=log_e, causes=causes, firmware_change=change), number if is_odd else None
+    result = replace(
+        result, log_e=log_e, support=support, robust_support=robust_support, causes=causes, firmware_change=change
+    )
+    return _Finding(result=result, odd=number if is_odd else None, end=end, rest=rest if result.is_evident else None)
+
+
+def log_e_of_support(support: Support, causes: int) -> float:
+    """Return the log evidence of a change of any of some equally probable causes."""
+    return float(log_sum(np.array(list(support.values())))) - float(np.log(causes * len(SIZES)))
 
 
 def firmware_change(firmware: tuple[str, ...], change: Change) -> tuple[str, str] | None:
@@ -156,7 +221,7 @@ class ChangeSearch:
         """Return the search with more onsets about those that are probable for either kind, if there is evidence."""
         search, flights = self, np.arange(1, self.time.size)
         for _ in range(ROUNDS):
-            onsets, logs = search.onsets, log_sum(search.log_evidence(), axis=2)
+            onsets, logs = search.onsets, log_sum(search.log_evidence(), axis=(2, 3))
             probable = (logs > log_sum(logs, axis=1)[:, None] + np.log(IMPROBABLE)).any(axis=0)
             after = np.searchsorted(onsets, flights)
             added = flights[(onsets[after] != flights) & (probable[after] | probable[after - 1])]
@@ -166,40 +231,55 @@ class ChangeSearch:
         return search
 
     def log_evidence(self) -> Array:
-        """Return log Bayes factor plus log prior of each kind, onset and hypothesis, (kinds, J, H)."""
+        """Return log Bayes factor plus log prior of each kind, onset, hypothesis and size, (kinds, J, H, sizes)."""
         onsets = self.onsets
         patterns = np.concatenate([change_patterns(kind, onsets, self.time) for kind in KINDS])
-        factors = self.scan.log_factors(patterns, self.hypotheses).reshape(len(KINDS), onsets.size, -1)
-        return factors + np.log(onset_weights(onsets) / len(KINDS))[:, None] + self.hypotheses.log_prior
+        factors = self.scan.log_factors(patterns, self.hypotheses)
+        priors = np.log(onset_weights(onsets))[:, None] + self.hypotheses.log_prior
+        return factors.reshape(len(KINDS), *priors.shape, -1) + (priors - np.log(len(KINDS) * len(SIZES)))[..., None]
+
+    def log_evidence_by_size(self) -> Array:
+        """Return the log evidence of each hypothesis and size, (H, sizes)."""
+        return log_sum(self.log_evidence(), axis=(0, 1))
+
+    def support(self, log_evidence: Array) -> Support:
+        """Return the log Bayes factors of the causes, from the log evidence by size, (H, sizes)."""
+        causes, own = self.hypotheses.causes, self.hypotheses.cause
+        logs = log_evidence + np.log(len(causes) * len(SIZES))
+        return {causes[k]: log_sum(logs[own == k], axis=0) for k in np.unique(own)}
 
     def log_evidence_of_flights(self) -> Array:
         """Return log Bayes factor plus log prior of a change in one flight alone, (N, H)."""
         return self.scan.log_factors_of_flights(self.hypotheses) + self.hypotheses.log_prior - np.log(self.time.size)
 
-    def log_e(self, table: Array, var_flight: Array) -> float:
-        """Return the log evidence of a change that remains without its most telling flight and with uncertain scatter."""
-        part, count = self.search_of_candidates(log_sum(table, axis=(0, 1))), self.time.size
-        if count < FEWEST_FLIGHTS:
-            return min(float(log_sum(table)), 0.0)
+    def support_beside_change(self, support: Support) -> Support:
+        """Return the support, that of causes other than the candidates from this search, which is without their change."""
+        best, own = max(map(log_sum, support.values())), self.support(self.log_evidence_by_size())
+        return {cause: logs if log_sum(logs) >= best - AMBIGUOUS else own[cause] for cause, logs in support.items()}
+
+    def robust_support(self, table: Array, var_flight: Array) -> tuple[Support, ...]:
+        """Return the support that remains without each of the most telling flights, with uncertain scatter."""
+        part, count = self.search_of_candidates(log_sum(table, axis=(0, 1, 3))), self.time.size
         parts = [part.select(np.delete(np.arange(count), flight)) for flight in self.flights_in_support(table)]
-        return min(one.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[0] for one in parts)
+        tables = [one.with_scatter(var_flight, ChangeSearch.log_evidence_by_size)[0] for one in parts]
+        return tuple(one.support(own) for one, own in zip(parts, tables, strict=True))
 
     def with_own_scatter(self, table: Array, var_flight: Array) -> "ChangeSearch":
         """Return the search with the most probable variance between flights, at least the fleet's.
 
         Causes, onset and size are then as uncertain as this vehicle's own scatter makes them.
         """
-        part = self.search_of_candidates(log_sum(table, axis=(0, 1)))
+        part = self.search_of_candidates(log_sum(table, axis=(0, 1, 3)))
         places = np.unique(np.concatenate(part.hypotheses.columns))
-        factor = max(part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence)[1], 1.0)
+        factor = max(part.with_scatter(var_flight, ChangeSearch.log_evidence_by_size)[1], 1.0)
         return replace(self, scan=self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])[0]).refine()
 
     def odd_flight(self, var_flight: Array) -> tuple[float, int]:
         """Return the log evidence that one flight deviates alone, with uncertain scatter, and its index."""
         table = self.log_evidence_of_flights()
-        if (log_e := float(log_sum(table))) > ODD_LOG_E:
+        if (log_e := float(log_sum(table))) > EVIDENT:
             part = self.search_of_candidates(log_sum(table, axis=0))
-            log_e = part.log_evidence_with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)[0]
+            log_e = float(log_sum(part.with_scatter(var_flight, ChangeSearch.log_evidence_of_flights)[0]))
         return log_e, int(table.max(axis=1).argmax())
 
     def search_of_candidates(self, log_evidence: Array) -> "ChangeSearch":
@@ -214,41 +294,62 @@ class ChangeSearch:
         onsets = np.unique(np.clip(np.searchsorted(flights, self.onsets), 1, flights.size - 1))
         return replace(self, scan=scan, time=self.time[flights], onsets=onsets)
 
-    def log_evidence_with_scatter(
-        self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]"
-    ) -> tuple[float, float]:
-        """Return the log evidence of any change if the variance between this vehicle's flights is not known.
+    def with_scatter(self, var_flight: Array, evidence: "Callable[[ChangeSearch], Array]") -> tuple[Array, float]:
+        """Return the log evidence, as that with the fleet's scatter, if the variance between this vehicle's flights is unknown.
 
         In the columns that may have changed it is ``factor var_flight``, with an inverse gamma prior of the factor.
         The second value is the most probable factor with a change.
         """
         places = np.unique(np.concatenate(self.hypotheses.columns))
-        steady, factors = [], []
+        steady, changed = [], []
         for factor in SCATTER:
             scan, constant = self.scan.with_scatter(places, (factor - 1.0) * var_flight[places])
             steady.append(constant + scan.log_marginal - 0.5 * FREEDOM * (np.log(factor) + 1.0 / factor))
-            factors.append(log_sum(evidence(replace(self, scan=scan))))
+            changed.append(evidence(replace(self, scan=scan)))
         logs = np.log(SCATTER)
         fine = np.linspace(logs[0], logs[-1], FINE)
-        steady, factors = CubicSpline(logs, steady)(fine), CubicSpline(logs, factors)(fine)
-        log_e = float(log_sum(steady + factors) - log_sum(steady))
-        return log_e, float(np.exp(fine[(steady + factors).argmax()]))
+        prior = CubicSpline(logs, steady)(fine)
+        table = CubicSpline(logs, changed)(fine) + prior.reshape(-1, *np.ones_like(changed[0].shape))
+        total = log_sum(table, axis=tuple(range(1, table.ndim)))
+        return log_sum(table, axis=0) - log_sum(prior), float(np.exp(fine[total.argmax()]))
+
+    def end_of_change(self, table: Array) -> int | None:
+        """Return the first flight after a change that ends, if that explains the flights better than one that lasts.
+
+        From the best step on, start and end are improved in turn, for its hypothesis alone.
+        """
+        flights, (onset, hypothesis) = (
+            np.arange(self.time.size),
+            np.unravel_index(log_sum(table[0], axis=2).argmax(), table.shape[1:3]),
+        )
+        only, side = self.hypotheses.select([int(hypothesis)]), int(self.onsets[onset])
+        lasting = change_patterns("step", flights[1:], self.time), change_patterns("drift", flights[1:], self.time)
+        best = log_sum(self.scan.log_factors(np.concatenate(lasting), only), axis=(1, 2)).max()
+        for _ in range(2):
+            starts, ends = np.minimum(flights, side), np.maximum(flights, side)
+            patterns = (flights >= starts[:, None]) & (flights < ends[:, None])
+            logs = log_sum(self.scan.log_factors(patterns.astype(float), only), axis=(1, 2))
+            logs[(starts < 2) | (ends - starts < 2) | (ends > self.time.size - 2)] = -np.inf
+            place = int(logs.argmax())
+            end, side = ends[place], place
+        return int(end) if logs[place] > best else None
 
     def flights_in_support(self, table: Array) -> list[int]:
         """Return the flights whose log likelihood the most probable change raises most."""
-        base, change, shift = self._best_change(table)
+        base, change, shift = self.best_change(table)
         gain = self._log_likelihood(base + shift + change) - self._log_likelihood(base)
         return np.argsort(-gain, kind="stable")[:TELLING].tolist()
 
     def without_change(self, table: Array) -> "ChangeSearch":
         """Return the search of the flights without their most probable change."""
-        change = self._best_change(table)[1]
+        change = self.best_change(table)[1]
         gradient = self.scan.gradient - (self.scan.product @ change[:, :, None])[:, :, 0]
         return replace(self, scan=replace(self.scan, gradient=gradient))
 
-    def _best_change(self, table: Array) -> tuple[Array, Array, Array]:
+    def best_change(self, table: Array) -> tuple[Array, Array, Array]:
         """Return the base (K,), the most probable change of the flights, (N, K), and the shift of the base with it, (K,)."""
-        kind, onset, hypothesis = np.unravel_index(table.argmax(), table.shape)
+        logs = log_sum(table, axis=3)
+        kind, onset, hypothesis = np.unravel_index(logs.argmax(), logs.shape)
         places = self.hypotheses.columns[hypothesis]
         patterns = change_patterns(KINDS[kind], self.onsets[[onset]], self.time)
         product, right, side = self.scan.change_moments(patterns, places[None])
@@ -263,7 +364,8 @@ class ChangeSearch:
 
     def causes(self, table: Array, mean: Array, columns: Columns) -> tuple[Change, ...]:
         """Return the causes by falling evidence, the improbable ones left out."""
-        of_cause = [table[:, :, self.hypotheses.cause == k] for k in range(len(self.hypotheses.causes))]
+        logs = log_sum(table, axis=3)
+        of_cause = [logs[:, :, self.hypotheses.cause == k] for k in range(len(self.hypotheses.causes))]
         evidence = np.array([log_sum(part) for part in of_cause]) + np.log(len(of_cause))
         order = np.argsort(-evidence, kind="stable")
         least = max(float(evidence.max()) - AMBIGUOUS, 0.0)
@@ -299,7 +401,7 @@ class ChangeSearch:
     def onset_posterior(self, kind: Kind, places: Indices) -> Array:
         """Return the posterior probabilities of the onsets, (J,)."""
         only = Hypotheses(causes=(("", 0),), cause=np.zeros(1, dtype=int), columns=(places,), log_prior=np.zeros(1))
-        logs = self.scan.log_factors(change_patterns(kind, self.onsets, self.time), only)[:, 0]
+        logs = log_sum(self.scan.log_factors(change_patterns(kind, self.onsets, self.time), only)[:, 0], axis=1)
         logs += np.log(onset_weights(self.onsets))
         return np.exp(logs - log_sum(logs))
 

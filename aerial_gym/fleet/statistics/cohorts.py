@@ -26,6 +26,8 @@ from aerial_gym.fleet.statistics.scan import (
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.statistics import normal_quantile
 
+FEWEST_VEHICLES = 3  # That flew the compared version, for equality to be rejected
+
 
 @dataclass(frozen=True, kw_only=True)
 class CohortDifference:
@@ -38,7 +40,7 @@ class CohortDifference:
     difference: tuple[float, ...]  # B less A
     low: tuple[float, ...]  # Ends of its 95 % interval
     high: tuple[float, ...]
-    log_e: float  # Log Bayes factor against no difference
+    log_e: float  # Log Bayes factor against no difference, without the vehicle that supports it most
     rejected: bool  # Whether equality is rejected over all effects and versions, by Benjamini-Hochberg
     leading: bool  # Whether no other effect explains the two versions better by 20 to 1
     flights: tuple[int, int]
@@ -51,7 +53,7 @@ def compare_cohorts(
 ) -> list[CohortDifference]:
     """Return the differences of each firmware version from the most flown one, strongest evidence first.
 
-    Vehicles are read one at a time, once for each version; flights of unknown firmware are left out.
+    No difference rests on one vehicle. Flights of unknown firmware are left out.
     """
     counts = Counter(name for one in vehicles for name in one.firmware if name)
     reference, *versions = sorted(counts, key=lambda name: (-counts[name], name)) or [""]
@@ -64,9 +66,7 @@ def compare_cohorts(
 def _differences(
     model: FleetModel, vehicles: Sequence[VehicleFlights], columns: Columns, firmware: tuple[str, str]
 ) -> list[CohortDifference]:
-    width, flown = model.mean.size, []
-    # sums over vehicles of the information about (mean, d), with the deviations of the vehicle integrated out
-    product, gradient = np.zeros((2 * width, 2 * width)), np.zeros(2 * width)
+    flown, parts = [], []
     for one in vehicles:
         chosen = one.select([k for k, name in enumerate(one.firmware) if name in firmware])
         is_second = np.array([name == firmware[1] for name in chosen.firmware])
@@ -75,21 +75,18 @@ def _differences(
             scan = ChangeScan.from_flights(
                 chosen.product, chosen.gradient, model.mean, model.var_flight, np.sqrt(model.var_vehicle)
             )
-            own, right = scan.cohort_moments(is_second)
-            product += own
-            gradient += right
-    first, both = slice(0, width), product[:width, :width] + np.eye(width)
-    hypotheses = Hypotheses.from_columns(columns, product.diagonal()[width:] > 0.0)
+            parts.append(scan.cohort_moments(is_second))
+    product, gradient = (np.sum(arrays, axis=0) for arrays in zip(*parts, strict=True))
+    hypotheses = Hypotheses.from_columns(columns, product.diagonal()[model.mean.size :] > 0.0)
+    estimates = _estimate(model, product, gradient, hypotheses)
+    without = [_estimate(model, product - own, gradient - right, hypotheses) for own, right in parts]
+    is_many = sum(second > 0 for _, second in flown) >= FEWEST_VEHICLES
     rows = []
-    for cause, places in zip(hypotheses.cause, hypotheses.columns, strict=True):
-        own = places + width
-        back = np.linalg.solve(both, np.column_stack((product[first, own], gradient[first] - model.mean)))
-        information = product[np.ix_(own, own)] - product[own, first] @ back[:, :-1]
-        right = gradient[own] - product[own, first] @ back[:, -1]
-        mean, cov = mixture_moments(*change_posterior(information, right))
-        log_e = float(log_sum(log_factors_by_size(information, right)) - np.log(len(SIZES)))
-        scale = np.array([columns[k].scale for k in places])
+    for k, (cause, places) in enumerate(zip(hypotheses.cause, hypotheses.columns, strict=True)):
+        mean, cov, log_e = estimates[k]
+        scale = np.array([columns[place].scale for place in places])
         half = normal_quantile(0.975) * np.sqrt(cov.diagonal()) * scale
+        log_e = min(log_e, *(one[k][2] for one in without), *(() if is_many else (0.0,)))
         rows.append((hypotheses.causes[cause], places, mean * scale, half, log_e))
     best = max((row[-1] for row in rows), default=0.0)
     counts: Array = np.array(flown)
@@ -103,3 +100,20 @@ def _differences(
         )
         for (effect, rotor), places, mean, half, log_e in rows
     ]  # fmt: skip
+
+
+def _estimate(
+    model: FleetModel, product: Array, gradient: Array, hypotheses: Hypotheses
+) -> list[tuple[Array, Array, float]]:
+    """Return mean, covariance and log evidence of each hypothesis' difference, from the information about (mean, d)."""
+    width, rows = model.mean.size, []
+    first = slice(0, width)
+    right = np.column_stack((product[first, width:], gradient[first] - model.mean))
+    back = np.linalg.solve(product[first, first] + np.eye(width), right)
+    for places in hypotheses.columns:
+        own, cross = places + width, product[places + width, first]
+        information = product[np.ix_(own, own)] - cross @ back[:, places]
+        slope = gradient[own] - cross @ back[:, -1]
+        log_e = float(log_sum(log_factors_by_size(information, slope)) - np.log(len(SIZES)))
+        rows.append((*mixture_moments(*change_posterior(information, slope)), log_e))
+    return rows

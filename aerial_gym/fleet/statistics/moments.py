@@ -30,6 +30,7 @@ class VehicleFlights:
     gradient: Array  # Gradients of their log likelihoods at neutral, (N, K)
     time: Array  # Times of the flights [s], or their numbers, (N,)
     firmware: tuple[str, ...]  # Firmware of each flight, (N,)
+    is_timed: bool = True  # Whether times are not numbers
 
     def select(self, flights: Indices | Sequence[int]) -> Self:
         """Return some flights, by indices."""
@@ -39,11 +40,12 @@ class VehicleFlights:
             firmware=tuple(self.firmware[k] for k in chosen),
         )  # fmt: skip
 
-    def usable_times(self) -> Array:
-        """Return the times, (N,); flight numbers take their place if times are missing, equal or not in order."""
-        time = np.asarray(self.time, dtype=float)
-        usable = np.isfinite(time).all() and (np.diff(time) >= 0.0).all() and time[-1] > time[0]
-        return time if usable else np.arange(time.size, dtype=float)
+
+def usable_times(time: Array) -> tuple[Array, bool]:
+    """Return the times, (N,), and whether they are in order; else flight numbers from 1 (times missing, equal or unordered)."""
+    time = np.asarray(time, dtype=float)
+    is_ordered = bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() and time.size and time[-1] > time[0])
+    return (time if is_ordered else np.arange(1.0, time.size + 1.0)), is_ordered
 
 
 def integrate_flights(product: Array, gradient: Array, variance: Array) -> tuple[Array, Array]:
@@ -54,7 +56,7 @@ def integrate_flights(product: Array, gradient: Array, variance: Array) -> tuple
     Args:
         variance: Variances of the deviations, (K,) or (N, K).
     """
-    products, gradients = np.array(product, dtype=float), np.array(gradient, dtype=float)
+    products, gradients = np.array(product, dtype=float, order="C"), np.array(gradient, dtype=float)
     for flight, root in enumerate(np.sqrt(np.broadcast_to(variance, gradients.shape))):
         own = products[flight]
         np.fill_diagonal(own, own.diagonal() * (1.0 + ROUNDING))

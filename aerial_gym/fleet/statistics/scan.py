@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from aerial_gym.fleet.statistics.moments import TRTRS, Columns, integrate_flights, solve_lower, whitening
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 
-SIZES = (0.03, 0.1, 0.3, 1.0, 3.0)
+SIZES = tuple((0.03 * 10.0 ** np.linspace(0.0, 2.0, 9)).tolist())
 """Prior standard deviations of a change in units of the parameter's scale, equally probable. A scale is a moderate change."""
 
 CHUNK = 64  # Patterns of a change in memory at a time
@@ -102,20 +102,22 @@ class ChangeScan:
         return side.T @ side
 
     def log_factors(self, patterns: Array, hypotheses: Hypotheses, flights: slice = slice(None)) -> Array:
-        """Return log Bayes factors (J, H) of changes that follow patterns g, (J, N), over the flights of a slice."""
-        table, widths = np.zeros((len(patterns), len(hypotheses.columns))), [own.size for own in hypotheses.columns]
+        """Return log Bayes factors (J, H, sizes) of changes that follow patterns g, (J, N), over the flights of a slice."""
+        widths = [own.size for own in hypotheses.columns]
+        table = np.zeros((len(patterns), len(widths), len(SIZES)))
         for width in sorted(set(widths)):
             members = np.flatnonzero(np.equal(widths, width))
             places = np.array([hypotheses.columns[k] for k in members])
             product, gradient, _ = self.change_moments(patterns, places, flights)
-            table[:, members] = log_sum(log_factors_by_size(product, gradient), axis=-1) - np.log(len(SIZES))
+            table[:, members] = log_factors_by_size(product, gradient)
         return table
 
     def log_factors_of_flights(self, hypotheses: Hypotheses) -> Array:
         """Return log Bayes factors of a change in one flight alone, (N, H)."""
         count = len(self.product)
         chunks = [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
-        return np.concatenate([self.log_factors(np.eye(part.stop - part.start), hypotheses, part) for part in chunks])
+        tables = [self.log_factors(np.eye(part.stop - part.start), hypotheses, part) for part in chunks]
+        return log_sum(np.concatenate(tables), axis=2) - np.log(len(SIZES))
 
     def change_moments(
         self, patterns: Array, places: Indices, flights: slice = slice(None)
@@ -127,9 +129,11 @@ class ChangeScan:
             places: Columns of h hypotheses of equal size, (h, P).
         """
         own, width = self.product[flights], self.root.size
-        first = np.tensordot(patterns, own[:, :, places.ravel()], axes=1) * self.root[:, None]
+        first = (
+            np.tensordot(patterns, own[:, places.ravel()], axes=1) * self.root
+        )  # rows of K, so that no copy is needed
         second = np.tensordot(patterns**2, own[:, places[:, :, None], places[:, None, :]], axes=1)
-        side = solve_lower(self.lower, first.transpose(1, 0, 2).reshape(width, -1)).T.reshape(-1, *places.shape, width)
+        side = solve_lower(self.lower, first.reshape(-1, width).T).T.reshape(-1, *places.shape, width)
         right = np.tensordot(patterns, self.gradient[flights][:, places], axes=1) - side @ self.white
         return second - side @ side.swapaxes(-1, -2), right, side
 

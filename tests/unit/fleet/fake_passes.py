@@ -96,6 +96,7 @@ class VehicleFlights:
     gradient: np.ndarray
     time: np.ndarray
     firmware: tuple[str, ...]
+    is_timed: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +121,11 @@ class Result:
     log_e: float = 0.0
     causes: tuple[Change, ...] = ()
     odd_flights: tuple[int, ...] = ()
+    end: int | None = None
+
+    def renumber(self, numbers: np.ndarray) -> "Result":
+        causes = tuple(one.count_flights(numbers) for one in self.causes)
+        return replace(self, causes=causes, odd_flights=tuple(int(numbers[k]) for k in self.odd_flights))
 
     @property
     def candidates(self) -> tuple[Change, ...]:
@@ -144,7 +150,7 @@ def _values(flights: VehicleFlights) -> np.ndarray:
     return np.linalg.solve(flights.product, flights.gradient[:, :, None])[:, :, 0]
 
 
-def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> Any:
+def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any], result: Any) -> Any:
     values = _values(flights)
     return SimpleNamespace(mean=values.mean(axis=0), std=values.std(axis=0))
 
@@ -163,6 +169,14 @@ def find_change(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> 
         onset_low=middle, onset_high=middle, parameters=("scale",), change=(float(steps[rotor]),),
     )  # fmt: skip
     return Result(log_e=cause.log_evidence, causes=(cause,), odd_flights=tuple(np.flatnonzero(marks == 9).tolist()))
+
+
+def campaign_evidence(results: Iterable[Any], known: Any = None) -> Any:
+    return {}
+
+
+def exclude_campaigns(result: Any, fleet: Any) -> Any:
+    return result
 
 
 @dataclass(frozen=True, kw_only=True)

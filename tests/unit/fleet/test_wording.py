@@ -39,6 +39,21 @@ def test_alternatives_firmware_and_odd_flight() -> None:
     )
 
 
+def test_repair_and_second_change() -> None:
+    repaired = ChangeResult(vehicle="17", flights=300, causes=(THRUST,), end=220)
+    assert (
+        text_of_change(repaired, "17") == "vehicle 17, rotor 3: -2.1 % thrust (± 0.3 %) from flight 212 to flight 220"
+    )
+    second = ChangeResult(
+        vehicle="17", flights=300, causes=(replace(THRUST, rotor=1, onset=99, onset_low=90, onset_high=99),)
+    )
+    both = ChangeResult(vehicle="17", flights=300, causes=(THRUST,), second=second)
+    assert text_of_change(both, "17") == (
+        "vehicle 17, rotor 3: -2.1 % thrust (± 0.3 %) since flight 212; "
+        "second change, rotor 1: -2.1 % thrust (± 0.3 %) since flight 100 (90 % interval 91 to 100)"
+    )
+
+
 def test_odd_flights_without_a_change() -> None:
     result = ChangeResult(vehicle="b", flights=30, causes=(THRUST,), odd_flights=(3, 8))
     text = text_of_no_change(result, "b", "no_change")

@@ -32,6 +32,7 @@ def test_the_first_screen_counts_flights_refusals_and_changes(client: Client) ->
         "changed": 1,
         "ambiguous": 1,
         "shared": 0,
+        "campaign": 0,
         "no_change": len(VEHICLES) - 2,
         "too_few_flights": 0,
         "not_testable": 0,

@@ -139,6 +139,34 @@ def test_at_most_a_tenth_of_the_flights_are_odd() -> None:
     assert len(_find(19, 20, change=odd).odd_flights) <= 2
 
 
+@pytest.mark.parametrize(("start", "end"), [(8, 25), (5, 27), (10, 20), (22, 27), (12, 28)])
+def test_repaired_vehicle_is_named(start: int, end: int) -> None:
+    """Rotor 2 loses thrust in some of 30 flights, and is as before after them."""
+    result = _find(21, 30, change=step(30, start, -0.6 * THRUST) - step(30, end, -0.6 * THRUST))
+    best = result.causes[0]
+    assert result.log_e > CLEAR
+    assert (best.effect, best.rotor, result.end, result.second) == ("weak_motor", 2, end, None)
+    assert best.onset_low <= start <= best.onset_high
+    assert abs(best.change[0] + 0.03) < 3.0 * best.std[0] < 0.01
+
+
+def test_lasting_change_has_no_end() -> None:
+    for seed, onset in enumerate((4, 10, 15, 24), start=30):
+        for pattern in (step, drift):
+            result = _find(seed, 30, change=pattern(30, onset, 0.6 * THRUST))
+            assert (result.end, result.second, result.odd_flights) == (None, None, ())
+
+
+@pytest.mark.parametrize(("first", "second"), [(10, 20), (20, 10), (8, 24)])
+def test_second_change_is_named(first: int, second: int) -> None:
+    change = step(30, first, THRUST) + step(30, second, 0.5 * np.eye(6)[2])
+    result = _find(22, 30, change=change)
+    assert (result.causes[0].rotor, result.causes[0].onset, result.end) == (2, first, None)
+    assert result.second is not None
+    assert (result.second.causes[0].effect, result.second.causes[0].rotor) == ("weak_motor", 1)
+    assert result.second.causes[0].onset_low <= second <= result.second.causes[0].onset_high
+
+
 def test_change_of_firmware_within_the_onset_is_named() -> None:
     flights = make_flights(np.random.default_rng(8), MODEL, 12, change=step(12, 6, 0.6 * THRUST))
     for place, expected in ((6, ("1.0", "1.1")), (3, None)):

@@ -64,6 +64,16 @@ def test_equal_versions_are_not_told_apart() -> None:
     assert inside >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(rows))
 
 
+def test_no_difference_rests_on_few_vehicles() -> None:
+    """A step of one vehicle at its update is no difference of firmware, nor is one that two vehicles flew alone."""
+    same, changed = _fleet(42, 0.0), _fleet(43, 1.0)
+    assert not any(row.rejected for row in compare_cohorts(MODEL, [changed[0], *same[1:]], COLUMNS))
+    plain = [replace(one, firmware=("A",) * 8) for one in same[2:]]
+    rows = compare_cohorts(MODEL, [*changed[:2], *plain], COLUMNS)
+    assert not any(row.rejected for row in rows)
+    assert compare_cohorts(MODEL, changed[:3], COLUMNS)[0].rejected
+
+
 def test_deviations_of_vehicles_cancel() -> None:
     """A vehicle that deviates by 20 standard deviations, and flew both versions, shows no difference."""
     flights = make_flights(np.random.default_rng(40), MODEL, 8, deviation=6.0 * PLAIN)

@@ -1,8 +1,10 @@
 """The fleet's distribution, and a vehicle's parameters under it."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from aerial_gym.fleet.statistics import VehicleFlights, draw_vehicles, fit_fleet, vehicle_posterior
+from aerial_gym.fleet.statistics import VehicleFlights, draw_vehicles, find_change, fit_fleet, vehicle_posterior
 from tests.unit.fleet.statistics.synthetic import make_columns, make_fleet, make_flights, make_model, step
 
 COLUMNS = make_columns("weak_motor", "torque_ratio", "rotor_drag", tolerances=1)
@@ -25,13 +27,17 @@ def test_textbook_shrinkage() -> None:
 
 
 def test_distribution_of_a_fleet() -> None:
-    """Mean and variances agree with the truth within three standard errors of 60 vehicles with 10 flights."""
+    """Mean and variances agree with the truth within three standard errors of 60 vehicles with 10 flights.
+
+    A flight of 40 rows shows its deviation with a variance of 1/360, which adds to that between flights.
+    """
     model = make_model(4, **TRUTH)
     fitted = fit_fleet(make_fleet(np.random.default_rng(0), model, 60, 10), COLUMNS)
     assert (np.abs(fitted.mean - model.mean) < 3.0 * np.sqrt(fitted.mean_var)).all()
     np.testing.assert_allclose(fitted.mean_var, (model.var_vehicle + 0.05**2 / 10.0) / 60.0, rtol=0.5)
     assert (np.abs(np.log(fitted.var_vehicle / model.var_vehicle)) < 3.0 * np.sqrt(2.0 / 60.0)).all()
-    assert (np.abs(np.log(fitted.var_flight / model.var_flight)) < 3.0 * np.sqrt(2.0 / 540.0)).all()
+    error = np.sqrt(2.0 / 540.0) * (1.0 + 1.0 / 360.0 / model.var_flight)
+    assert (np.abs(np.log(fitted.var_flight / model.var_flight)) < 3.0 * error).all()
 
 
 def test_interval_of_a_vehicle_covers_the_truth() -> None:
@@ -46,6 +52,20 @@ def test_interval_of_a_vehicle_covers_the_truth() -> None:
         for scale, neutral in [(np.array([0.05, 0.05, 0.05, 1.0]), np.array([1.0, 1.0, 1.0, 0.0]))]
     ]
     assert np.abs(np.mean(inside) - 0.6827) < 3.0 * np.sqrt(0.6827 * 0.3173 / 800.0)
+
+
+def test_state_of_a_changed_vehicle_is_that_of_its_last_flights() -> None:
+    """The cause's level follows the change, and other parameters the flights since; a repaired vehicle is as before."""
+    rng, model, size = np.random.default_rng(6), make_model(4, **TRUTH), np.array([1.0, 0.0, 0.0, 0.0])
+    flights = make_flights(rng, model, 20, deviation=np.zeros(4), change=step(20, 10, size))
+    result = find_change(model, flights, COLUMNS)
+    state = vehicle_posterior(model, flights, COLUMNS, result)
+    assert abs(state.mean[0] - (1.0 + 0.05 * 1.5)) < 3.0 * state.std[0] < 0.01
+    repaired = replace(flights, gradient=flights.gradient - flights.product @ size * (np.arange(20) >= 15)[:, None])
+    result = find_change(model, repaired, COLUMNS)
+    assert result.end == 15
+    state = vehicle_posterior(model, repaired, COLUMNS, result)
+    assert abs(state.mean[0] - (1.0 + 0.05 * 0.5)) < 3.0 * state.std[0] < 0.01
 
 
 def test_changed_vehicles_hide_nothing_in_the_variance() -> None:
