@@ -70,9 +70,7 @@ class ChangeResult:
     flights: int
     log_e: float = 0.0  # Log evidence of any change against none, without the flight that supports it most
     support: Support = field(default_factory=dict)  # With all flights; without the best cause, where that is clear
-    robust_support: tuple[
-        Support, ...
-    ] = ()  # Of the candidates, without each of the flights that support the change most
+    robust_support: tuple[Support, ...] = ()  # Of the candidates, without each of the most telling flights
     causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
     odd_flights: tuple[int, ...] = ()  # Indices of flights that deviate alone, and are left out
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
