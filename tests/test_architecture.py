@@ -157,6 +157,12 @@ def test_what_only_tells_imports_nothing_heavy(command: str) -> None:
     assert out.stdout.splitlines()[-1] == "[]"
 
 
+def test_the_loop_imports_no_distributions() -> None:
+    """``scipy.stats`` takes longer to import than a flight takes to read."""
+    code = "import sys, aerial_gym.sim2real.loop; sys.exit('scipy.stats' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_a_plain_vehicle_imports_nothing_that_it_does_not_have() -> None:
     """Its kernels are not compiled."""
     code = (

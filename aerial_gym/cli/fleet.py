@@ -2,22 +2,26 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from aerial_gym.cli.terminal import print_table, progress_bar
-from aerial_gym.config.console import json_line
+from aerial_gym.config.console import json_line, one_line
 from aerial_gym.errors import ConfigError
 from aerial_gym.extras import require
+from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 
 if TYPE_CHECKING:
     from aerial_gym.fleet.run import FleetRun, FleetSummary
+    from aerial_gym.fleet.tables import Row
 
-
+Limits = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 Tables = Annotated[Path, tyro.conf.arg(aliases=["--tables"])]
 
 
@@ -30,10 +34,7 @@ class FleetLogsCmd:
     mapping: str | None = None  # Mapping of CSV files: a name or a file (.yaml)
     pattern: str = "*"  # Names of logs, such as *.ulg
     false_discovery: float = 0.01  # Largest expected share of unchanged vehicles among those that are named
-    limit: Annotated[
-        tuple[str, ...], tyro.conf.UseAppendAction
-    ] = ()  # EFFECT.PARAMETER=VALUE: say when a drift crosses it
-
+    limit: Limits = ()  # EFFECT.PARAMETER=VALUE: say when a drift crosses it
     json: bool = False  # Print JSON in place of sentences
 
     def request(self, logs: str, out: Path) -> "FleetRun":
@@ -110,24 +111,28 @@ class FleetWatchCmd(FleetLogsCmd):
     allow_remote_webhook: bool = False  # Allow a webhook on another machine
 
     def run(self) -> int:
-        """Print each alert until interrupted."""
+        """Print each alert until interrupted; one that has not arrived everywhere comes again after a new start."""
         require("fleet watch", "deltalake", "pyarrow", "fsspec")
         from aerial_gym.fleet.alerts import Webhook
         from aerial_gym.fleet.watch import watch_fleet
 
         webhook = Webhook(self.webhook, allow_remote=self.allow_remote_webhook) if self.webhook else None
-        with closing(watch_fleet(self.request(self.folder, self.out))) as looks:
+        printed = set[str]()
+
+        def deliver(alerts: "Sequence[Row]") -> "Sequence[Row]":
+            for alert in alerts:
+                if alert["id"] not in printed:
+                    print(json_line(alert) if self.json else alert["text"], flush=True)
+                    printed.add(alert["id"])
+            return webhook.send(alerts) if webhook else alerts
+
+        tell = partial(print, "fleet watch:", file=sys.stderr, flush=True)
+        with closing(watch_fleet(self.request(self.folder, self.out), deliver, tell)) as looks:
             try:
-                for alerts in looks:
-                    for alert in alerts:
-                        print(json_line(alert) if self.json else alert["text"], flush=True)
-                        if webhook:
-                            webhook.send(alert)
+                for _ in looks:
                     time.sleep(self.poll_s)
             except KeyboardInterrupt:
-                print("fleet watch: stopped", file=sys.stderr)
-        if webhook:
-            webhook.close()
+                tell("stopped")
         return 0
 
 
@@ -146,9 +151,9 @@ class FleetQueryCmd:
 
         names, rows = query(self.out, self.sql)
         if not self.json:
-            print_table((tuple(map(str, row)) for row in rows), names)
+            print_table((tuple(one_line(str(value)) for value in row) for row in rows), names)
         for row in rows if self.json else ():
-            print(json_line({name: _json_value(value) for name, value in zip(names, row, strict=True)}))
+            print(json_line(map_leaves(dict(zip(names, row, strict=True)), _json_value)))
         return 0
 
 
@@ -171,40 +176,31 @@ class FleetViewCmd:
 
 def _json_value(value: object) -> object:
     """Return a value of a table as JSON: numbers that are not finite as null, bytes in hexadecimal, others as text."""
-    from math import isfinite
-
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    if isinstance(value, list | tuple):
-        return [_json_value(one) for one in value]
     if isinstance(value, bytes):
         return value.hex()
-    return value if isinstance(value, int | str | None) else str(value)
+    return finite_or_none(value) if isinstance(value, int | float | str | None) else str(value)
 
 
 def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
     """Print the result of a run: changed vehicles first."""
+    from aerial_gym.fleet.wording import texts_of_differences
+
     if as_json:
         print(json_line(vars(summary)))
         return
-    unchanged = "no vehicle has changed" if summary.judged else "no vehicle can be judged: none has enough flights"
+    unchanged = "no vehicle has changed" if summary.judged else "no vehicle can be judged by its flights"
     for text in summary.changed or [unchanged]:
         print(text)
     for vehicle, text in summary.reports.items():
         print(f"close-loop on vehicle {vehicle}, {text}")
-    for one in summary.cohorts:
-        if one["rejected"] and one["leading"]:
-            rotor = f", rotor {one['rotor']}" if one["rotor"] else ""
-            rows = zip(one["parameters"], one["difference"], one["low"], one["high"], strict=True)
-            values = ", ".join(f"{name} {value:+.3g} ({low:+.3g} to {high:+.3g})" for name, value, low, high in rows)
-            before, after = one["firmware"]
-            print(f"firmware {after} against {before}: {one['effect'].replace('_', ' ')}{rotor}: {values}")
+    for text in texts_of_differences(summary.cohorts):
+        print(text)
     counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
-    parts = [(refused, "refused"), (summary.copies, "copies of others"), (unread, "not delivered by the store")]
+    parts = [(refused, "refused"), (summary.copies, "with known content"), (unread, "not delivered by the store")]
     print(", ".join([counts, *(f"{count} {state}" for count, state in parts if count)]))
     for reason, count in summary.refused.most_common(3):
         print(f"  refused {count}: {reason}")
     for path, reason in list(summary.unread.items())[:3]:
-        print(f"  not delivered, tried again by the next run: {path} ({reason})")
+        print(one_line(f"  not delivered, tried again by the next run: {path} ({reason})"))
     print(f"next: aerial-gym fleet view --out {out}")

@@ -41,6 +41,12 @@ def accept_any_console() -> None:
             reconfigure(errors=PLAIN)
 
 
+def one_line(text: str) -> str:
+    """Return a text with escapes in place of line breaks, control characters and bytes that are no UTF-8."""
+    breaks = ("Cc", "Cs", "Zl", "Zp")
+    return "".join(ascii(sign)[1:-1] if unicodedata.category(sign) in breaks else sign for sign in text)
+
+
 def progress_console() -> "Console":
     """Return a console on the present stderr; bars are text in a notebook without ipywidgets, of which rich would complain."""
     from rich.console import Console

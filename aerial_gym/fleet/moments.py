@@ -23,13 +23,17 @@ def pack_moments(product: "Array", gradient: "Array") -> bytes | None:
     return _CODEC.compress(values.tobytes(), asbytes=True) if np.isfinite(values).all() else None
 
 
-def unpack_moments(data: bytes, size: int) -> "tuple[Array, Array]":
-    """Return the matrix (K, K) and the vector (K,) of ``pack_moments``, as float64; ``size``: K."""
-    count = size * (size + 1) // 2
-    raw = _CODEC.decompress(data, decompressed_size=4 * (count + size), asbytes=True)
-    values, product = np.frombuffer(raw, "<f4").astype(np.float64), np.zeros((size, size))
-    product[np.triu_indices(size)] = values[:count]
-    return product + np.triu(product, 1).T, values[count:]
+def unpack_moments(data: bytes, product: "Array", gradient: "Array") -> bool:
+    """Write the moments of ``pack_moments`` into a matrix (K, K) and a vector (K,); return whether they are intact."""
+    count, upper = gradient.size * (gradient.size + 1) // 2, np.triu_indices(gradient.size)
+    try:
+        raw = _CODEC.decompress(data, decompressed_size=4 * (count + gradient.size), asbytes=True)
+    except OSError:  # of a damaged stream
+        return False
+    values = np.frombuffer(raw, "<f4")
+    product[upper] = product.T[upper] = values[:count]
+    gradient[:] = values[count:]
+    return bool(np.isfinite(values).all())
 
 
 def columns_text(columns: Iterable[Any]) -> str:

@@ -1,7 +1,9 @@
 """Pass 1 in a worker: the rows of a batch of logs. The result of a log does not depend on its batch."""
 
+import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -11,10 +13,13 @@ from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from aerial_gym.errors import AerialGymError
+from aerial_gym.config.console import one_line
+from aerial_gym.errors import AerialGymError, DataError
 from aerial_gym.fleet.moments import columns_digest, columns_text, pack_moments
+from aerial_gym.fleet.schemas import KEY
 from aerial_gym.fleet.sources import LogReference, LogStore, hash_of_log
 from aerial_gym.fleet.vehicles import Fleet
+from aerial_gym.sim2real.json_values import plain
 
 if TYPE_CHECKING:
     from aerial_gym.fleet.tables import Row
@@ -25,10 +30,9 @@ PASS_ONE = "aerial_gym.sim2real.flight_evidence.evidence"
 BATCH_ATTEMPTS, LOG_ATTEMPTS = (
     2,
     5,
-)  # Attempts after which a batch is split, and a log is refused; workers may die for any reason
-_ENDS_PROCESS = SimpleNamespace(
-    reason=f"its analysis has ended the process {LOG_ATTEMPTS} times, perhaps for want of memory"
-)
+)  # After which a batch is split, and a log is refused; workers may die for any reason
+_ENDS_PROCESS = SimpleNamespace(reason=f"its analysis has ended the process {LOG_ATTEMPTS} times: too little memory?")
+_KNOWN = object()  # Result of a log whose content has rows, under this path or another one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,7 @@ class PassOneSettings:
     module: str = PASS_ONE
     scratch: Path  # Folder of fetched logs and of begun work
     mapping: str | None = None
+    known: AbstractSet[bytes] = frozenset()  # Digests of keys that have rows: such logs are hashed, not analysed
 
     def make_worker(self) -> "PassOne":
         """Return a worker."""
@@ -67,8 +72,14 @@ class _LocalLog:
     robot: str  # Name; "" without one
 
     def text(self, content: str) -> str:
-        """Return a text with the log's own path in place of that of its copy."""
-        return content.removeprefix(f"{self.path}: ").replace(str(self.path), self.reference.path)
+        """Return a text in one line, with the log's own path in place of that of its copy."""
+        return one_line(content.removeprefix(f"{self.path}: ").replace(str(self.path), self.reference.path))
+
+    def findings_text(self, findings: Iterable[Any]) -> str:
+        """Return findings as JSON, with the log's own path in place of that of its copy."""
+        content = [{"code": one.code, "subject": one.subject, "values": plain(one.values)} for one in findings]
+        copy, own = (json.dumps(str(path), ensure_ascii=False)[1:-1] for path in (self.path, self.reference.path))
+        return json.dumps(content, ensure_ascii=False, default=str).replace(copy, own)
 
 
 class PassOne:
@@ -109,19 +120,23 @@ class PassOne:
                     logs.append(self._fetch(reference, Path(folder)))
                 except Exception as error:  # of any file system's own type
                     rows[reference.rank] = LogRows(flight={"path": reference.path}, unread=str(error) or repr(error))
-            for robot in sorted({log.robot for log in logs}):
-                same = [log for log in logs if log.robot == robot]
+            known = [log for log in logs if row_digest(self._key(log)) in self._settings.known]
+            rows |= {log.reference.rank: self._rows(log, _KNOWN) for log in known}
+            for robot in sorted({log.robot for log in logs if log not in known}):
+                same = [log for log in logs if log.robot == robot and log not in known]
                 results = len(same) * [_ENDS_PROCESS] if refused else self._results(robot, same)
                 for log, result in zip(same, results, strict=True):
                     rows[log.reference.rank] = self._rows(log, result)
         return _without_repeated_columns([rows[rank] for rank in sorted(rows)])
 
     def _fetch(self, reference: LogReference, folder: Path) -> _LocalLog:
+        if one_line(reference.path) != reference.path:
+            raise DataError("its name has control characters, or bytes that are not UTF-8: rename it")
         path, airframe = self._settings.store.fetch(reference, folder), ""
         digest = hash_of_log(path)
         if self._fleet.robot_needs_airframe(reference.path):
             with suppress(AerialGymError):  # pass 1 states the reason
-                airframe = self._module.log_airframe(path)
+                airframe = one_line(self._module.log_airframe(path))
         robot = self._fleet.assign(reference.path, airframe)[1]
         return _LocalLog(reference=reference, path=path, log_hash=digest, airframe=airframe, robot=robot)
 
@@ -131,12 +146,15 @@ class PassOne:
         paths = [log.path for log in logs]
         return self._module.flight_evidences(self._fleet.robots[robot], paths, mapping=self._settings.mapping)
 
+    def _key(self, log: _LocalLog) -> dict[str, str]:
+        robot_hash = self._fleet.hashes.get(log.robot, "")
+        return {"log_hash": log.log_hash, "robot_hash": robot_hash, "model_version": self.version}
+
     def _rows(self, log: _LocalLog, result: Any) -> LogRows:
         """Return the rows of a log: of its evidence, of its refusal (``reason``), or for want of a robot (None)."""
-        airframe = getattr(result, "airframe", "") or log.airframe
+        airframe = one_line(getattr(result, "airframe", "")) or log.airframe
         vehicle, _ = self._fleet.assign(log.reference.path, airframe)
-        key = {"log_hash": log.log_hash, "robot_hash": self._fleet.hashes.get(log.robot, "")}
-        key["model_version"] = self.version
+        key = self._key(log)
         flight: dict[str, Any] = key | {
             "path": log.reference.path, "vehicle": vehicle, "firmware": "", "start_time": nan,
             "order": float(log.reference.rank), "duration_s": 0.0, "status": "refused", "reason": "", "checks": "[]",
@@ -146,6 +164,8 @@ class PassOne:
         if result is None:
             known = ", ".join(self._fleet.robots)
             return LogRows(flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"})
+        if result is _KNOWN:
+            return LogRows(flight=flight | {"status": "known"})
         if hasattr(result, "reason"):
             return LogRows(flight=flight | {"reason": log.text(result.reason)})
         moments = pack_moments(result.product, result.gradient)
@@ -153,8 +173,9 @@ class PassOne:
             return LogRows(flight=flight | {"reason": "its moments are not finite"})
         columns = columns_text(result.columns)
         flight |= {
-            "firmware": result.firmware, "start_time": result.start_time, "duration_s": result.duration_s, "status": "ok",
-            "checks": log.text(_findings_text(result.checks)), "events": log.text(_findings_text(result.events)),
+            "firmware": one_line(result.firmware), "start_time": result.start_time,
+            "duration_s": result.duration_s, "status": "ok",
+            "checks": log.findings_text(result.checks), "events": log.findings_text(result.events),
             "rows": result.rows, "square": result.square, "columns": columns_digest(columns),
             "moments": moments,
         }  # fmt: skip
@@ -165,6 +186,11 @@ class PassOne:
         return LogRows(flight=flight, evidence=tuple(evidence), columns=columns)
 
 
+def row_digest(row: "Row", names: Sequence[str] = KEY) -> bytes:
+    """Return the digest of some columns of a flight."""
+    return hashlib.sha256("\0".join(str(row[name]) for name in names).encode("utf-8", "surrogatepass")).digest()
+
+
 def _without_repeated_columns(rows: Sequence[LogRows]) -> list[LogRows]:
     """Return rows that state equal columns only once, as they are most of a row that a worker sends."""
     stated, kept = set[str](), []
@@ -172,10 +198,3 @@ def _without_repeated_columns(rows: Sequence[LogRows]) -> list[LogRows]:
         kept.append(replace(row, columns="") if row.columns in stated else row)
         stated.add(row.columns)
     return kept
-
-
-def _findings_text(findings: Iterable[Any]) -> str:
-    from aerial_gym.sim2real.json_values import plain
-
-    content = [{"code": one.code, "subject": one.subject, "values": plain(one.values)} for one in findings]
-    return json.dumps(content, ensure_ascii=False, default=str)

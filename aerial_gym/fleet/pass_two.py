@@ -7,21 +7,20 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from io import BytesIO
-from math import exp, inf, isfinite
+from math import exp, inf
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pyarrow.dataset as arrow_dataset
 
 from aerial_gym.config.storage import write_atomic
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.moments import unpack_moments
-from aerial_gym.fleet.sources import sort_by_time
+from aerial_gym.fleet.sources import ORDER, sort_by_time
 from aerial_gym.fleet.statistics.moments import usable_times
-from aerial_gym.fleet.tables import FleetTables, Row
-from aerial_gym.sim2real.json_values import map_leaves
+from aerial_gym.fleet.tables import FleetTables, Row, match_columns
+from aerial_gym.sim2real.json_values import finite_or_none, map_leaves
 from aerial_gym.sim2real.progress import Progress, silent
 
 STATISTICS = "aerial_gym.fleet.statistics"
@@ -29,12 +28,11 @@ WORDING = "aerial_gym.fleet.wording"
 """Modules with the functions of the statistics and of their sentences; tests give rest."""
 
 VEHICLES_AT_ONCE = 8
-FIT_FLIGHTS = (
-    20  # Flights of a vehicle, equally spaced, that are read for the model of the fleet, so that memory is flat
-)
-FEW = "too_few_flights"  # Verdict
+FIT_FLIGHTS, MOST_FLIGHTS = 20, 500
+"""Flights of a vehicle, equally spaced, for the model of the fleet, and last ones that its verdict rests on: memory is flat."""
+FEW, NOT_TESTABLE = UNJUDGED = ("too_few_flights", "not_testable")  # Verdicts of vehicles that cannot be judged
 NO_CHANGE = dict.fromkeys(("onset_flight", "onset_low", "onset_high", "onset_time", "kind", "crosses_limit_at"))
-"""Columns that only a change has."""
+NO_CHANGE |= {"causes": "[]"}  # Columns that only a change has
 CAMPAIGN = "or a campaign: the other vehicles do not rule out such changes by site, season or load"
 MOST_ALIKE, MOST_ALIKE_SHARE = 2, 0.2
 """Vehicles of a run that may change alike at one time, by number and share. Beyond that, something that they share is named."""
@@ -77,13 +75,11 @@ class VehicleResult:
     own_log_e: float  # Of its flights alone
     verdict: dict[str, Any]
     parameters: "tuple[Row, ...]"
-    last_hash: str  # Hash of the log of its last flight
     change: Any  # ``ChangeResult``
+    odd_logs: tuple[str, ...]  # Hashes of the logs of its odd flights
+    note: str  # On flights that do not count
     sign: tuple[str, int, bool] | None = None  # Effect, rotor and direction of its most probable change
-    span: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # Times of the last flight before the onset's interval, and of its last flight
+    span: tuple[float, float] = (0.0, 0.0)  # Times of the last flight before the onset's interval, and of its last one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,37 +96,36 @@ class VehicleReader:
 
     def read(
         self, vehicles: Sequence[str], module: Any, most: int | None = None
-    ) -> Iterator[tuple[Any, list[str], float]]:
-        """Yield the flights of each vehicle in order of time, with the hashes of their logs and the last start time.
+    ) -> Iterator[tuple[Any, list[dict[str, Any]], str]]:
+        """Yield the last flights of each vehicle in order of time, their rows, and a note on those that do not count.
 
-        ``most``: largest number of flights of a vehicle; of more, equally spaced ones are taken.
+        ``most``: largest number of flights of a vehicle, equally spaced in all of them.
         """
-        rows = FleetTables(self.out).dataset("flights").to_table(
-            columns=["vehicle", "path", "order", "firmware", "start_time", "log_hash", "moments", "written_at"],
-            filter=_filter_of_group(self.group) & arrow_dataset.field("vehicle").isin(list(vehicles)),
-        )  # fmt: skip
-        by_vehicle: dict[str, list[dict[str, Any]]] = {vehicle: [] for vehicle in vehicles}
-        newest = {row["path"]: row for row in sorted(rows.to_pylist(), key=lambda row: row["written_at"])}
-        for row in newest.values():  # a log that was completed since has an older row
+        where = {"vehicle": list(vehicles), "status": "ok", "columns": self.group.digest} | self.group.key()
+        tables, by_vehicle = FleetTables(self.out), {vehicle: list[dict[str, Any]]() for vehicle in vehicles}
+        for row in tables.rows("flights", ("vehicle", "firmware", "log_hash", *ORDER), **where):
             by_vehicle[row["vehicle"]].append(row)
-        for vehicle, flights in by_vehicle.items():
-            flights = sort_by_time(flights)
-            if most is not None and len(flights) > most:
-                flights = [flights[k] for k in np.linspace(0, len(flights) - 1, most).round().astype(int)]
-            time, is_timed = usable_times(np.array([row["start_time"] for row in flights], dtype=float))
-            moments = [unpack_moments(row["moments"], len(self.columns)) for row in flights]
-            yield (
-                module.VehicleFlights(
-                    vehicle=vehicle,
-                    product=np.array([product for product, _ in moments]),
-                    gradient=np.array([gradient for _, gradient in moments]),
-                    time=time,
-                    is_timed=is_timed,
-                    firmware=tuple(row["firmware"] or "" for row in flights),
-                ),
-                [row["log_hash"] for row in flights],
-                flights[-1]["start_time"],
-            )
+        for vehicle, rows in by_vehicle.items():
+            rows = [row | {"number": number} for number, row in enumerate(sort_by_time(rows))]
+            spaced = np.linspace(0, len(rows) - 1, min(most or 0, len(rows))).round().astype(int)
+            by_vehicle[vehicle] = rows[-MOST_FLIGHTS:] if most is None else [rows[k] for k in spaced]
+        where["log_hash"] = [row["log_hash"] for rows in by_vehicle.values() for row in rows]
+        stored = tables.rows("flights", ("log_hash", "moments"), **where)
+        moments = {row["log_hash"]: row["moments"] for row in stored}
+        for vehicle, rows in by_vehicle.items():
+            size, note = len(self.columns), f"; judged by its last {len(rows)} flights" if rows[0]["number"] else ""
+            product, gradient = np.empty((len(rows), size, size)), np.empty((len(rows), size))
+            parts = zip(rows, product, gradient, strict=True)
+            intact = np.array([unpack_moments(moments.pop(row["log_hash"]), *own) for row, *own in parts], dtype=bool)
+            if not intact.all():
+                note += f"; the moments of {(~intact).sum()} of {len(rows)} flights are damaged, and left out"
+                product, gradient = product[intact], gradient[intact]
+                rows = [row for row, is_intact in zip(rows, intact, strict=True) if is_intact]
+            if rows:
+                firmware = tuple(row["firmware"] or "" for row in rows)
+                time, is_timed = usable_times(np.array([row["start_time"] for row in rows], dtype=float))
+                own = {"product": product, "gradient": gradient, "time": time, "is_timed": is_timed}
+                yield module.VehicleFlights(vehicle=vehicle, firmware=firmware, **own), rows, note
 
 
 class VehicleJudge:
@@ -147,47 +142,48 @@ class VehicleJudge:
         with one_thread():
             return [self._judge(*one) for one in self._reader.read(vehicles, self._module)]
 
-    def _judge(self, flights: Any, hashes: list[str], last_time: float) -> VehicleResult:
+    def _judge(self, flights: Any, rows: Sequence[Row], note: str) -> VehicleResult:
         columns, key = self._reader.columns, {"vehicle": flights.vehicle} | self._reader.group.key()
-        result = self._module.find_change(self._model, flights, columns)
+        result, numbers = self._module.find_change(self._model, flights, columns), [row["number"] for row in rows]
         posterior = self._module.vehicle_posterior(self._model, flights, columns, result)
-        last = {"flights": len(hashes), "firmware": flights.firmware[-1], "last_time": last_time}
+        last = {"flights": len(rows), "firmware": flights.firmware[-1], "last_time": rows[-1]["start_time"]}
         parameters = tuple(
             key | {"effect": column.effect, "rotor": column.rotor, "parameter": column.parameter} | last
             | {"value": float(value), "std": float(std)}
             for column, value, std in zip(columns, posterior.mean, posterior.std, strict=True)
             if column.effect
         )  # fmt: skip
+        change, odd = result.count_flights(np.array(numbers)), result.odd_flights
+        verdict = key | self._verdict(change, len(rows))
+        if result.causes:
+            verdict["onset_time"] = float(flights.time[result.causes[0].onset])
+        if not flights.is_timed or result.end is not None:
+            verdict["crosses_limit_at"] = None
         return VehicleResult(
             vehicle=flights.vehicle, log_e=float(result.log_e), own_log_e=float(result.log_e), parameters=parameters,
-            last_hash=hashes[-1], change=result, verdict=key | self._verdict(result, flights),
+            change=change, verdict=verdict, note=note, odd_logs=tuple(rows[k]["log_hash"] for k in odd),
             **_sign_and_span(result, flights.time),
         )  # fmt: skip
 
-    def _verdict(self, result: Any, flights: Any) -> dict[str, Any]:
+    def _verdict(self, result: Any, flights: int) -> dict[str, Any]:
         """Return a row of ``verdicts`` under the assumption that the fleet rejects 'no change'."""
-        few = len(flights.firmware) - len(result.odd_flights) < FEWEST_FLIGHTS
-        best = result.causes[0] if result.causes else None
+        few, best = flights - len(result.odd_flights) < FEWEST_FLIGHTS, result.causes[0] if result.causes else None
+        name = "changed" if len(result.candidates) == 1 else "ambiguous"
         row: dict[str, Any] = {
-            "verdict": FEW if few or best is None else "changed" if len(result.candidates) == 1 else "ambiguous",
+            "verdict": FEW if few else NOT_TESTABLE if best is None else name,
             "causes": _json_text([asdict(one) | {"candidate": one in result.candidates} for one in result.causes]),
         }  # fmt: skip
         if best is not None:
             row |= {
                 "onset_flight": best.onset + 1, "onset_low": best.onset_low + 1, "onset_high": best.onset_high + 1,
-                "onset_time": float(flights.time[best.onset]), "kind": best.kind,
-                "crosses_limit_at": self._crossing(best) if flights.is_timed and result.end is None else None,
+                "kind": best.kind, "crosses_limit_at": self._crossing(best),
             }  # fmt: skip
         return row
 
     def _crossing(self, change: Any) -> float | None:
-        times = [
-            self._module.time_to_limit(change, limit, parameter)
-            for (effect, _, parameter), limit in (
-                (name.partition("."), value) for name, value in self._settings.limits.items()
-            )
-            if effect == change.effect and parameter in change.parameters
-        ]
+        limits = {name: self._settings.limits.get(f"{change.effect}.{name}") for name in change.parameters}
+        known = ((limit, name) for name, limit in limits.items() if limit is not None)
+        times = [self._module.time_to_limit(change, *one) for one in known]
         return min((one[0] for one in times if one is not None), default=None)
 
 
@@ -200,17 +196,9 @@ def _sign_and_span(result: Any, time: Any) -> dict[str, Any]:
     return {"sign": sign, "span": (float(time[max(best.onset_low - 1, 0)]), float(time[best.onset_high]))}
 
 
-def _filter_of_group(group: MomentGroup) -> arrow_dataset.Expression:
-    where = arrow_dataset.field("status") == "ok"
-    for name, value in (group.key() | {"columns": group.digest}).items():
-        where &= arrow_dataset.field(name) == value
-    return where
-
-
 def _json_text(content: Any) -> str:
     """Return JSON with null for numbers that are not finite."""
-    content = map_leaves(content, lambda one: None if isinstance(one, float) and not isfinite(one) else one)
-    return json.dumps(content, default=lambda number: number.item())  # of NumPy
+    return json.dumps(map_leaves(content, finite_or_none), default=lambda number: number.item())  # of NumPy
 
 
 def columns_of_digest(tables: FleetTables, digest: str) -> list[Any]:
@@ -226,7 +214,7 @@ def judge_fleet(
     tables: FleetTables, robots: Collection[str], model_version: str, engine: Engine, settings: PassTwoSettings,
     report: Progress = silent, only: Collection[str] | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Write vehicles and verdicts; return the verdicts, with the last log of each vehicle.
+    """Write vehicles and verdicts; return the verdicts, with the odd logs of each vehicle.
 
     Args:
         robots: Hashes of the present robots; flights under other robots are not judged.
@@ -240,8 +228,7 @@ def judge_fleet(
         reader = VehicleReader(out=tables.out, group=group, columns=columns_of_digest(tables, group.digest))
         model = None if only is None else _model_on_disk(reader, sum(flights.values()), module)
         if model is None:
-            drawn = [reader.read([name], module, FIT_FLIGHTS) for name in module.draw_vehicles(flights)]
-            sample = [one for part in drawn for one, _, _ in part]
+            sample = [one for one, _, _ in reader.read(module.draw_vehicles(flights), module, FIT_FLIGHTS)]
             model = module.fit_fleet(sample, reader.columns)
             _store_model(reader, sum(flights.values()), model)
             if only is None:
@@ -255,12 +242,14 @@ def judge_fleet(
             report(f"vehicles {len(results) + len(judged)}/{total}", (len(results) + len(judged)) / total)
         results += _beyond_campaigns(judged, reader, module, only is None)
     if only is not None:
-        stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), model_version=model_version)
-        rest = np.array([row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] != FEW], float)
+        key = {"model_version": model_version, "robot_hash": list(robots)}
+        stored = tables.rows("verdicts", ("vehicle", "verdict", "log_e"), **key)
+        logs = [row["log_e"] for row in stored if row["vehicle"] not in only and row["verdict"] not in UNJUDGED]
+        rest = np.array(logs, dtype=float)
     verdicts = decide(results, rest, settings)
-    where = arrow_dataset.field("model_version") == model_version
-    if only is not None:
-        where &= arrow_dataset.field("vehicle").isin(list(only))
+    where = ~match_columns(model_version=model_version) | match_columns(
+        **({} if only is None else {"vehicle": list(only)})
+    )
     tables.replace("vehicles", where, [row for one in results for row in one.parameters])
     tables.replace("verdicts", where, verdicts)
     if only is None:
@@ -303,8 +292,8 @@ def _store_model(reader: VehicleReader, flights: int, model: Any) -> None:
 
 def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSettings) -> list[dict[str, Any]]:
     """Return the verdicts of vehicles, with the false discovery rate over them and the log e-values ``rest`` of others."""
-    enough = np.array([one.verdict["verdict"] != FEW for one in results], dtype=bool)
-    reject = import_module(settings.module).benjamini_hochberg
+    enough = np.array([one.verdict["verdict"] not in UNJUDGED for one in results], dtype=bool)
+    reject, wording = import_module(settings.module).benjamini_hochberg, import_module(settings.wording)
     flags, evident = np.zeros((2, len(results)), dtype=bool)
     for chosen, logs in ((flags, [one.log_e for one in results]), (evident, [one.own_log_e for one in results])):
         own = np.array(logs)[enough]
@@ -312,17 +301,15 @@ def decide(results: Sequence[VehicleResult], rest: Any, settings: PassTwoSetting
     changed = [one for one, flag in zip(results, flags, strict=True) if flag]
     rows = []
     for one, flag, is_evident in zip(results, flags, evident, strict=True):
-        row = _verdict_row(one, bool(flag))
-        if flag or is_evident:
-            row["text"] = import_module(settings.wording).text_of_change(one.change, one.vehicle)
+        row = _verdict_row(one, bool(flag), wording)
         if is_evident and not flag:
-            row |= {"verdict": "campaign", "text": f"{row['text']}, {CAMPAIGN}"}
+            text = f"{wording.text_of_change(one.change, one.vehicle)}, {CAMPAIGN}{one.note}"
+            row |= {"verdict": "campaign", "text": text}
         alike = sum(other.sign == one.sign and _overlap(other.span, one.span) for other in changed) if flag else 0
         if alike > max(MOST_ALIKE, MOST_ALIKE_SHARE * enough.sum()):
-            count = (
-                f"{alike} of {enough.sum()} vehicles changed alike at that time: season, site, firmware or log format?"
-            )
-            row |= {"verdict": "shared", "crosses_limit_at": None, "text": f"{row['text']}; {count}"}
+            alike_text = f"{alike} of {enough.sum()} vehicles changed alike at that time"
+            text = f"{row['text']}; {alike_text}: season, site, firmware or log format?"
+            row |= {"verdict": "shared", "crosses_limit_at": None, "text": text}
         rows.append(row)
     return rows
 
@@ -331,14 +318,24 @@ def _overlap(first: tuple[float, float], second: tuple[float, float]) -> bool:
     return first[0] <= second[1] and second[0] <= first[1]
 
 
-def _verdict_row(result: VehicleResult, rejected: bool) -> dict[str, Any]:
-    row, vehicle = result.verdict | {"rejected": rejected, "last_hash": result.last_hash}, result.vehicle
-    row |= {"log_e": result.log_e, "p_value": min(1.0, exp(-max(result.log_e, -1.0)))}
-    if row["verdict"] == FEW:
-        return row | NO_CHANGE | {"text": f"vehicle {vehicle}: too few flights to judge a change"}
-    if not rejected:
-        return row | NO_CHANGE | {"verdict": "no_change", "text": f"vehicle {vehicle}: no change shown"}
-    return row if row["verdict"] == "changed" else row | {"crosses_limit_at": None}
+def _verdict_row(result: VehicleResult, rejected: bool, wording: Any) -> dict[str, Any]:
+    row = result.verdict | {"rejected": rejected, "odd_logs": result.odd_logs, "log_e": result.log_e}
+    row["p_value"] = min(1.0, exp(-max(result.log_e, -1.0)))
+    if rejected:
+        row |= {} if row["verdict"] == "changed" else {"crosses_limit_at": None}
+        text = wording.text_of_change(result.change, result.vehicle)
+    else:
+        row |= NO_CHANGE | {"verdict": row["verdict"] if row["verdict"] in UNJUDGED else "no_change"}
+        text = wording.text_of_no_change(result.change, result.vehicle, row["verdict"])
+    return row | {"text": text + result.note}
+
+
+def vehicles_to_judge(tables: FleetTables, robots: Collection[str], model_version: str) -> set[str]:
+    """Return the vehicles with a flight that is newer than their verdict, as an interrupted run leaves them."""
+    names, key = ("vehicle", "robot_hash", "written_at"), {"robot_hash": list(robots), "model_version": model_version}
+    judged = {(row["vehicle"], row["robot_hash"]): row["written_at"] for row in tables.rows("verdicts", names, **key)}
+    flown = ((row.pop("written_at"), *row.values()) for row in tables.rows("flights", names, status="ok", **key))
+    return {vehicle for time, vehicle, robot in flown if time >= judged.get((vehicle, robot), time)}
 
 
 def _vehicles_by_group(
@@ -347,9 +344,7 @@ def _vehicles_by_group(
     """Return the vehicles of each group with their numbers of flights, in the order of their first flights."""
     groups = dict[MomentGroup, dict[str, int]]()
     names = ("robot_hash", "columns", "vehicle")
-    for row in tables.rows("flights", names, model_version=model_version, status="ok"):
-        if row["robot_hash"] not in robots:
-            continue
+    for row in tables.rows("flights", names, robot_hash=list(robots), model_version=model_version, status="ok"):
         group = MomentGroup(robot_hash=row["robot_hash"], model_version=model_version, digest=row["columns"])
         vehicles = groups.setdefault(group, {})
         vehicles[row["vehicle"]] = vehicles.get(row["vehicle"], 0) + 1

@@ -19,12 +19,8 @@ def connect(tables: FleetTables) -> "DuckDBPyConnection":
     database = duckdb.connect(":memory:")
     for name in SCHEMAS:
         database.register(name, tables.dataset(name))
-    for setting in (
-        "python_enable_replacements = false",
-        "enable_external_access = false",
-        "lock_configuration = true",
-    ):
-        database.execute(f"SET {setting}")
+    database.execute("SET python_enable_replacements = false; SET enable_external_access = false")
+    database.execute("SET lock_configuration = true")
     return database
 
 

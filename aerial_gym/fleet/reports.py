@@ -17,7 +17,7 @@ from aerial_gym.config.storage import write_atomic
 from aerial_gym.errors import AerialGymError
 from aerial_gym.fleet.engine import Engine
 from aerial_gym.fleet.report_folder import report_folder
-from aerial_gym.fleet.sources import LogReference, LogStore, sort_by_time
+from aerial_gym.fleet.sources import ORDER, LogReference, LogStore, sort_by_time
 from aerial_gym.fleet.tables import FleetTables, Row
 from aerial_gym.fleet.vehicles import Fleet
 from aerial_gym.sim2real.progress import Progress
@@ -62,11 +62,11 @@ def write_reports(
 
 def _request(tables: FleetTables, fleet: Fleet, verdict: Row) -> ReportRequest | None:
     """Return the last flights of a vehicle behind the onset of its change; None if they are too few."""
-    names = ("path", "order", "log_hash", "airframe", "size", "modified", "start_time")
+    names = ("log_hash", "airframe", "size", "modified", *ORDER)
     key = {name: verdict[name] for name in ("robot_hash", "model_version")}
     rows = sort_by_time(tables.rows("flights", names, vehicle=verdict["vehicle"], status="ok", **key))
     first = max(verdict["onset_high"], len(rows) - MOST_FLIGHTS + 1)
-    used = rows[first - 1 :]
+    used = [row for row in rows[first - 1 :] if row["log_hash"] not in verdict["odd_logs"]]
     if len(used) < FEWEST_FLIGHTS:
         return None
     logs = tuple(

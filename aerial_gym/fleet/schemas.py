@@ -41,7 +41,7 @@ SCHEMAS = {
         | {"flights": COUNT, "firmware": TEXT, "last_time": NUMBER},
         "verdicts": _VEHICLE_KEY
         | {
-            "verdict": TEXT,  # ``no_change``, ``changed``, ``ambiguous``, ``shared``, ``campaign``, ``too_few_flights``
+            "verdict": TEXT,  # ``no_change``, ``changed``, ``ambiguous``, ``shared``, ``campaign``, or why there is none
             "causes": TEXT,  # JSON, ranked
             "log_e": NUMBER,
             "p_value": NUMBER,

@@ -1,6 +1,7 @@
 """Logs in folders and object stores (fsspec): listing, fetching and hashing, each with flat memory."""
 
 import hashlib
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,22 +15,9 @@ from aerial_gym.errors import ConfigError, MissingDependencyError
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
-NO_LOGS = (
-    ".json",
-    ".yaml",
-    ".yml",
-    ".md",
-    ".html",
-    ".png",
-    ".jpg",
-    ".svg",
-    ".pdf",
-    ".xml",
-    ".zip",
-    ".gz",
-    ".npz",
-    ".py",
-)
+NO_LOGS = {
+    ".json", ".yaml", ".yml", ".xml", ".md", ".html", ".pdf", ".png", ".jpg", ".svg", ".zip", ".gz", ".npz", ".py",
+}  # fmt: skip
 DESCRIPTIONS = {"metadata.json": {".parquet"}, "metadata.yaml": {".db3", ".mcap"}}
 """Files that make a folder one log, with the suffixes of its data: Parquet of ``log convert``, and bags of ROS 2."""
 
@@ -62,9 +50,7 @@ class LogStore:
         except ImportError as error:
             raise MissingDependencyError(f"--logs {self.url}: {error}") from None
         except ValueError as error:
-            raise ConfigError(
-                f"--logs {self.url}: {error}. Give a folder, or a URL such as s3://bucket/folder"
-            ) from None
+            raise ConfigError(f"--logs {self.url}: {error}. Give a folder, or a URL such as s3://bucket/logs") from None
 
     def check(self) -> None:
         """Raise ``ConfigError`` if the store does not exist or cannot be reached."""
@@ -80,12 +66,21 @@ class LogStore:
         """Yield the logs folder by folder, in the order of their names, numbers in them by value."""
         system, root = self.filesystem()
         system.invalidate_cache()
-        for rank, entry in enumerate(self._entries(system, root)):
-            path = entry["name"] if "file" in _protocols(system) else system.unstrip_protocol(entry["name"])
-            yield LogReference(path=path, size=entry["size"] or 0, modified=_state_of_file(entry), rank=rank)
+        try:
+            for rank, entry in enumerate(self._entries(system, root, set())):
+                path = entry["name"] if "file" in _protocols(system) else system.unstrip_protocol(entry["name"])
+                yield LogReference(path=path, size=entry["size"] or 0, modified=_state_of_file(entry), rank=rank)
+        except OSError as error:
+            raise ConfigError(f"--logs {self.url}: cannot be listed ({error})") from None
 
-    def _entries(self, system: "AbstractFileSystem", folder: str) -> Iterator[dict[str, Any]]:
-        entries = [entry for entry in system.ls(folder, detail=True) if entry["name"].rstrip("/") != folder.rstrip("/")]
+    def _entries(self, system: "AbstractFileSystem", folder: str, entered: set[str]) -> Iterator[dict[str, Any]]:
+        """Yield files and folders that are logs. Links count as their targets, but each folder is entered once."""
+        if "file" in _protocols(system):
+            if (place := os.path.realpath(folder)) in entered:
+                return
+            entered.add(place)
+        listed = [_link_target(system, entry) for entry in system.ls(folder, detail=True)]
+        entries = [entry for entry in listed if entry["name"].rstrip("/") != folder.rstrip("/")]
         if any(Path(entry["name"]).name == "fleet.json" for entry in entries):  # tables of a fleet
             return
         suffixes = {Path(entry["name"]).suffix for entry in entries}
@@ -99,9 +94,9 @@ class LogStore:
             if name.startswith("."):
                 continue
             if entry["type"] == "directory":
-                yield from self._entries(system, entry["name"])
-            elif Path(name).suffix.lower() not in NO_LOGS and fnmatch(name, self.pattern):
-                yield entry
+                yield from self._entries(system, entry["name"], entered)
+            elif entry["type"] == "file" and Path(name).suffix.lower() not in NO_LOGS and fnmatch(name, self.pattern):
+                yield entry  # and no pipe, socket or device, which could keep a reader waiting
 
     def is_folder(self, folder: Path) -> bool:
         """Return whether the store is a folder of this machine, this one."""
@@ -118,6 +113,14 @@ class LogStore:
         return local
 
 
+def _link_target(system: "AbstractFileSystem", entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry, that of its target for a link. A broken link stays, as a file that is not delivered."""
+    try:
+        return system.info(entry["name"]) if entry.get("islink") else entry
+    except OSError:
+        return entry | {"type": "file"}
+
+
 def _protocols(system: "AbstractFileSystem") -> Iterable[str]:
     return (system.protocol,) if isinstance(system.protocol, str) else system.protocol
 
@@ -127,9 +130,16 @@ def natural_order(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
 
 
+ORDER = ("path", "start_time", "written_at")  # Columns of ``flights`` that order the flights of a vehicle
+
+
 def sort_by_time(flights: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows of a vehicle's flights by their start times, or all by their paths if a log does not state its time."""
-    rows = sorted(flights, key=lambda row: natural_order(row["path"]))
+    """Return the rows of a vehicle's flights by their start times, or all by their paths if a log does not state its time.
+
+    Of a log that was completed after it was read, the last row counts.
+    """
+    newest = {row["path"]: row for row in sorted(flights, key=lambda row: row["written_at"])}
+    rows = sorted(newest.values(), key=lambda row: natural_order(row["path"]))
     return sorted(rows, key=lambda row: row["start_time"]) if all(isfinite(row["start_time"]) for row in rows) else rows
 
 
@@ -140,7 +150,7 @@ def _state_of_file(entry: Mapping[str, Any]) -> str:
 def hash_of_log(path: Path) -> str:
     """Return the SHA-256 of a file, or of a folder's files with their names."""
     digest = hashlib.sha256()
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+    for file in sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]:
         if path.is_dir():
             digest.update(file.name.encode() + b"\0")
         with file.open("rb") as stream:

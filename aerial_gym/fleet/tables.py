@@ -5,24 +5,44 @@ One program writes at a time (``lock.py``). A flight counts as done once its row
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import reduce
 from itertools import chain
+from operator import and_
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.dataset as arrow_dataset
 from deltalake import DeltaTable, WriterProperties, write_deltalake
+from deltalake.exceptions import DeltaError
 from pyarrow.fs import LocalFileSystem, SubTreeFileSystem
 
-from aerial_gym.config.storage import write_atomic
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.storage import FULL, storage_message, write_atomic
+from aerial_gym.errors import AerialGymError, ConfigError, StorageError
 from aerial_gym.fleet.migration import migrate
 from aerial_gym.fleet.schemas import KEY, SCHEMA_VERSION, SCHEMAS
 
 Row = Mapping[str, Any]
 _FILE_ROWS = WriterProperties(compression="ZSTD", max_row_group_size=1024)
 """Small row groups, so that a reader of a few vehicles skips most of a file."""
+_HISTORY = {"delta.logRetentionDuration": "interval 1 days"}  # Of commits, which are many where a folder is watched
+
+
+@contextmanager
+def table_errors(out: Path) -> Iterator[None]:
+    """Raise ``StorageError`` with the remedy in place of errors of the disk and of the packages of the tables."""
+    try:
+        yield
+    except (AerialGymError, BrokenPipeError):
+        raise
+    except (DeltaError, pa.ArrowInvalid, OSError) as error:
+        text = " ".join(str(error).split())
+        code = next((code for code in FULL if f"os error {code})" in text), getattr(error, "errno", None))
+        remedy = "Allow access to the folder, or restore it; then start again, as finished flights are kept"
+        message = storage_message(OSError(code, "")) if code in FULL else f"the tables fail ({text}). {remedy}"
+        raise StorageError(f"{out}: {message}") from None
 
 
 class FleetTables:
@@ -47,7 +67,7 @@ class FleetTables:
             tables._check_settings(settings)
             migrate(out, tables.description()["schema_version"])
         for name, schema in SCHEMAS.items():
-            DeltaTable.create(out / name, schema, mode="ignore")
+            DeltaTable.create(out / name, schema, mode="ignore", configuration=_HISTORY)
         write_atomic(out / "fleet.json", json.dumps({"schema_version": SCHEMA_VERSION, "settings": settings}, indent=1))
         return cls(out)
 
@@ -67,15 +87,21 @@ class FleetTables:
 
     def dataset(self, name: str) -> arrow_dataset.Dataset:
         """Return a table as an Arrow dataset, of its present version."""
-        return delta_dataset(DeltaTable(self.out / name), self.out / name)
+        files = SubTreeFileSystem(
+            str(self.out / name), LocalFileSystem()
+        )  # deltalake's own can abort Python at its end
+        with table_errors(self.out):
+            return DeltaTable(self.out / name).to_pyarrow_dataset(filesystem=files)
 
-    def rows(self, name: str, columns: Iterable[str], **equal: object) -> Iterator[dict[str, Any]]:
-        """Yield rows of a table, batch by batch; ``equal``: values of columns that rows must have."""
-        rule = None
-        for column, value in equal.items():
-            one = arrow_dataset.field(column) == value
-            rule = one if rule is None else rule & one
-        for batch in self.dataset(name).to_batches(columns=list(columns), filter=rule):
+    def versions(self) -> list[int]:
+        """Return the version of each table."""
+        with table_errors(self.out):
+            return [DeltaTable(self.out / name).version() for name in SCHEMAS]
+
+    def rows(self, name: str, columns: Iterable[str], /, **equal: object) -> Iterator[dict[str, Any]]:
+        """Yield rows of a table, batch by batch; ``equal``: the value of a column that rows must have, or a list of texts."""
+        ahead = {"batch_readahead": 1, "fragment_readahead": 1}  # Arrow reads 16 batches of moments ahead by itself
+        for batch in self.dataset(name).to_batches(columns=list(columns), filter=match_columns(**equal), **ahead):
             yield from batch.to_pylist()
 
     def keys(self, name: str) -> set[tuple[str, ...]]:
@@ -125,24 +151,28 @@ class FleetTables:
 
     def discard_incomplete(self) -> None:
         """Remove evidence whose flights are not written, as the program was killed, and refusals for want of a robot."""
-        no_robot = arrow_dataset.field("robot_hash") == ""
+        no_robot = match_columns(robot_hash="")
         if self.dataset("flights").count_rows(filter=no_robot):
             self.replace("flights", no_robot)
-        if self.keys("evidence") - self.keys("flights"):
-            evidence = DeltaTable(self.out / "evidence")
-            evidence.restore(evidence.version() - 1)  # the last commit, as that of its flights follows each one
+        orphans = self.keys("evidence") - self.keys("flights")
+        for robot_hash, version in {key[1:] for key in orphans}:
+            logs = [log for log, *rest in orphans if rest == [robot_hash, version]]
+            self.replace("evidence", match_columns(log_hash=logs, robot_hash=robot_hash, model_version=version))
 
-    def compact(self) -> None:
-        """Join small files, and remove those that no reader of the last day can still use."""
+    def compact(self, most_files: int = 1) -> None:
+        """Join the files of tables that have more than ``most_files``; remove those that no reader of the last hour can use."""
         for name in SCHEMAS:
             table = DeltaTable(self.out / name)
-            table.optimize.compact(writer_properties=_FILE_ROWS)
-            table.vacuum(retention_hours=24, dry_run=False, enforce_retention_duration=False)
+            if len(table.file_uris()) > most_files:
+                table.optimize.compact(writer_properties=_FILE_ROWS)
+            table.vacuum(retention_hours=1, dry_run=False, enforce_retention_duration=False)
 
 
-def delta_dataset(table: DeltaTable, folder: Path) -> arrow_dataset.Dataset:
-    """Return the rows of a Delta table in a folder; the file system that deltalake would take can abort Python at its end."""
-    return table.to_pyarrow_dataset(filesystem=SubTreeFileSystem(str(folder), LocalFileSystem()))
+def match_columns(**values: object) -> arrow_dataset.Expression:
+    """Return the condition that columns have values; a list of texts allows each of them."""
+    fields = ((arrow_dataset.field(name), value) for name, value in values.items())
+    rules = (f.isin(pa.array(v, pa.string())) if isinstance(v, list) else f == v for f, v in fields)
+    return reduce(and_, rules, arrow_dataset.scalar(True))
 
 
 def _table(name: str, rows: Iterable[Row]) -> pa.Table:

@@ -36,13 +36,11 @@ class VehicleRule:
     """Name of the robot file without .yaml, with the same fields; if empty, it is named after the vehicle or a folder."""
 
     def __post_init__(self) -> None:
-        for name in ("regex", "airframe"):
+        for name, text in (("regex", self.regex), ("airframe", self.airframe)):
             try:
-                re.compile(getattr(self, name))
+                re.compile(text)
             except re.error as error:
-                raise ConfigError(
-                    f"VehicleRule.{name} = {getattr(self, name)!r}: no regular expression ({error})"
-                ) from None
+                raise ConfigError(f"VehicleRule.{name} = {text!r}: no regular expression ({error})") from None
         known = {"airframe", "folder", *re.compile(self.regex).groupindex}
         for name in ("vehicle", "robot"):
             unknown = {*re.findall(r"{(\w*)}", getattr(self, name))} - known
@@ -102,9 +100,8 @@ class Fleet:
 def load_fleet(robots: Path, rules: Path | None) -> Fleet:
     """Return the robots of a file or folder with the rules; raise ``ConfigError`` with every fault."""
     files = sorted(robots.glob("*.yaml")) if robots.is_dir() else [robots] if robots.is_file() else []
-    faults = (
-        [] if files else [f"--robots {robots}: {'holds no robot file (.yaml)' if robots.is_dir() else 'no such file'}"]
-    )
+    reason = "holds no robot file (.yaml)" if robots.is_dir() else "no such file"
+    faults = [] if files else [f"--robots {robots}: {reason}"]
     known = {file.stem: try_read(lambda file=file: robot_by_name(file), faults) for file in files}
     table = VehicleRules() if rules is None else try_read(lambda: load(VehicleRules, rules), faults)
     for rule in table.rules if files and table is not None else ():
@@ -113,12 +110,12 @@ def load_fleet(robots: Path, rules: Path | None) -> Fleet:
     if faults or table is None:
         raise ConfigError(*faults)
     loaded = {name: robot for name, robot in known.items() if robot is not None}
-    return Fleet(robots=loaded, hashes={name: robot_hash(one) for name, one in loaded.items()}, rules=table)
+    return Fleet(robots=loaded, hashes={name: content_hash(one) for name, one in loaded.items()}, rules=table)
 
 
-def robot_hash(robot: RobotCfg) -> str:
-    """Return the hash of a robot with all that its file extends."""
-    return hashlib.sha256(repr(robot).encode()).hexdigest()
+def content_hash(configuration: object) -> str:
+    """Return the hash of a configuration, such as a robot with all that its file extends."""
+    return hashlib.sha256(repr(configuration).encode()).hexdigest()
 
 
 def try_read(read: Callable[[], T], faults: list[str]) -> T | None:

@@ -1,5 +1,8 @@
 """Sentences on changed vehicles."""
 
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 from aerial_gym.fleet.statistics import Change, ChangeResult
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.statistics import normal_quantile
@@ -16,11 +19,8 @@ QUANTITIES = {
 
 def text_of_change(result: ChangeResult, vehicle: str) -> str:
     """Return one sentence on the most probable change of a vehicle, with its alternatives."""
-    odd = _odd_text(result)
-    if not result.causes:
-        return f"vehicle {vehicle}: too few flights to judge a change{odd}"
     second = f"; second change{_cause_text(result.second)}" if result.second else ""
-    return f"vehicle {vehicle}{_cause_text(result)}{second}{odd}"
+    return f"vehicle {vehicle}{_cause_text(result)}{second}{_odd_text(result)}"
 
 
 def _cause_text(result: ChangeResult) -> str:
@@ -28,15 +28,32 @@ def _cause_text(result: ChangeResult) -> str:
     text = f"{_rotor_text(best)}: {_size_text(best)} {_onset_text(best, result.end)}"
     if result.firmware_change:
         text += f", as firmware {result.firmware_change[1]} replaced {result.firmware_change[0]}"
-    names = [f"{other.effect.replace('_', ' ')}{_rotor_text(other)}" for other in alternatives]
+    names = [cause_name(vars(other)) for other in alternatives]
     return text + (f"; or a change of {join_words(names, 'or')}" if names else "")
 
 
-def text_of_no_change(result: ChangeResult, vehicle: str) -> str:
-    """Return one sentence on a vehicle whose change is not shown."""
-    return (
-        f"vehicle {vehicle}: no change shown{_odd_text(result)}" if result.causes else text_of_change(result, vehicle)
-    )
+def text_of_no_change(result: ChangeResult, vehicle: str, verdict: str) -> str:
+    """Return one sentence on a vehicle whose change is not shown, or cannot be."""
+    few, blind = "too few flights to judge a change", "its flights show no effect, so no change can be judged"
+    text = {"too_few_flights": few, "not_testable": blind}.get(verdict, "no change shown")
+    return f"vehicle {vehicle}: {text}{_odd_text(result)}"
+
+
+def texts_of_differences(differences: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return one sentence on each difference between firmware versions that is significant, and leads other effects."""
+    return [_difference_text(one) for one in differences if one["rejected"] and one["leading"]]
+
+
+def _difference_text(difference: Mapping[str, Any]) -> str:
+    values = zip(*(difference[name] for name in ("parameters", "difference", "low", "high")), strict=True)
+    sizes = ", ".join(f"{name} {value:+.3g} ({low:+.3g} to {high:+.3g})" for name, value, low, high in values)
+    before, after = difference["firmware"]
+    return f"firmware {after} against {before}: {cause_name(difference)}: {sizes}"
+
+
+def cause_name(cause: Mapping[str, Any]) -> str:
+    """Return the name of an effect, with its rotor."""
+    return cause["effect"].replace("_", " ") + (f", rotor {cause['rotor']}" if cause["rotor"] else "")
 
 
 def _odd_text(result: ChangeResult) -> str:

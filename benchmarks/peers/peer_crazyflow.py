@@ -27,13 +27,14 @@ CLIMB = 1.02  # Commanded thrust in weights: a slow climb, so that no drone rest
 def main() -> None:
     request = parse_request(__doc__)
     control = "attitude" if request.case == "attitude" else "rotor_vel"
+    worlds = request.num_envs // request.vehicles
     sim = Sim(
-        n_worlds=request.num_envs, control=control, dynamics="first_principles",
+        n_worlds=worlds, n_drones=request.vehicles, control=control, dynamics="first_principles",
         integrator="rk4" if request.case == "rk4" else "euler", freq=FREQ_HZ, attitude_freq=FREQ_HZ,
         device="gpu" if request.device == "cuda" else "cpu",
     )  # fmt: skip
     thrust, speed = hover(sim)
-    command = jnp.zeros((request.num_envs, 1, 4))
+    command = jnp.zeros((worlds, request.vehicles, 4))
     command = command.at[..., 3].set(thrust) if control == "attitude" else command + speed
     stage = getattr(sim, f"{control}_control")
 
@@ -51,7 +52,7 @@ def main() -> None:
     batch = StepBlock(
         steps=FUSED_STEPS, dt=1.0 / FREQ_HZ, run=run, restart=restart,
         wait=lambda: jax.block_until_ready(sim.data.states.pos),
-        heights=lambda: np.asarray(sim.data.states.pos[:, 0, 2]).tolist(),
+        heights=lambda: np.asarray(sim.data.states.pos[..., 2]).ravel().tolist(),
     )  # fmt: skip
     versions = f"{version('crazyflow')}, jax {jax.__version__} on {sim.device}"
     report_rates(request, batch, version=versions, call=f"{FUSED_STEPS} (lax.scan)")

@@ -20,6 +20,7 @@ class Request:
 
     case: str  # plant, rk4 or attitude
     num_envs: int  # Vehicles side by side
+    vehicles: int = 1  # Vehicles of a world, where a peer has such
     threads: int  # CPU threads; the runner has pinned the process to so many cores
     device: str  # cpu or cuda
     repeats: int  # Figures to take
@@ -43,6 +44,7 @@ def parse_request(doc: str | None) -> Request:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--case", required=True)
     parser.add_argument("--num-envs", type=int, required=True)
+    parser.add_argument("--vehicles", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--repeats", type=int, default=3)

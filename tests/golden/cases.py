@@ -52,7 +52,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Options of ``close_loop``."""
 
-QUICK = ("com_offset", "two_failures")
+QUICK = ("com_offset",)
 
 
 def items() -> dict[str, bool]:

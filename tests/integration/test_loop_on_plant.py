@@ -116,6 +116,7 @@ def test_test_flights_bring_doubt_where_hover_speaks_for_another(tmp_path: Path)
     assert ("doubt_by_test", "slung_payload") in [(one["code"], one["subject"]) for one in verdict["findings"]]
 
 
+@pytest.mark.slow
 def test_sensors_that_are_late_behind_the_commands_are_no_dead_time(tmp_path: Path) -> None:
     """Rotor speeds are 5.2 ms late, within the tolerances of sensors; a dead time of 2.2 ms was named in their place."""
     files = make_case(tmp_path / "case", effects={}, seed=9201, nuisance=LOGGED)

@@ -26,7 +26,7 @@ CASES = {
     "all rotor speeds": (ROTORS, 1.04, (), ("explained", {"rotor_speed_scale"})),
 }
 """Columns, factor on them, lost columns, and the expected verdict with its candidates; none: no effect is named."""
-OFTEN = ("gyro", "tachometer without commands")
+OFTEN = ("tachometer without commands",)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from tests.physics.vehicles import CEILING, F64, ON_RIGID, SpeedControl, asymmet
 NUDGE, DT = 1e-6, 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name == "euler" else pytest.mark.slow) for name in INTEGRATORS]
 )

@@ -264,6 +264,7 @@ def test_a_weight_gives_its_impulse() -> None:
     torch.testing.assert_close(gained, torch.tensor([0.0, 0.0, -4.0 * G], dtype=F64).expand(ENVS, 3), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_slung_payload_and_a_hull_exchange_impulse() -> None:
     """Impulse of hull and water and momentum of the payload, ``m_p (v + l n')``, are constant together without weight. Euler
     loses it with order 1, as forces of the payload depend on velocities."""

@@ -34,9 +34,8 @@ def effect_figures(vehicle: Content, options: Mapping[str, str]) -> list[str]:
 
 def _times(vehicle: Content) -> Array:
     """Return the start times of all flights [s], (N,), or their numbers if a log states none: a drift is linear in them."""
-    return np.array(
-        [flight["start_time" if vehicle["timed"] else "number"] for flight in vehicle["all_flights"]], dtype=float
-    )
+    name = "start_time" if vehicle["timed"] else "number"
+    return np.array([flight[name] for flight in vehicle["all_flights"]], dtype=float)
 
 
 def _effect_figure(vehicle: Content, effect: Content, places: Array, label: str) -> str:
@@ -54,12 +53,9 @@ def _effect_figure(vehicle: Content, effect: Content, places: Array, label: str)
 
 def _draw_history(panel: Panel, vehicle: Content, effect: Content, name: str, places: Array) -> None:
     """Draw one parameter. Bars end at the frame where flights that show little would widen the axis."""
-    values = (
-        (flight["number"], one) for flight in effect["history"] for one in flight["parameters"] if one["name"] == name
-    )
-    shown = [
-        (number, one["value"], HALF_95 * one["std"]) for number, one in values if isfinite(one["value"] + one["std"])
-    ]
+    values = [(flight["number"], one) for flight in effect["history"] for one in flight["parameters"]]
+    values = [(k, one) for k, one in values if one["name"] == name and isfinite(one["value"] + one["std"])]
+    shown = [(k, one["value"], HALF_95 * one["std"]) for k, one in values]
     number, value, half = np.array(shown).reshape(-1, 3).T
     fine, band = half <= COARSE * np.median(half) if half.size else [], effect["fleet"].get(name)
     ends = [*(value - half)[fine], *(value + half)[fine], *((band["low"], band["high"]) if band else ())]

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.fleet.page.snapshot import FleetSnapshot, Row
-from aerial_gym.fleet.page.texts import HALF_95, cause_name, change_text, interval_text, unit_text
+from aerial_gym.fleet.page.texts import HALF_95, change_text, interval_text, unit_text
 from aerial_gym.fleet.report_folder import report_folder
 from aerial_gym.fleet.sources import sort_by_time
+from aerial_gym.fleet.wording import cause_name, texts_of_differences
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording import text
 from aerial_gym.sim2real.wording.words import value_text
@@ -22,7 +23,7 @@ TRAIN_FLIGHTS = 6  # Flights that the suggested close-loop is fitted to
 VERDICTS = {
     "changed": "changed", "ambiguous": "changed, cause ambiguous",
     "shared": "changed, as many others", "campaign": "change or campaign", "no_change": "no change shown",
-    "too_few_flights": "too few flights", "": "not judged yet",
+    "too_few_flights": "too few flights", "not_testable": "no effect visible", "": "not judged yet",
 }  # fmt: skip
 """Words of each verdict, in the order in which they are sorted."""
 
@@ -46,13 +47,11 @@ def fleet_content(snapshot: FleetSnapshot, _: str, options: Options) -> Content:
     content = snapshot.row("FROM totals") or {}
     content["verdicts"] = dict.fromkeys(VERDICTS, 0) | {row["verdict"]: row["vehicles"] for row in counts}
     content |= {name: snapshot.rows(f"FROM {name}") for name in ("changes", "reasons", "cohorts")}
+    content["differences"] = texts_of_differences(snapshot.tables.cohorts())
     verdict, sort = options.get("verdict", "any"), options.get("sort", "")
     sort = sort if sort in SORTS else "evidence"
-    chosen = {
-        "verdict": verdict if verdict in VERDICTS else "any",
-        "text": options.get("text", "").strip(),
-        "sort": sort,
-    }
+    verdict = verdict if verdict in VERDICTS else "any"
+    chosen = {"verdict": verdict, "text": options.get("text", "").strip(), "sort": sort}
     chosen["down"] = options.get("down", "1" if sort == "evidence" else "0")
     filters = (chosen["verdict"], chosen["text"])
     matches = (snapshot.row(f"SELECT count(*) AS vehicles {CHOSEN}", *filters) or {})["vehicles"]
@@ -72,7 +71,6 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
     flights, causes = vehicle_flights(snapshot, own), json.loads(own["causes"])
     for cause in causes:
         cause |= {"name": cause_name(cause), "size": change_text(cause)}
-        cause["candidate"] &= own["rejected"]
     page = _pages(len(flights), options)
     end = len(flights) - PAGE_ROWS * (page["page"] - 1)
     pairs = [pair for pair in pairwise(flights) if pair[0]["firmware"] != pair[1]["firmware"]]
@@ -81,13 +79,13 @@ def vehicle_content(snapshot: FleetSnapshot, vehicle: str, options: Options) -> 
         "causes": causes, "effects": effect_histories(snapshot, own, flights, causes), "updates": updates,
         "all_flights": flights, "timed": all(isfinite(flight["start_time"]) for flight in flights),
         "shown_flights": flights[max(end - PAGE_ROWS, 0) : end][::-1],
-        "report": report_link(snapshot.out, own, flights, len(flights)),
+        "report": report_link(snapshot.tables.out, own, flights, len(flights)),
     }  # fmt: skip
 
 
 def vehicle_flights(snapshot: FleetSnapshot, own: Row) -> list[Row]:
     """Return the flights of a vehicle that the verdict rests on, numbered from 1 in their order."""
-    names = "log_hash, path, firmware, start_time, duration_s, columns"
+    names = "log_hash, path, firmware, start_time, duration_s, columns, epoch_us(written_at) AS written_at"
     rows = snapshot.rows(f"SELECT {names} FROM flights WHERE {OWN} AND status = 'ok' ORDER BY log_hash", *_key(own))
     return [{"number": number} | row for number, row in enumerate(sort_by_time(rows), 1)]
 
@@ -124,9 +122,7 @@ def flight_content(snapshot: FleetSnapshot, log_hash: str, _: Options) -> Conten
     flight = snapshot.row(sql, log_hash)
     if flight is None:
         return None
-    sql = (
-        "SELECT evidence.* EXCLUDE (written_at) FROM evidence JOIN newest USING (log_hash, robot_hash, model_version) "
-    )
+    sql = f"SELECT evidence.* EXCLUDE (written_at) FROM evidence JOIN newest {same} "
     effects = snapshot.rows(f"{sql}WHERE log_hash = ? ORDER BY score DESC, effect, rotor, start", log_hash)
     for row in effects:
         row |= {"name": cause_name(row), "parameters": snapshot.parameters(row, flight["columns"])}
@@ -140,7 +136,7 @@ def flight_content(snapshot: FleetSnapshot, log_hash: str, _: Options) -> Conten
         "previous": flights[number - 2]["log_hash"] if number > 1 else None,
         "next": flights[number]["log_hash"] if 0 < number < len(flights) else None,
         **{name: [_sentence(one) for one in json.loads(flight[name] or "[]")] for name in ("checks", "events")},
-        "report": report_link(snapshot.out, current, flights, number),
+        "report": report_link(snapshot.tables.out, current, flights, number),
     }  # fmt: skip
 
 

@@ -64,9 +64,8 @@ class PageServer(ThreadingHTTPServer):
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise ConfigError(
-                f"cannot listen on {LOOPBACK}, port {port}: {reason}. Choose another with --port"
-            ) from None
+            place = f"{LOOPBACK}, port {port}"
+            raise ConfigError(f"cannot listen on {place}: {reason}. Choose another with --port") from None
         self.hosts = (f"{LOOPBACK}:{self.server_port}", f"localhost:{self.server_port}")
         self.address = f"http://{self.hosts[0]}/"
 
@@ -75,10 +74,8 @@ class PageServer(ThreadingHTTPServer):
         """Return the templates of pages, which escape every text."""
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-        loader = FileSystemLoader(TEMPLATES)
-        pages = Environment(
-            loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-        )
+        pages = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined)
+        pages.trim_blocks = pages.lstrip_blocks = True
         pages.filters |= {"time": time_text, "address": lambda name: quote(name, safe=""), "options": urlencode}
         pages.globals |= {"verdict_words": contents.VERDICTS, "sorts": list(contents.SORTS), "figures": effect_figures}
         return pages
@@ -141,7 +138,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _report(self, vehicle: str) -> str | None:
         """Return the report of a vehicle, if it lies in the folder of reports."""
-        out = self.server.store.out
+        out = self.server.store.snapshot().tables.out
         file = (report_folder(out, vehicle) / "report.html").resolve()
         inside = file.is_relative_to((out / "reports").resolve())
         return file.read_text(encoding="utf-8", errors="replace") if inside and file.is_file() else None
@@ -153,11 +150,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _send(self, status: HTTPStatus, kind: str, content: str, rules: str = PAGE_RULES) -> None:
         body = content.encode("utf-8", errors="replace")
         self.send_response(status)
-        own = {
-            "Content-Type": f"{kind}; charset=utf-8",
-            "Content-Length": str(len(body)),
-            "Content-Security-Policy": rules,
-        }
+        own = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))}
+        own["Content-Security-Policy"] = rules
         for name, value in (own | HEADERS).items():
             self.send_header(name, value)
         self.end_headers()

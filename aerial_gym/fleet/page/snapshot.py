@@ -5,40 +5,28 @@ from functools import cached_property
 from math import inf, sqrt
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from aerial_gym.errors import ConfigError
-from aerial_gym.extras import optional_import
-from aerial_gym.fleet.page.texts import cause_name, change_in_scales, change_text
-
-if TYPE_CHECKING:
-    from deltalake import DeltaTable
+from aerial_gym.fleet.page.texts import change_in_scales, change_text
+from aerial_gym.fleet.query import connect
+from aerial_gym.fleet.tables import FleetTables
+from aerial_gym.fleet.wording import cause_name
 
 Row = dict[str, Any]
 
-TABLES = ("flights", "evidence", "vehicles", "verdicts")
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 class FleetSnapshot:
     """One version of each table in a database in memory, which reads nothing else."""
 
-    def __init__(self, out: Path, tables: "dict[str, DeltaTable]") -> None:
-        with optional_import("fleet view"):
-            import duckdb
-
-            from aerial_gym.fleet.tables import delta_dataset
-
-        self.out, self._lock, self._database = out, Lock(), duckdb.connect(":memory:")
-        for name, table in tables.items():
-            self._database.register(name, delta_dataset(table, out / name))
-        self._database.execute("SET python_enable_replacements = false; SET enable_external_access = false")
+    def __init__(self, tables: FleetTables) -> None:
+        self.tables, self._lock, self._database = tables, Lock(), connect(tables)
         self._database.execute((TEMPLATES / "views.sql").read_text(encoding="utf-8"))
         for row in self.rows("SELECT vehicle, causes FROM current WHERE rejected"):
             for cause in json.loads(row["causes"])[:1]:
                 size = (row["vehicle"], cause_name(cause), change_text(cause, most=1), change_in_scales(cause))
                 self._database.execute("INSERT INTO sizes VALUES (?, ?, ?, ?)", size)
-        self._database.execute("SET lock_configuration = true")
 
     def rows(self, sql: str, *values: object) -> list[Row]:
         """Return the rows of a query; texts of logs and requests come in as parameters only."""
@@ -54,8 +42,8 @@ class FleetSnapshot:
     @cached_property
     def _names(self) -> dict[tuple[str, str, int, int], list[str]]:
         """Return the parameters of each digest of columns, effect, rotor and start."""
-        file, names = self.out / "columns.json", dict[tuple[str, str, int, int], list[str]]()
-        for digest, columns in (json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}).items():
+        names = dict[tuple[str, str, int, int], list[str]]()
+        for digest, columns in self.tables.columns_by_digest().items():
             for one in columns:
                 names.setdefault((digest, one["effect"], one["rotor"], one["start"]), []).append(one["parameter"])
         return names
@@ -74,20 +62,11 @@ class FleetStore:
 
     def __init__(self, out: Path) -> None:
         """Raise ``ConfigError`` if the folder holds no tables of a fleet."""
-        with optional_import("fleet view"):
-            from deltalake import DeltaTable
-
-        if not (out / "fleet.json").is_file():
-            raise ConfigError(f"{out}: holds no fleet tables. Make them with: aerial-gym fleet run --out {out}")
-        self.out, self._lock, self._versions = out, Lock(), [-1]
-        self._tables = {name: DeltaTable(out / name) for name in TABLES}
+        self._tables, self._lock, self._versions = FleetTables(out), Lock(), list[int]()
 
     def snapshot(self) -> FleetSnapshot:
         """Return the present state of the tables."""
         with self._lock:
-            for table in self._tables.values():
-                table.update_incremental()
-            versions = [table.version() for table in self._tables.values()]
-            if versions != self._versions:
-                self._snapshot, self._versions = FleetSnapshot(self.out, self._tables), versions
+            if (versions := self._tables.versions()) != self._versions:
+                self._snapshot, self._versions = FleetSnapshot(self._tables), versions
             return self._snapshot

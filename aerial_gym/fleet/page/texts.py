@@ -24,11 +24,6 @@ def unit_text(effect: str, parameter: str) -> str:
     return "" if known is None or known.unit == "-" else known.unit
 
 
-def cause_name(cause: Cause) -> str:
-    """Return the name of an effect, with its rotor."""
-    return cause["effect"].replace("_", " ") + (f", rotor {cause['rotor']}" if cause["rotor"] else "")
-
-
 def interval_text(value: float, std: float, unit: str) -> str:
     """Return a value with half its 95 % interval and its unit, such as ``-2.1 ± 0.4 %``."""
     return f"{value_text(value, HALF_95 * std)} {half_width_text(HALF_95 * std, unit)}".rstrip()
@@ -36,11 +31,8 @@ def interval_text(value: float, std: float, unit: str) -> str:
 
 def change_text(cause: Cause, most: int | None = None) -> str:
     """Return the changes of parameters with intervals, of ratios in per cent; ``most``: only the most certain ones."""
-    known, own = (
-        effect_parameters(cause["effect"]),
-        zip(cause["parameters"], cause["change"], cause["std"], strict=True),
-    )
-    parts = []
+    known, parts = effect_parameters(cause["effect"]), list[str]()
+    own = zip(cause["parameters"], cause["change"], cause["std"], strict=True)
     for name, value, std in sorted(own, key=lambda one: -abs(one[1]) / max(one[2], 1e-300)):
         unit = unit_text(cause["effect"], name)
         factor, unit = (100.0, "%") if name in known and not unit else (1.0, unit)

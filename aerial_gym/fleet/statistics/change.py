@@ -88,8 +88,12 @@ class ChangeResult:
         return self.log_e > EVIDENT
 
     def count_flights(self, kept: Indices, end: int = 0) -> Self:
-        """Return the result with onsets among all flights; of those judged, the ones after the end of a change come first."""
-        return replace(self, causes=tuple(one.count_flights(kept, end) for one in self.causes))
+        """Return the result with flights counted among all; of those judged, the ones after the end of a change come first."""
+        return replace(
+            self, causes=tuple(one.count_flights(kept, end) for one in self.causes),
+            odd_flights=tuple(int(kept[k]) for k in self.odd_flights), end=None if self.end is None else int(kept[self.end]),
+            second=self.second and self.second.count_flights(kept),
+        )  # fmt: skip
 
     def is_separate(self, first: "ChangeResult") -> bool:
         """Return whether the change is evident, and its onset's interval apart from that of another one."""

@@ -3,7 +3,7 @@
 Letters: T steps, E environments, O entries of a vector, C x H x W an image, F features, M numbers of memory.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, isfinite, prod
@@ -127,6 +127,11 @@ class NetworkBody(nn.Module):
         self.layers = dense_layers((width, *cfg.hidden_layers), cfg.activation)
         self.cell = nn.GRUCell(cfg.hidden_layers[-1], cfg.memory) if cfg.memory else None
         self.num_features = cfg.memory or cfg.hidden_layers[-1]
+
+    def input_widths(self, shapes: Mapping[str, Sequence[int]]) -> list[int]:
+        """Return the numbers of inputs of the first layer by key, for observations of ``shapes``."""
+        features = {key: SET_FEATURES if key in self.cfg.sets else IMAGE_FEATURES for key in self.encoders}
+        return [features.get(key) or shapes[key][0] for key in self.cfg.shapes]
 
     def network_inputs(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the input tensors by key, with vectors normalised; weight updates do not change them."""

@@ -3,7 +3,7 @@
 Letters: O entries of an observation, H width of the first layer.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from aerial_gym.config.storage import read_archive
 from aerial_gym.errors import ConfigError
@@ -197,35 +198,44 @@ FIRST_LAYER = ".layers.0.weight"  # End of the name of a first layer (H, O)
 NORMALISED = (".mean", ".var")  # Suffixes of the names of normaliser statistics, (O,)
 
 
-def load_initial_weights(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:
-    """Load the weights ``model`` of another network, which may have fewer inputs; ``where`` is named in errors.
+def load_initial_weights(
+    network: ActorCritic, model: Mapping[str, Tensor], shapes: Mapping[str, Sequence[int]], *, where: str
+) -> None:
+    """Load the weights ``model`` of another network with input ``shapes`` by key; ``where`` is named in errors.
 
-    Additional inputs must follow those of the other network. Their weights are zero, so that at first it acts like the
-    other one. Their normaliser starts at mean 0 and deviation 1 and adapts slowly, as its sample count is large.
+    Each key may have more inputs here, behind those of the other network. Their weights are zero, so that at first it acts
+    like the other one. Their normaliser starts at mean 0 and deviation 1 and adapts slowly, as its sample count is large.
     """
     own = network.state_dict()
     if own.keys() != model.keys():
         raise ConfigError(
             f"{where}: has other networks than these settings ask for. Give the settings of its training (--config)"
         )
-    wider = [name for name in own if own[name].shape != model[name].shape]
-    if wider and len(network.shapes) > 1:
-        raise ConfigError(
-            f"{where}: networks that see {', '.join(network.shapes)} cannot see more than those before them. Train from scratch"
-        )
-    network.load_state_dict({name: _add_inputs(name, model[name], own[name], where) for name in own})
+    firsts = {"actor.body": network.actor.body, "own_body": network.own_body}
+    widths = {
+        f"{name}{FIRST_LAYER}": (body.input_widths(shapes), body.input_widths(body.cfg.shapes))
+        for name, body in firsts.items()
+        if body is not None
+    }
+    network.load_state_dict({name: _add_inputs(name, model[name], own[name], widths.get(name), where) for name in own})
 
 
-def _add_inputs(name: str, given: Tensor, own: Tensor, where: str) -> Tensor:
-    """Return numbers in the shape of ``own``."""
-    if given.shape == own.shape:
+def _add_inputs(
+    name: str, given: Tensor, own: Tensor, widths: tuple[list[int], list[int]] | None, where: str
+) -> Tensor:
+    """Return numbers in the shape of ``own``; ``widths`` of a first layer are those of its keys, given and own."""
+    if widths is None and given.ndim == own.ndim == 1 and name.endswith(NORMALISED):
+        widths = [len(given)], [len(own)]
+    if widths is None and given.shape == own.shape:
         return given
-    more = own.shape[-1] - given.shape[-1]
-    grows = name.endswith((FIRST_LAYER, *NORMALISED)) and given.shape[:-1] == own.shape[:-1] and more > 0
-    if not grows:
+    before, after = widths or ([], [])
+    pairs = list(zip(before, after, strict=True))
+    holds = (*given.shape[:-1], sum(before)) == given.shape and (*own.shape[:-1], sum(after)) == own.shape
+    if not holds or given.shape[:-1] != own.shape[:-1] or any(one > other for one, other in pairs):
         raise ConfigError(
             f"{where}: {name} has shape {tuple(given.shape)}, here {tuple(own.shape)}. Only inputs may be added: give "
             "the settings of its training (--config), and a task with its actions whose observations begin with its own"
         )
-    new = given.new_full((*given.shape[:-1], more), 1.0 if name.endswith(".var") else 0.0)
-    return torch.cat((given, new), dim=-1)
+    fill = 1.0 if name.endswith(".var") else 0.0
+    parts = zip(given.split(before, dim=-1), pairs, strict=True)
+    return torch.cat([pad(part, (0, wide - narrow), value=fill) for part, (narrow, wide) in parts], dim=-1)

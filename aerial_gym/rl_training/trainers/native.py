@@ -174,10 +174,10 @@ class NativeTraining(Generic[AnyLearner]):
     def load_initial_weights(self, source: str) -> None:
         """Load initial weights from a run folder or a checkpoint; raise ``ConfigError`` if they do not match."""
         file, cfg = find_checkpoint(source)
-        model = read_archive(file, "checkpoint").get("model")
-        if cfg.trainer != self.cfg.trainer or not isinstance(model, Mapping):
+        saved = read_archive(file, "checkpoint")
+        if cfg.trainer != self.cfg.trainer or not isinstance(saved.get("model"), Mapping):
             raise ConfigError(f"{file}: holds no networks of a training with {self.cfg.trainer}")
-        load_initial_weights(self.learner.network, model, where=str(file))
+        load_initial_weights(self.learner.network, saved["model"], saved["network"]["shapes"], where=str(file))
         self.learner.copy_tensors_from_leader()
 
     def load(self, state: Mapping[str, Any]) -> None:
@@ -214,7 +214,7 @@ class _HostNumbers:
         self._buffers = [
             torch.zeros(len(SUMS) + len(learner.GAUGES), dtype=torch.float64, pin_memory=self._cuda) for _ in range(2)
         ]
-        self._events = [torch.cuda.Event() for _ in range(2)] if self._cuda else []
+        self._events = [torch.cuda.Event(blocking=True) for _ in range(2)] if self._cuda else []
         self._copies = 0
 
     def copy_to_host(self) -> list[float]:

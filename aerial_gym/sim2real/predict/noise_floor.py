@@ -87,6 +87,8 @@ def mean_square_of_rounding(
     excluded = flight.rows_without_comparison(0)
     flown = slice(None) if excluded is None else ~excluded
     logs = {name: simulate_rounding(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
+    if not any((copy != plain).any() for plain, *copies in logs.values() for copy in copies):  # finer than the noise
+        return np.zeros(len(channels))
     flights = [replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True)]
     predictor = wide_band_predictor(robot, flights, channels, [estimate_as_measured(log) for log in flights])
     rows = longest_airborne_rows(flight, predictor.times[0], bandwidth)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.stats import chi2
+from scipy import special
 
 from aerial_gym.config.robot import RobotCfg, Vec3
 from aerial_gym.config.rotor import RotorCfg
@@ -40,7 +40,7 @@ def deviations_beyond_tolerance(tolerances: Tolerances, deviation: Array, robot:
     All components of a place count if it is as improbable: the sum of their squares is chi-squared, as axes are arbitrary.
     """
     off, names = deviation_of_vehicle(deviation, robot), tolerances.names(robot.num_rotors)
-    limit = float(chi2.isf(chi2.sf(STRAINED**2, 1), 3))
+    limit = float(special.chdtri(3, special.chdtrc(1, STRAINED**2)))
     parts = split_deviations(torch.from_numpy(off))
     far = {f"{name}_{axis}" for name in PLACES for axis in "xyz" if float(parts[name] @ parts[name]) > limit}
     logged = {f"{name}_{axis}" for name in BESIDE_VEHICLE for axis in "xyz"}

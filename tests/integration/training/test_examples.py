@@ -189,7 +189,9 @@ def test_a_task_of_an_own_file_is_trained_and_evaluated_from_any_folder(tmp_path
     assert json.loads(capsys.readouterr().out)["num_starts"] == 4
 
 
-@pytest.mark.parametrize("more", [(), ("--population",)], ids=["random", "population"])
+@pytest.mark.parametrize(
+    "more", [pytest.param((), id="random"), pytest.param(("--population",), id="population", marks=pytest.mark.slow)]
+)
 def test_a_search_leaves_a_policy(more: tuple[str, ...], tmp_path: Path) -> None:
     """With Ray Tune, on a CPU; in a process of its own, as Ray starts servers."""
     reason = "Ray Tune is not installed: pip install 'aerial-gym[tune]'"

@@ -39,6 +39,7 @@ def fresh_task(*more: str) -> Task:
     return task_registry.make_task("formation_task", num_envs=64, device="cpu", seed=900, settings=[EPISODE, *more])
 
 
+@pytest.mark.slow
 def test_a_short_training_with_a_central_critic_brings_the_vehicles_nearer(tmp_path: Path) -> None:
     train(settings(), tmp_path / "run", show_progress=False)
     policy, _ = load_policy(tmp_path / "run")

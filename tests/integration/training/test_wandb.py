@@ -60,6 +60,7 @@ def tensorboard_scalars(out: Path) -> dict[str, set[int]]:
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trainer", rare_values(["ppo", "rl_games", "sample_factory"], ("rl_games", "sample_factory")))
 def test_every_scalar_of_tensorboard_is_sent(trainer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if trainer != "ppo":

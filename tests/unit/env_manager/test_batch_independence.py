@@ -69,6 +69,7 @@ def assert_same(result: dict[str, Tensor], expected: dict[str, Tensor], *, withi
     assert not different
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimise_kernels")
 @pytest.mark.parametrize(
     ("env", "robot"),
@@ -91,6 +92,7 @@ def test_an_environment_is_the_same_among_few_and_many(env: str, robot: str) -> 
     assert_same(*results)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimise_kernels")
 def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> None:
     results = []

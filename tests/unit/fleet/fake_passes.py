@@ -4,7 +4,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 from types import SimpleNamespace
@@ -111,6 +111,27 @@ class Change:
     parameters: tuple[str, ...]
     change: tuple[float, ...]
 
+    def count_flights(self, numbers: np.ndarray) -> "Change":
+        names = ("onset", "onset_low", "onset_high")
+        return replace(self, **{name: int(numbers[getattr(self, name)]) for name in names})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    log_e: float = 0.0
+    causes: tuple[Change, ...] = ()
+    odd_flights: tuple[int, ...] = ()
+    end: int | None = None
+    second: None = None
+
+    def count_flights(self, numbers: np.ndarray) -> "Result":
+        causes = tuple(one.count_flights(numbers) for one in self.causes)
+        return replace(self, causes=causes, odd_flights=tuple(int(numbers[k]) for k in self.odd_flights))
+
+    @property
+    def candidates(self) -> tuple[Change, ...]:
+        return self.causes
+
 
 @dataclass(frozen=True, kw_only=True)
 class FleetModel:
@@ -136,16 +157,19 @@ def vehicle_posterior(model: Any, flights: VehicleFlights, columns: Sequence[Any
 
 
 def find_change(model: Any, flights: VehicleFlights, columns: Sequence[Any]) -> Any:
+    """Return the step of the means in the middle. A second value of 9 marks an odd flight, and one of 8 a blind one."""
     values, middle = _values(flights), len(flights.firmware) // 2
-    if not middle:
-        return SimpleNamespace(log_e=0.0, causes=(), candidates=(), odd_flights=(), end=None)
-    steps = values[middle:].mean(axis=0) - values[:middle].mean(axis=0)
+    marks = np.round(values[:, 1])
+    if not middle or (marks == 8).all():
+        return Result()
+    kept = np.where(marks == 9, np.nan, values[:, 0])[:, None] * [1.0, 0.0]
+    steps = np.nanmean(kept[middle:], axis=0) - np.nanmean(kept[:middle], axis=0)
     rotor = int(np.argmax(np.abs(steps[:2])))
     cause = Change(
         effect="weak_motor", rotor=rotor + 1, kind="step", log_evidence=50.0 * abs(steps[rotor]) - 20.0, onset=middle,
         onset_low=middle, onset_high=middle, parameters=("scale",), change=(float(steps[rotor]),),
     )  # fmt: skip
-    return SimpleNamespace(log_e=cause.log_evidence, causes=(cause,), candidates=(cause,), odd_flights=(), end=None)
+    return Result(log_e=cause.log_evidence, causes=(cause,), odd_flights=tuple(np.flatnonzero(marks == 9).tolist()))
 
 
 def campaign_evidence(results: Iterable[Any], known: Any = None) -> Any:
@@ -187,5 +211,8 @@ def benjamini_hochberg(log_e: np.ndarray, level: float) -> np.ndarray:
 
 
 def text_of_change(result: Any, vehicle: str) -> str:
-    cause = result.causes[0] if result.causes else None
-    return f"vehicle {vehicle}, rotor {cause.rotor}: changed since flight {cause.onset + 1}" if cause else ""
+    return f"vehicle {vehicle}, rotor {result.causes[0].rotor}: changed since flight {result.causes[0].onset + 1}"
+
+
+def text_of_no_change(result: Any, vehicle: str, verdict: str) -> str:
+    return f"vehicle {vehicle}: {verdict}, {len(result.odd_flights)} odd flights"

@@ -8,7 +8,7 @@ from aerial_gym.fleet.engine import Engine, ray_engine, run_serially
 from aerial_gym.fleet.pass_two import PassTwoSettings
 from aerial_gym.fleet.run import FleetRun, FleetSummary, run_fleet
 from aerial_gym.fleet.sources import LogStore
-from aerial_gym.fleet.vehicles import Fleet, VehicleRules, robot_hash
+from aerial_gym.fleet.vehicles import Fleet, VehicleRules, content_hash
 from aerial_gym.robots.catalog import robot_by_name
 
 FAKE = "tests.unit.fleet.fake_passes"
@@ -16,7 +16,7 @@ FAKE = "tests.unit.fleet.fake_passes"
 
 def small_fleet(rules: VehicleRules | None = None) -> Fleet:
     robot = robot_by_name("base_quadrotor")
-    return Fleet(robots={"quad": robot}, hashes={"quad": robot_hash(robot)}, rules=rules or VehicleRules())
+    return Fleet(robots={"quad": robot}, hashes={"quad": content_hash(robot)}, rules=rules or VehicleRules())
 
 
 def request(logs: Path | str, out: Path, **changes: Any) -> FleetRun:

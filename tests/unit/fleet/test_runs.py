@@ -12,6 +12,7 @@ import pytest
 from deltalake import DeltaTable
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.fleet import pass_two
 from aerial_gym.fleet import run as run_module
 from aerial_gym.fleet.engine import run_serially
 from aerial_gym.fleet.lock import writer_lock
@@ -20,6 +21,7 @@ from aerial_gym.fleet.pass_two import PassTwoSettings
 from aerial_gym.fleet.schemas import SCHEMA_VERSION, SCHEMAS
 from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules
+from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR
 from benchmarks.fleet.kills import table_contents
 from tests.unit.fleet.fake_passes import write_fleet, write_log
 from tests.unit.fleet.runs import FAKE, request, run, small_fleet
@@ -98,13 +100,38 @@ def test_copies_of_a_log_are_one_flight_of_the_first_path(tmp_path: Path) -> Non
     assert [row["vehicle"] for row in rows(tmp_path / "out", "flights")] == ["a"]
 
 
+def test_moved_and_touched_logs_are_hashed_and_not_analysed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_fleet(tmp_path / "logs", vehicles=2, flights=4)
+    run(tmp_path / "logs", tmp_path / "out")
+    before = table_contents(tmp_path / "out")
+    (tmp_path / "logs" / "vehicle_1").rename(tmp_path / "logs" / "archive")
+    os.utime(tmp_path / "logs" / "vehicle_0" / "flight_0.csv", (0, 0))
+    monkeypatch.setattr(PassOne, "_results", lambda *_: pytest.fail("a log was analysed"))
+    for _ in range(2):
+        summary = run(tmp_path / "logs", tmp_path / "out")
+        assert (summary.new, summary.known, summary.copies, dict(summary.refused)) == (0, 4, 5, {})
+    assert table_contents(tmp_path / "out") == before
+
+
+def test_other_mapping_file_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    write_fleet(tmp_path / "logs", vehicles=1, flights=1, bad=False)
+    mapping, columns = tmp_path / "mapping.yaml", (MAPPING_DIR / "aerial_gym.yaml").read_text(encoding="utf-8")
+    for text in (columns, f"{columns}# comment"):
+        mapping.write_text(text, encoding="utf-8")
+        run(tmp_path / "logs", tmp_path / "out", mapping=str(mapping))
+    mapping.write_text((MAPPING_DIR / "crazypad.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(ConfigError, match="was made with mapping = 'content "):
+        run(tmp_path / "logs", tmp_path / "out", mapping=str(mapping))
+
+
 def test_other_robot_file_or_model_version_makes_new_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_fleet(tmp_path / "logs", vehicles=2, flights=4, bad=False)
     run(tmp_path / "logs", tmp_path / "out")
     monkeypatch.setenv("FAKE_VERSION", "2+test")
     assert run(tmp_path / "logs", tmp_path / "out").new == 8
     assert len(rows(tmp_path / "out", "flights")) == 16
-    assert {row["model_version"] for row in rows(tmp_path / "out", "verdicts")} == {"1+test", "2+test"}
+    assert {row["model_version"] for row in rows(tmp_path / "out", "verdicts")} == {"2+test"}
+    assert {row["model_version"] for row in rows(tmp_path / "out", "vehicles")} == {"2+test"}
 
 
 def test_log_without_robot_file_is_tried_again(tmp_path: Path) -> None:
@@ -151,6 +178,32 @@ def test_second_writer_is_refused_until_the_first_ends(tmp_path: Path) -> None:
     assert run(tmp_path / "logs", tmp_path / "out").new == 1
 
 
+@pytest.mark.parametrize("fault", ["file size", "no folder", "damaged"])
+def test_failures_of_the_disk_are_one_sentence_with_the_remedy(tmp_path: Path, fault: str) -> None:
+    """In a process of its own: a limit of the file size acts like a full disk, also for users who may write anywhere."""
+    write_fleet(tmp_path / "logs", vehicles=2, flights=6)
+    out = tmp_path / "out"
+    if fault == "no folder":
+        out.write_text("a file")
+    else:
+        run(tmp_path / "logs", out)
+        write_log(tmp_path / "logs" / "new.csv", [0.0, 0.0])
+    if fault == "damaged":
+        for file in (out / "flights").glob("*.parquet"):
+            file.write_bytes(b"nothing")
+    code = (
+        "import resource, signal; from pathlib import Path; from tests.unit.fleet.runs import run\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"{'resource.setrlimit(resource.RLIMIT_FSIZE, (900, 900))' if fault == 'file size' else ''}\n"
+        f"run({str(tmp_path / 'logs')!r}, Path({str(out)!r}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    remedy = {"file size": "the disk is full. Free some space"}.get(fault, "start again, as finished flights are kept")
+    last = result.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"aerial_gym.errors.StorageError: {out}: ")
+    assert remedy in last
+
+
 def test_empty_store_and_other_settings_are_refused(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     with pytest.raises(ConfigError, match="holds no log whose name matches '\\*'"):
@@ -195,6 +248,64 @@ def test_tables_of_version_1_are_migrated_and_of_newer_versions_refused(tmp_path
     (out / "fleet.json").write_text(json.dumps(description | {"schema_version": 3}), encoding="utf-8")
     with pytest.raises(ConfigError, match="its tables have schema 3"):
         run(tmp_path / "logs", out)
+
+
+def test_verdicts_state_odd_and_damaged_flights_and_blind_vehicles(tmp_path: Path) -> None:
+    """A vehicle without visible effects is no vehicle with too few flights. Rows without a change keep no causes."""
+    import pyarrow as pa
+    from deltalake import write_deltalake
+
+    for vehicle, mark in (("a", 0.0), ("odd", 9.0), ("blind", 8.0)):
+        (tmp_path / "logs" / vehicle).mkdir(parents=True)
+        for flight in range(6):
+            value = [0.01 * flight, mark if flight == 2 or mark == 8.0 else 0.0]
+            write_log(tmp_path / "logs" / vehicle / f"{flight}.csv", value, airframe=vehicle)
+    run(tmp_path / "logs", tmp_path / "out")
+    table = FleetTables(tmp_path / "out").dataset("flights").to_table()
+    vehicle, moments = (table.column(name).to_pylist() for name in ("vehicle", "moments"))
+    moments[vehicle.index("a")], moments[vehicle.index("a") + 1] = b"damaged", moments[0]
+    place = table.schema.get_field_index("moments")
+    table = table.set_column(place, "moments", pa.array(moments, pa.binary()))
+    write_deltalake(tmp_path / "out" / "flights", table, mode="overwrite")
+    run(tmp_path / "logs", tmp_path / "out")
+    verdicts = rows(tmp_path / "out", "verdicts")
+    damaged = "; the moments of 1 of 6 flights are damaged, and left out"
+    assert {row["text"].split(": ")[1] for row in verdicts} == {
+        f"no_change, 0 odd flights{damaged}", "no_change, 1 odd flights", "not_testable, 0 odd flights",
+    }  # fmt: skip
+    assert {row["causes"] for row in verdicts} == {"[]"}
+
+
+def test_verdict_rests_on_the_last_flights_and_numbers_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pass_two, "MOST_FLIGHTS", 8)
+    write_fleet(tmp_path / "logs", vehicles=2, flights=16, changed=[1], bad=False)
+    assert run(tmp_path / "logs", tmp_path / "out").changed == []
+    for flight in range(16, 20):
+        write_log(tmp_path / "logs" / "vehicle_0" / f"flight_{flight}.csv", [-1.0, 0.0], time=1e9 + 1e3 * flight)
+    assert run(tmp_path / "logs", tmp_path / "out").changed == [
+        "vehicle vehicle_0, rotor 1: changed since flight 17; judged by its last 8 flights"
+    ]
+    (row,) = (row for row in rows(tmp_path / "out", "verdicts") if row["rejected"])
+    assert (row["onset_flight"], row["onset_time"], json.loads(row["causes"])[0]["onset"]) == (17, 1e9 + 16e3, 16)
+
+
+def test_watched_vehicle_is_compared_with_those_of_present_robot_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Verdicts under another robot file do not count for the false discovery rate."""
+    write_fleet(tmp_path / "logs", vehicles=3, flights=6, bad=False)
+    run(tmp_path / "logs", tmp_path / "out")
+    tables, sizes = FleetTables(tmp_path / "out"), list[int]()
+    tables.append(
+        "verdicts", [row | {"robot_hash": "old", "vehicle": "x"} for row in rows(tmp_path / "out", "verdicts")]
+    )
+    decide = pass_two.decide
+    monkeypatch.setattr(pass_two, "decide", lambda *some: sizes.append(some[1].size) or decide(*some))
+    pass_two.judge_fleet(
+        tables, small_fleet().hashes.values(), "1+test", run_serially, PassTwoSettings(module=FAKE, wording=FAKE),
+        only={"vehicle_0"},
+    )  # fmt: skip
+    assert sizes == [2]
 
 
 def test_log_that_was_completed_counts_once(tmp_path: Path) -> None:

@@ -1,10 +1,11 @@
-"""Stores of logs, the rules that assign them to vehicles, queries, watching and webhooks."""
+"""Stores of logs, the rules that assign them to vehicles, and queries."""
 
 import json
+import os
+import socket
 import struct
-import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from contextlib import chdir
 from pathlib import Path
 
 import fsspec
@@ -14,17 +15,13 @@ import pytest
 from aerial_gym.cli.fleet import print_summary
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError
-from aerial_gym.fleet.alerts import Webhook
 from aerial_gym.fleet.moments import pack_moments
 from aerial_gym.fleet.query import query
 from aerial_gym.fleet.sources import LogStore, hash_of_log, sort_by_time
-from aerial_gym.fleet.tables import FleetTables
 from aerial_gym.fleet.vehicles import VehicleRule, VehicleRules, load_fleet
-from aerial_gym.fleet.watch import watch_fleet
 from aerial_gym.sim2real.flight_evidence.evidence import log_airframe
-from benchmarks.fleet.kills import table_contents
 from tests.unit.fleet.fake_passes import write_fleet, write_log
-from tests.unit.fleet.runs import request, run, small_fleet
+from tests.unit.fleet.runs import run, small_fleet
 from tests.unit.sim2real.ulog_files import write_ulog
 
 
@@ -46,6 +43,51 @@ def test_folder_of_parquet_files_is_one_log(tmp_path: Path) -> None:
     before = hash_of_log(tmp_path / "log")
     (tmp_path / "log" / "table.parquet").write_text("other", encoding="utf-8")
     assert hash_of_log(tmp_path / "log") != before
+
+
+def test_links_are_followed_once_and_pipes_sockets_and_empty_folders_are_no_logs(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    (logs / "folder.ulg").mkdir(parents=True)
+    (logs / "a.ulg").write_text("x", encoding="utf-8")
+    os.mkfifo(logs / "pipe.ulg")
+    (logs / "pipe_link.ulg").symlink_to(logs / "pipe.ulg")
+    with socket.socket(socket.AF_UNIX) as local, chdir(logs):
+        local.bind("socket.ulg")
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "b.ulg").write_text("y", encoding="utf-8")
+    (tmp_path / "far" / "back").symlink_to(logs)
+    (logs / "linked").symlink_to(tmp_path / "far")
+    (logs / "loop").symlink_to(logs)
+    (logs / "link.ulg").symlink_to(logs / "a.ulg")
+    (logs / "none.ulg").symlink_to(tmp_path / "nowhere")
+    names = [log.path.removeprefix(f"{logs}/") for log in LogStore(url=str(logs)).logs()]
+    assert names == ["a.ulg", "link.ulg", "linked/b.ulg", "none.ulg"]
+
+
+def test_pipe_in_the_folder_of_a_log_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "table.parquet").write_text("x", encoding="utf-8")
+    before = hash_of_log(tmp_path)
+    os.mkfifo(tmp_path / "pipe.parquet")
+    assert hash_of_log(tmp_path) == before
+
+
+def test_names_and_identities_with_line_breaks_break_no_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log with such a name, or one that is not UTF-8, is stated; of identities in logs, the signs are escaped."""
+    for name in ("a\nb.csv", os.fsdecode(b"c\xff.csv"), "d.csv", "e f \u00e9.csv"):
+        write_log(tmp_path / name, [0.1, 0.01 * len(name)], airframe="A\n\x1b[31m7", firmware="1\r2")
+    (tmp_path / "broken.csv").symlink_to(tmp_path / "nowhere")
+    summary = run(tmp_path, tmp_path / "out")
+    print_summary(summary, tmp_path / "out", as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if "a\\nb.csv (its name has control characters" in line]
+    assert [line for line in lines if "c\\udcff.csv (its name has" in line]
+    assert "3 not delivered by the store" in lines[1]
+    assert next(query(tmp_path / "out", "SELECT DISTINCT vehicle, firmware FROM flights")[1]) == (
+        "A\\n\\x1b[31m7",
+        "1\\r2",
+    )
 
 
 @pytest.mark.parametrize("url", ["memory://fleet", "s3://fleet/logs"])
@@ -203,60 +245,9 @@ def test_summary_states_differences_between_firmware_versions(
     assert text in capsys.readouterr().out
 
 
-def test_watch_judges_complete_logs_and_raises_each_alert_once(tmp_path: Path) -> None:
-    logs, out = tmp_path / "logs", tmp_path / "out"
-    write_fleet(logs, vehicles=4, flights=8, bad=False)
-    run(logs, out)
-    looks = watch_fleet(request(logs, out))
-    alerts = list(next(looks))
-    for flight in range(8, 17):
-        write_log(logs / "vehicle_1" / f"flight_{flight}.csv", [-1.0, 0.0], time=1e9 + 1e3 * flight)
-        assert FleetTables(out).dataset("flights").count_rows() == max(32, 24 + flight - 1)
-        alerts += next(looks)
-    alerts += next(looks)
-    assert [alert["text"][:28] for alert in alerts] == ["vehicle vehicle_1, rotor 1: "]
-    looks.close()
-    run(logs, tmp_path / "calm")
-    same = ("flights", "evidence", "vehicles")
-    both = [{name: table_contents(folder)[name] for name in same} for folder in (out, tmp_path / "calm")]
-    assert [len(both[0][name]) for name in same] == [len(both[1][name]) for name in same]
-
-
-def test_webhook_repeats_a_failed_delivery_and_follows_no_redirect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aerial_gym.fleet.alerts.WAIT_S", 0.01)
-    received, answers = [], [500, 302, 200]
-
-    class Receiver(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            received.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(answers[len(received) - 1])
-            self.send_header("Location", "http://192.0.2.1/")
-            self.end_headers()
-
-        def log_message(self, *args: object) -> None:
-            """Print nothing."""
-
-    server = HTTPServer(("127.0.0.1", 0), Receiver)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    webhook = Webhook(f"http://127.0.0.1:{server.server_port}/", allow_remote=False)
-    webhook.send({"id": "1", "text": "changed"})
-    webhook.close()
-    server.shutdown()
-    server.server_close()
-    assert received == 3 * [{"id": "1", "text": "changed"}]
-
-
-@pytest.mark.parametrize(
-    "url", ["http://example.com/", "http://127.0.0.1.example.com/", "file:///etc/passwd", "http://"]
-)
-def test_webhook_to_another_machine_is_refused(url: str) -> None:
-    with pytest.raises(ConfigError, match="--webhook"):
-        Webhook(url, allow_remote=False)
-
-
 def test_flights_keep_the_order_of_their_logs_if_one_states_no_time() -> None:
     """Logs from indoors, without GPS, came before all others."""
-    rows = [{"path": f"flight_{k}.ulg", "start_time": 1e9 - k} for k in (10, 9, 2)]
+    rows = [{"path": f"flight_{k}.ulg", "start_time": 1e9 - k, "written_at": 0} for k in (10, 9, 2)]
     assert [row["path"] for row in sort_by_time(rows)] == ["flight_10.ulg", "flight_9.ulg", "flight_2.ulg"]
     rows[0]["start_time"] = float("nan")
     assert [row["path"] for row in sort_by_time(rows)] == ["flight_2.ulg", "flight_9.ulg", "flight_10.ulg"]

@@ -15,7 +15,7 @@ def test_change_that_campaigns_may_explain_names_both(log_e: float, verdict: str
     change = ChangeResult(vehicle="17", flights=300, log_e=log_e, causes=(THRUST,))
     result = VehicleResult(
         vehicle="17", log_e=log_e, own_log_e=30.0, verdict={"verdict": "changed", "onset_flight": 212}, parameters=(),
-        last_hash="", change=change,
+        change=change, odd_logs=(), note="",
     )  # fmt: skip
     (row,) = decide([result], np.empty(0), PassTwoSettings())
     assert (row["verdict"], row["rejected"], row["log_e"]) == (verdict, is_rejected, log_e)

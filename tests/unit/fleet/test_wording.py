@@ -56,8 +56,12 @@ def test_repair_and_second_change() -> None:
 
 def test_odd_flights_without_a_change() -> None:
     result = ChangeResult(vehicle="b", flights=30, causes=(THRUST,), odd_flights=(3, 8))
-    assert text_of_no_change(result, "b") == "vehicle b: no change shown; flights 4 and 9 deviate alone"
+    text = text_of_no_change(result, "b", "no_change")
+    assert text == "vehicle b: no change shown; flights 4 and 9 deviate alone"
 
 
-def test_too_few_flights() -> None:
-    assert text_of_change(ChangeResult(vehicle="b", flights=1), "b") == "vehicle b: too few flights to judge a change"
+def test_vehicles_that_cannot_be_judged() -> None:
+    result = ChangeResult(vehicle="b", flights=9)
+    few, blind = (text_of_no_change(result, "b", verdict) for verdict in ("too_few_flights", "not_testable"))
+    assert few == "vehicle b: too few flights to judge a change"
+    assert blind == "vehicle b: its flights show no effect, so no change can be judged"

@@ -73,6 +73,7 @@ def test_vehicles_far_apart_are_single_vehicles_bit_for_bit() -> None:
     assert_equal(single, several)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimise_kernels")
 def test_an_environment_alone_equals_that_of_many() -> None:
     many = begin("formation_task", 4, seed=1)

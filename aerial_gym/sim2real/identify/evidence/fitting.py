@@ -262,12 +262,15 @@ class Fitter:
         same = all(np.array_equal(values, plain.effects[name]) for name, values in best.effects.items())
         return [best] if same else [best, plain]
 
-    def refit_from_other_fitter(self, fitted: EffectSetFit, other: "Fitter") -> EffectSetFit:
+    def refit_from_other_fitter(
+        self, fitted: EffectSetFit, other: "Fitter", rule: StopRule = CONVERGENCE
+    ) -> EffectSetFit:
         """Return a set refitted from another fitter's result, with its derivatives."""
         known, there = other._derivatives.get(fitted.label), fitted.params
         if known is None or known[0] is not fitted:
-            return self.fit(fitted.effects, fitted.structures, there)
-        return self.fit(fitted.effects, fitted.structures, there, self._join_columns(known[1]), fresh=True)
+            return self.fit(fitted.effects, fitted.structures, there, rule=rule)
+        derivatives = self._join_columns(known[1])
+        return self.fit(fitted.effects, fitted.structures, there, derivatives, fresh=True, rule=rule)
 
     def refit_without_effects(
         self, fitted: EffectSetFit, names: Sequence[str], rule: StopRule = CONVERGENCE

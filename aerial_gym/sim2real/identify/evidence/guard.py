@@ -179,7 +179,9 @@ def supports_of_candidates(
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
     weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
     told = is_identifiable(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
-    scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
+    whole_step = np.zeros(whole.gradient.size)
+    whole_step[columns] = step
+    scores = np.stack([(part.gradient - part.product @ whole_step)[columns] for part in parts])
     away = scores - scores.mean(axis=0)
     scatter = away.T @ away * (len(scores) / (len(scores) - 1))  # covariance of the sum of independent parts
     robust = covariance @ (scatter + np.diag(precision)) @ covariance

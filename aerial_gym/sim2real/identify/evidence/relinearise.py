@@ -8,21 +8,41 @@ import numpy as np
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import has_several_starts, is_of_one_rotor
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import StopRule
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import CONVERGENCE, StopRule
 
 SAME_DEVIATION = 0.5  # Largest change of a deviation, in standard deviations, that ends relinearisation
 MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
 
 
+def refit_with_own_tolerances(
+    fitted: EffectSetFit, about: Fitter, fitter_at_model: Callable[..., Fitter], *,
+    best: float, least: float = -np.inf, enough: float = 0.0,
+) -> tuple[EffectSetFit, Fitter]:  # fmt: skip
+    """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
+
+    Secants correct the derivatives at first. Fits may then leave ``enough`` log likelihood to their linear model.
+    Derivatives are computed anew for a set that can reach the log posterior ``least``, until it cannot reach the ``best``
+    one. They are not if secants changed a log posterior below the best one by less than ``enough``.
+    """
+    before, rule = fitted.log_posterior, StopRule(enough=max(enough, CONVERGENCE.enough))
+    settings = {"least": least, "secant": True, "rule": rule}
+    fitted, about, reached = refit_until_settled(fitted, about, fitter_at_model, **settings)
+    is_settled = fitted.log_posterior < best and abs(fitted.log_posterior - before) < enough
+    if is_settled or not reached:
+        return fitted, about
+    return refit_until_settled(fitted, about, fitter_at_model, least=best)[:2]
+
+
 def refit_until_settled(
     fitted: EffectSetFit, about: Fitter, fitter_at_model: Callable[..., Fitter], *,
-    least: float = -np.inf, secant: bool = False,
+    least: float = -np.inf, secant: bool = False, rule: StopRule = CONVERGENCE,
 ) -> tuple[EffectSetFit, Fitter, bool]:  # fmt: skip
     """Return a set refitted until its deviations settle, its fitter, and whether it can reach the log posterior ``least``.
 
     A delay of 6 ms is fitted only in part about a model without one. If deviations do not settle, the most probable turn is
     kept. It ends if the log posterior stays below ``least`` even with the last gain once more, as gains become smaller.
     ``secant``: secants correct the derivatives by the tolerances, which costs two predictions; else they are computed anew.
+    ``rule``: stopping rule of each fit.
     """
     first, last, kept = about, np.inf, (fitted, about, True)
     for _ in range(MOST_TURNS):
@@ -31,7 +51,7 @@ def refit_until_settled(
         fitter.tolerances = about.secant_tolerances(fitted) if secant else None
         if about is not first:
             about.tolerances = None  # large; only a divergent iteration needs them again
-        again = fitter.refit_from_other_fitter(fitted, about)
+        again = fitter.refit_from_other_fitter(fitted, about, rule)
         if not again.deviation.size:  # the fit made no step
             return again, fitter, False
         moved = float(np.abs(again.deviation - fitted.deviation).max())

@@ -132,12 +132,15 @@ def _nonzero_columns_with_weights(parts: Sequence[Part], root: Array, start: int
                 sums[channel][0].append(np.flatnonzero(some) + first)
                 sums[channel][1].append(values[:, own] if some.all() else values[:, own][:, some])
         start += num_columns([part])
-    return [
-        (np.concatenate(places), np.concatenate([one.T for one in columns], dtype=np.float64).T * root[channel])
-        if places
-        else (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
-        for channel, (places, columns) in enumerate(sums)
-    ]
+    results = list[IndexedColumns]()
+    for factor, (places, columns) in zip(root.tolist(), sums, strict=True):
+        if not places:
+            results.append((np.zeros(0, dtype=np.int64), np.zeros((0, 0))))
+            continue
+        joined = np.concatenate([one.T for one in columns], dtype=np.float64)
+        joined *= factor  # in place, as the columns are large
+        results.append((np.concatenate(places), joined.T))
+    return results
 
 
 def sum_of_products(one: DerivativesWithWeights, other: DerivativesWithWeights) -> Array:

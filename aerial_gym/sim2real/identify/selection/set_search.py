@@ -38,7 +38,11 @@ from aerial_gym.sim2real.identify.evidence.guard import (
     num_parts_per_flight,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import Model
-from aerial_gym.sim2real.identify.evidence.relinearise import SAME_DEVIATION, refit_from_starts, refit_until_settled
+from aerial_gym.sim2real.identify.evidence.relinearise import (
+    SAME_DEVIATION,
+    refit_from_starts,
+    refit_with_own_tolerances,
+)
 from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     SparseColumns,
@@ -260,19 +264,16 @@ class SetSearch:
         """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
         while (best := view.best_fit).label not in view.own:
             free_other_fitters(view.own, view.present.label)
-            view.add_relinearised_fit(*self.refit_about_own_model(refit_from_starts(best, view.fitter), view.fitter))
+            best, most = refit_from_starts(best, view.fitter), view.present.log_posterior
+            view.add_relinearised_fit(*self.refit_about_own_model(best, view.fitter, best=most))
         free_other_fitters(view.own, view.present.label, best.label)
         return best
 
     def refit_about_own_model(
-        self, fitted: EffectSetFit, about: Fitter, *, least: float = -np.inf
+        self, fitted: EffectSetFit, about: Fitter, **limits: float
     ) -> tuple[EffectSetFit, Fitter]:
-        """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
-
-        Secants correct the derivatives at first. They are computed anew for a set that can reach the log posterior ``least``.
-        """
-        fitted, about, reached = refit_until_settled(fitted, about, self.fitter_at_model, least=least, secant=True)
-        return refit_until_settled(fitted, about, self.fitter_at_model, least=least)[:2] if reached else (fitted, about)
+        """Return a set relinearised about itself, and its fitter; ``limits`` as for ``refit_with_own_tolerances``."""
+        return refit_with_own_tolerances(fitted, about, self.fitter_at_model, **limits)
 
     def fit_probable_sets(self, view: CandidateView) -> None:
         """Fit the sets that are probable in the linear model, in the order of their log posterior.
@@ -317,12 +318,13 @@ class SetSearch:
         """Refit sets about themselves whose deviations differ, and their parts while they lack support and may come near."""
         for fitted in view.sets_elsewhere(models, SAME_DEVIATION):
             about = view.fitter
-            least = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets).least
+            rule = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets)
+            limits = {"best": view.present.log_posterior, "least": rule.least, "enough": rule.enough}
             while fitted.label not in view.own:
                 free_other_fitters(view.own, view.present.label)
-                fitted, about = self.refit_about_own_model(fitted, about, least=least)
+                fitted, about = self.refit_about_own_model(fitted, about, **limits)
                 view.add_relinearised_fit(fitted, about)
-                if fitted.effects and not fitted.is_supported and fitted.most > least:
+                if fitted.effects and not fitted.is_supported and fitted.most > rule.least:
                     fitted = about.refit_without_weakest(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import torch
 
 from aerial_gym.physics import Vehicle
@@ -11,16 +12,20 @@ from aerial_gym.physics.model import Model, add_steady_wind
 from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
-MOST_ROWS = 16000  # Most rows per batch; larger ones exceed the processor's cache and are slower per row
+MOST_ROWS = (
+    16000  # Most rows per batch, but for half a flight; larger ones exceed the processor's cache and are slower per row
+)
 
 
 def group_flights(rows: Sequence[int]) -> list[slice]:
-    """Return the batches of consecutive flights, given their numbers of rows: at most MOST_ROWS, or one longer flight."""
-    ends = [0]
-    for index in range(1, len(rows)):
-        if sum(rows[ends[-1] : index + 1]) > MOST_ROWS:
-            ends.append(index)
-    return [slice(a, b) for a, b in pairwise([*ends, len(rows)])]
+    """Return the batches of consecutive flights, given their numbers of rows: of about MOST_ROWS at most, or one longer flight.
+
+    Several batches are of similar size and even in number, so that two cores finish together.
+    """
+    ends, count = np.cumsum(rows), -(-sum(rows) // MOST_ROWS)
+    count += count % 2 if count > 1 else 0
+    marks = {int(np.abs(ends - ends[-1] * k / count).argmin()) + 1 for k in range(1, count)}
+    return [slice(a, b) for a, b in pairwise(sorted({0, len(rows), *marks}))]
 
 
 def expand_vehicle(vehicle: Vehicle, rows: int) -> Vehicle:

@@ -116,6 +116,7 @@ def test_shapes_that_mujoco_has_not_are_refused_by_name(on_legs: str, tmp_path: 
         build(on_legs, tables(LOW), backend="torch")
 
 
+@pytest.mark.slow
 def test_a_mesh_and_a_compound_carry_as_the_box_that_they_are(on_legs: str, tmp_path: Path) -> None:
     trimesh.creation.box((1.0, 1.0, 0.4)).export(tmp_path / "table.stl")
     half = ShapeCfg(kind="box", size=(0.5, 1.0, 0.4))

@@ -354,6 +354,7 @@ def test_flights_follow_their_reference_with_several_effects(effects: tuple[str,
         assert flight.saturated_share < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarser_plant")
 def test_flights_have_the_features_they_need(tmp_path: Path) -> None:
     short = {"seed": 2, "num_train": 4, "num_test": 0, "duration_s": 1.0}

@@ -133,6 +133,7 @@ def test_evidence_falls_with_the_small_error_that_looks_the_same(case: CaseRecor
     assert evidence["nothing"] == pytest.approx(0.5 * q - 3.0 * np.log(1.0 + q / 6.0), abs=0.01)
 
 
+@pytest.mark.slow
 def test_evidence_of_a_centre_of_mass_needs_places_of_accelerometer_and_velocity() -> None:
     """Without torques only lever arms tell: of a large q, an offset o and two places of error s leave ``2 o² / s²``."""
     offset = {"x": 0.005, "y": 0.0, "z": 0.0}

@@ -247,6 +247,7 @@ def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
     torch.testing.assert_close(turned, run_law(law, at_rest(), [0.0] * 4), rtol=1e-9, atol=0)
 
 
+@pytest.mark.slow
 def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -> None:
     """3 % more weight, the centre of mass 2 mm ahead: of 0.03 g / K_p, and of x, a twentieth at most is left after 20
     s. Without integrals all of it stands after 8 s."""

@@ -35,6 +35,7 @@ def test_the_first_screen_counts_flights_refusals_and_changes(client: Client) ->
         "campaign": 0,
         "no_change": len(VEHICLES) - 2,
         "too_few_flights": 0,
+        "not_testable": 0,
         "": 0,
     }
     assert sum(row["vehicles"] for row in fleet["cohorts"]) == len(VEHICLES)
@@ -47,6 +48,23 @@ def test_the_table_states_cause_size_and_onset_of_changed_vehicles(client: Clien
     assert (first["onset_low"], first["onset_flight"], first["onset_high"]) == (8, 9, 10)
     assert (second["cause"], second["size"]) == ("com offset", "x +0.0060 ± 0.0008 m")
     assert (third["cause"], third["size"]) == (None, None)
+
+
+def test_significant_differences_between_firmware_versions_are_sentences(tmp_path: Path, open_tables: Open) -> None:
+    out = write_fleet(tmp_path, ["alpha"], 4)
+    one = {
+        "firmware": ["1.14", "1.15"],
+        "effect": "weak_motor",
+        "rotor": 2,
+        "parameters": ["scale"],
+        "difference": [-0.02],
+    }
+    one |= {"low": [-0.03], "high": [-0.01], "rejected": True, "leading": True}
+    (out / "cohorts.json").write_text(json.dumps([one, one | {"rejected": False}, one | {"leading": False}]))
+    text = "firmware 1.15 against 1.14: weak motor, rotor 2: scale -0.02 (-0.03 to -0.01)"
+    client = open_tables(out)
+    assert client.json("fleet")["differences"] == [text]
+    assert text in client.page("/")
 
 
 @pytest.mark.parametrize(("sort", "column"), COLUMN.items())

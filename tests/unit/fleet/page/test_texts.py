@@ -4,7 +4,8 @@ from math import inf, nan
 
 import pytest
 
-from aerial_gym.fleet.page.texts import cause_name, change_in_scales, change_text, interval_text, time_text
+from aerial_gym.fleet.page.texts import change_in_scales, change_text, interval_text, time_text
+from aerial_gym.fleet.wording import cause_name
 from tests.unit.fleet.page.fleet_tables import cause
 
 

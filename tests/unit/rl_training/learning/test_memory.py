@@ -97,6 +97,7 @@ def test_an_image_tells_what_a_vector_does_not() -> None:
     assert late_cost(ColumnTask(), 40, policy_keys=("observations",)) > 0.6
 
 
+@pytest.mark.slow
 def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_better() -> None:
     keys = {"policy_keys": ("observations", "depth"), "critic_keys": ("observations", "exact")}
     cfg = settings(8, memory=6, horizon=4, num_minibatches=2, num_epochs=1, hidden_layers=(8,), **keys)

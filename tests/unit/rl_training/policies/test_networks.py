@@ -206,7 +206,7 @@ def test_a_wider_network_does_what_the_other_one_did_whatever_it_sees_in_additio
     narrow, wide = network(5), network(9)
     narrow.update_normalizers({"observations": draw_observations(5)})
     torch.nn.init.normal_(narrow.value_head.weight)
-    load_initial_weights(wide, narrow.state_dict(), where="run")
+    load_initial_weights(wide, narrow.state_dict(), narrow.shapes, where="run")
     for more in (torch.zeros(16, 4), draw_observations(4)):
         observation = {"observations": torch.cat((draw_observations(5), more), dim=1)}
         expected = policy_outputs(narrow, {"observations": draw_observations(5)})
@@ -215,15 +215,27 @@ def test_a_wider_network_does_what_the_other_one_did_whatever_it_sees_in_additio
 
 
 def test_what_cannot_begin_so_is_refused() -> None:
-    given = network(5).state_dict()
+    def load(into: ActorCritic, given: ActorCritic) -> None:
+        load_initial_weights(into, given.state_dict(), given.shapes, where="run")
+
+    given = network(5)
     with pytest.raises(ConfigError, match=r"run: actor.body.layers.0.weight has shape \(8, 5\), here \(7, 9\)"):
-        load_initial_weights(network(9, hidden=(7, 6)), given, where="run")
-    assert_refused(ConfigError, "Only inputs may be added", load_initial_weights, network(4), given, where="run")
-    assert_refused(ConfigError, "actor.log_std", load_initial_weights, network(5, actions=3), given, where="run")
-    assert_refused(ConfigError, "has other networks", load_initial_weights, network(5, hidden=(8,)), given, where="run")
-    two = network(5, sensed=(3,)).state_dict()
-    with pytest.raises(ConfigError, match="that see observations, sensed cannot see more"):
-        load_initial_weights(network(6, sensed=(3,)), two, where="run")
+        load(network(9, hidden=(7, 6)), given)
+    assert_refused(ConfigError, "Only inputs may be added", load, network(4), given)
+    assert_refused(ConfigError, "actor.log_std", load, network(5, actions=3), given)
+    assert_refused(ConfigError, "has other networks", load, network(5, hidden=(8,)), given)
+    assert_refused(ConfigError, "Only inputs may be added", load, network(6, sensed=(2,)), network(5, sensed=(3,)))
+
+
+def test_each_key_may_have_more_inputs() -> None:
+    narrow, wide = network(5, sensed=(3,)), network(7, sensed=(4,))
+    seen = {"observations": draw_observations(5), "sensed": draw_observations(3)}
+    narrow.update_normalizers(seen)
+    torch.nn.init.normal_(narrow.value_head.weight)
+    load_initial_weights(wide, narrow.state_dict(), narrow.shapes, where="run")
+    more = {key: torch.cat((value, draw_observations(n)), dim=1)
+            for (key, value), n in zip(seen.items(), (2, 1), strict=True)}  # fmt: skip
+    torch.testing.assert_close(policy_outputs(wide, more), policy_outputs(narrow, seen), atol=1e-6, rtol=1e-6)
 
 
 def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:

@@ -78,6 +78,7 @@ def test_lost_packets_repeat_the_last_observation() -> None:
     assert figures["1"].success_rate < 0.1
 
 
+@pytest.mark.slow
 def test_intervals_of_a_robot_file_fly_like_plain_evaluations(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(RANGES.format(mean=0.001, std=0.0002))

@@ -74,7 +74,7 @@ def refit_about_own_models(fits: list[EffectSetFit], **options: float) -> tuple[
     class Refits(FitStub):
         weights = None
 
-        def refit_from_other_fitter(self, before: EffectSetFit, _: object) -> EffectSetFit:
+        def refit_from_other_fitter(self, before: EffectSetFit, *_: object) -> EffectSetFit:
             nonlocal number
             assert before is fits[number]
             number += 1

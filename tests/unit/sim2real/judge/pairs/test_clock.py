@@ -80,6 +80,7 @@ def test_both_vehicles_below_each_other_have_one_offset() -> None:
     assert against.max() < 0.8 * gains.max()
 
 
+@pytest.mark.slow
 def test_without_a_wake_nothing_checks_the_clocks() -> None:
     for seed in range(20):
         finding = _finding_on_clock("a and b", log_likelihood_gains([make_pass(0.2, 0.0, seed=seed)]), 0.001)

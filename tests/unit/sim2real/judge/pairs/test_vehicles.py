@@ -34,6 +34,7 @@ def verdict_on_drags(folder: Path, drags: tuple[float, float]) -> Verdict:
     return judge_flights(ROBOT, *flights, effects=("rotor_drag",), criteria=Criteria()).verdict
 
 
+@pytest.mark.slow
 def test_vehicles_that_are_alike_share_their_parameters(tmp_path: Path) -> None:
     verdict = verdict_on_drags(tmp_path, (0.25, 0.25))
     assert [effect.name for effect in verdict.effects] == ["rotor_drag"]
@@ -41,6 +42,7 @@ def test_vehicles_that_are_alike_share_their_parameters(tmp_path: Path) -> None:
     assert "vehicle_alone" not in [point.code for point in verdict.open_points]
 
 
+@pytest.mark.slow
 def test_an_effect_of_one_vehicle_is_found_on_that_one(tmp_path: Path) -> None:
     verdict = verdict_on_drags(tmp_path, (0.0, 0.3))
     assert verdict.verdict == "ambiguous"

@@ -242,6 +242,7 @@ def sufficient(
     return are_gusts_sufficient(predictor, params, selection)
 
 
+@pytest.mark.slow
 def test_gusts_suffice_only_if_no_other_cause_acts_beside_them() -> None:
     """A mean wind of 2 m/s, a thrust that is off by 6 % and a torque are no gusts, nor those that the robot file declares."""
     gusty = [fly_in_wind(number, 1.2, gain=2.0) for number in range(4)]

@@ -35,6 +35,7 @@ from aerial_gym.sim2real.predict.round_trip.autopilot import (
     px4_parameters,
 )
 from aerial_gym.sim2real.predict.rows.batches import expand_vehicle
+from tests.repetitions import rare_values
 
 PX4 = {
     **{f"MC_{axis}RATE_{key}": value for axis in ("ROLL", "PITCH") for key, value in (("P", 0.15), ("I", 0.2), ("D", 0.003))},
@@ -152,7 +153,7 @@ def robot_with_slow_rotors(robot: RobotCfg, factor: float) -> RobotCfg:
     return replace(robot, rotor=replace(robot.rotor, **times))
 
 
-@pytest.mark.parametrize("name", FLIGHTS)
+@pytest.mark.parametrize("name", rare_values(FLIGHTS, ("px4_rates", "px4_position", "crazyflie")))
 def test_the_true_vehicle_repeats_its_flight_and_a_planted_error_does_not(name: str) -> None:
     """The law and the integrator are those of the flight, so that only the mean of the gyro by the trapezoidal rule is off.
     Corrected is the declared vehicle with the effect that removes the planted error."""
