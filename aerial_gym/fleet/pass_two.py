@@ -274,8 +274,9 @@ def _beyond_campaigns(
     """Return the results with evidence against the campaigns of the fleet, which a run over all vehicles stores."""
     file, known = reader.model_file().with_suffix(".campaigns.json"), dict[tuple[str, int], Any]()
     if not is_whole and file.is_file():
-        stored = json.loads(file.read_text(encoding="utf-8"))
-        known = {(effect, rotor): np.array(logs) for effect, rotor, logs in stored}
+        known = {
+            (effect, rotor): np.array(logs) for effect, rotor, logs in json.loads(file.read_text(encoding="utf-8"))
+        }
     fleet = module.campaign_evidence((one.change for one in results), known)
     if is_whole:
         write_atomic(file, json.dumps([[*cause, logs.tolist()] for cause, logs in fleet.items()]))

@@ -70,9 +70,7 @@ class ChangeResult:
     flights: int
     log_e: float = 0.0  # Log evidence of any change against none, without the flight that supports it most
     support: Support = field(default_factory=dict)  # With all flights; without the best cause, where that is clear
-    robust_support: tuple[
-        Support, ...
-    ] = ()  # Of the candidates, without each of the flights that support the change most
+    robust_support: tuple[Support, ...] = ()  # Of the candidates, without each of the most telling flights
     causes: tuple[Change, ...] = ()  # Empty with less than two flights, or without a visible effect
     odd_flights: tuple[int, ...] = ()  # Indices of flights that deviate alone, and are left out
     firmware_change: tuple[str, str] | None = None  # Old and new firmware, if it changed within the onset's interval
@@ -90,8 +88,12 @@ class ChangeResult:
         return self.log_e > EVIDENT
 
     def count_flights(self, kept: Indices, end: int = 0) -> Self:
-        """Return the result with onsets among all flights; of those judged, the ones after the end of a change come first."""
-        return replace(self, causes=tuple(one.count_flights(kept, end) for one in self.causes))
+        """Return the result with flights counted among all; of those judged, the ones after the end of a change come first."""
+        return replace(
+            self, causes=tuple(one.count_flights(kept, end) for one in self.causes),
+            odd_flights=tuple(int(kept[k]) for k in self.odd_flights), end=None if self.end is None else int(kept[self.end]),
+            second=self.second and self.second.count_flights(kept),
+        )  # fmt: skip
 
     def renumber(self, numbers: Indices) -> Self:
         """Return the result with the numbers of the flights in place of their indices."""

@@ -98,8 +98,8 @@ def vehicle_posterior(
     root = np.sqrt(model.var_vehicle)
     scan = ChangeScan.from_flights(flights.product, flights.gradient, model.mean, model.var_flight, root)
     scale, neutral = (np.array([getattr(column, name) for column in columns]) for name in ("scale", "neutral"))
-    mean: Array = neutral + scale * (model.mean + scan.base())
-    std: Array = np.sqrt(scan.base_cov(np.arange(root.size)).diagonal()) * scale
+    std: Array = np.sqrt(scan.base_cov(np.arange(root.size)).diagonal())
+    mean, std = neutral + scale * (model.mean + scan.base()), scale * std
     for k, column in enumerate(columns):
         mean[k], std[k] = named.get((column.effect, column.rotor, column.parameter), (mean[k], std[k]))
     return VehiclePosterior(mean=mean, std=std)
