@@ -1,6 +1,7 @@
 """Refits of a set of effects with the tolerances linearised about the set itself, and from other starts of its effects."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
@@ -16,21 +17,16 @@ MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of
 
 def refit_with_own_tolerances(
     fitted: EffectSetFit, about: Fitter, fitter_at_model: Callable[..., Fitter], *,
-    best: float, least: float = -np.inf, enough: float = 0.0,
+    best: float, window: float, rule: StopRule = CONVERGENCE,
 ) -> tuple[EffectSetFit, Fitter]:  # fmt: skip
     """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
-    Secants correct the derivatives at first. Fits may then leave ``enough`` log likelihood to their linear model.
-    Derivatives are computed anew for a set that can reach the log posterior ``least``, until it cannot reach the ``best``
-    one. They are not if secants changed a log posterior below the best one by less than ``enough``.
+    Secants correct the derivatives at first, by fits with a stopping ``rule``. Derivatives are computed anew for a set that
+    can reach the rule's least log posterior, until it cannot come within ``window`` of the ``best`` one.
     """
-    before, rule = fitted.log_posterior, StopRule(enough=max(enough, CONVERGENCE.enough))
-    settings = {"least": least, "secant": True, "rule": rule}
-    fitted, about, reached = refit_until_settled(fitted, about, fitter_at_model, **settings)
-    is_settled = fitted.log_posterior < best and abs(fitted.log_posterior - before) < enough
-    if is_settled or not reached:
-        return fitted, about
-    return refit_until_settled(fitted, about, fitter_at_model, least=best)[:2]
+    settings = {"least": rule.least, "rule": replace(rule, least=-np.inf)}
+    fitted, about, reached = refit_until_settled(fitted, about, fitter_at_model, secant=True, **settings)
+    return refit_until_settled(fitted, about, fitter_at_model, least=best - window)[:2] if reached else (fitted, about)
 
 
 def refit_until_settled(

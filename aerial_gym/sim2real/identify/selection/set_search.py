@@ -61,7 +61,13 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     rms_caused_by_tolerances,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, fit_of_moments, least_squares_step_in_bounds
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    CONVERGENCE,
+    UNIT,
+    StopRule,
+    fit_of_moments,
+    least_squares_step_in_bounds,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.candidate_view import (
     CandidateView,
@@ -264,16 +270,17 @@ class SetSearch:
         """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
         while (best := view.best_fit).label not in view.own:
             free_other_fitters(view.own, view.present.label)
-            best, most = refit_from_starts(best, view.fitter), view.present.log_posterior
-            view.add_relinearised_fit(*self.refit_about_own_model(best, view.fitter, best=most))
+            best = refit_from_starts(best, view.fitter)
+            view.add_relinearised_fit(*self.refit_about_own_model(best, view.fitter, view.present))
         free_other_fitters(view.own, view.present.label, best.label)
         return best
 
     def refit_about_own_model(
-        self, fitted: EffectSetFit, about: Fitter, **limits: float
+        self, fitted: EffectSetFit, about: Fitter, present: EffectSetFit, rule: StopRule = CONVERGENCE
     ) -> tuple[EffectSetFit, Fitter]:
-        """Return a set relinearised about itself, and its fitter; ``limits`` as for ``refit_with_own_tolerances``."""
-        return refit_with_own_tolerances(fitted, about, self.fitter_at_model, **limits)
+        """Return a set relinearised about itself, as exactly as its distance to the ``present`` one asks, and its fitter."""
+        limits = {"best": present.log_posterior, "window": occam_window(present)}
+        return refit_with_own_tolerances(fitted, about, self.fitter_at_model, **limits, rule=rule)
 
     def fit_probable_sets(self, view: CandidateView) -> None:
         """Fit the sets that are probable in the linear model, in the order of their log posterior.
@@ -319,10 +326,9 @@ class SetSearch:
         for fitted in view.sets_elsewhere(models, SAME_DEVIATION):
             about = view.fitter
             rule = view.stop_rule_of_comparison(beside=not fitted.has_no_structures_but_offsets)
-            limits = {"best": view.present.log_posterior, "least": rule.least, "enough": rule.enough}
             while fitted.label not in view.own:
                 free_other_fitters(view.own, view.present.label)
-                fitted, about = self.refit_about_own_model(fitted, about, **limits)
+                fitted, about = self.refit_about_own_model(fitted, about, view.present, rule)
                 view.add_relinearised_fit(fitted, about)
                 if fitted.effects and not fitted.is_supported and fitted.most > rule.least:
                     fitted = about.refit_without_weakest(fitted)

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.learned import CrossValidation
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE, StopRule
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window, rival_sets
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
@@ -82,7 +82,7 @@ def test_near_rivals_are_compared_about_themselves_if_their_deviations_move(move
     best = replace(make_fit("com_offset"), deviation=np.zeros(2))
     rivals = [replace(make_fit(name, log=-1e3), deviation=np.array([0.0, moved])) for name in NAMES[1:]]
     view, climber = make_view({(0,): 0.0, (1,): -102.0, (2,): -100.0, (3,): -104.0}, best, *rivals), SearchStub()
-    climber.refit_about_own_model = lambda fitted, about, **_: (replace(fitted, log_posterior=5.0), about)
+    climber.refit_about_own_model = lambda fitted, about, *_: (replace(fitted, log_posterior=5.0), about)
     climber.fit_nearest_rivals(view)
     drag, quadratic, wind = (one.label for one in rivals)
     assert view.fits[drag].log_posterior == view.fits[quadratic].log_posterior == log
@@ -119,24 +119,20 @@ class SearchStub(SetSearch):
         self.declared = ModelParams()
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "anew"),
-    [(-20.0, -18.5, False), (-20.0, -17.5, True), (-11.0, -9.5, True)],
-    ids=["little changed by secants", "much changed", "more probable than the best"],
-)
-def test_derivatives_of_a_rival_are_computed_anew_where_that_can_matter(
-    monkeypatch: pytest.MonkeyPatch, before: float, after: float, anew: bool
+@pytest.mark.parametrize("reached", [True, False])
+def test_derivatives_are_computed_anew_only_for_rivals_within_reach(
+    monkeypatch: pytest.MonkeyPatch, reached: bool
 ) -> None:
-    limits = []
+    """They are until it cannot come within Occam's window of the present set."""
+    limits, rival, present = [], make_fit("rotor_drag", log=-20.0), make_fit("com_offset", log=-10.0)
 
     def refit(fitted: EffectSetFit, about: Fitter, *_: object, **settings: float) -> tuple[EffectSetFit, Fitter, bool]:
         limits.append((settings.get("secant", False), settings["least"]))
-        return replace(fitted, log_posterior=after), about, True
+        return fitted, about, reached
 
     monkeypatch.setattr("aerial_gym.sim2real.identify.evidence.relinearise.refit_until_settled", refit)
-    rival = make_fit("rotor_drag", log=before)
-    SearchStub().refit_about_own_model(rival, FitStub(), best=-10.0, least=-30.0, enough=2.0)
-    assert limits == [(True, -30.0), (False, -10.0)][: 1 + anew]
+    SearchStub().refit_about_own_model(rival, FitStub(), present, StopRule(least=-30.0))
+    assert limits == [(True, -30.0), (False, -10.0 - occam_window(present))][: 1 + reached]
 
 
 @pytest.mark.parametrize(("moved", "refitted"), [(0.6, True), (0.4, False)])
@@ -145,7 +141,7 @@ def test_a_set_without_an_effect_whose_deviations_moved_is_compared_about_itself
     best = replace(make_fit("com_offset"), deviation=np.zeros(2))
     less = replace(make_fit(log=-1e3), deviation=np.array([0.0, moved]))
     view, climber = make_view({(0,): 0.0, (): -1e6}, best, less), SearchStub()
-    climber.refit_about_own_model = lambda fitted, about, **_: (replace(fitted, log_posterior=5.0), about)
+    climber.refit_about_own_model = lambda fitted, about, *_: (replace(fitted, log_posterior=5.0), about)
     climber.refit_moved_sets(view)
     assert less.label in view.fits
     assert (less.label in view.own) == refitted
@@ -160,7 +156,7 @@ def test_a_smaller_set_that_lacks_support_is_left_for_its_part_about_itself() ->
     view, climber = make_view({(0, 1): 0.0, (0,): -1e6, (1,): -1e6}, best, less, empty), SearchStub()
     candidates = tuple(replace(one, named=k < 2) for k, one in enumerate(view.library.candidates))
     view = replace(view, library=replace(view.library, candidates=candidates))
-    climber.refit_about_own_model = lambda fitted, about, **_: (replace(fitted, log_posterior=5.0), about)
+    climber.refit_about_own_model = lambda fitted, about, *_: (replace(fitted, log_posterior=5.0), about)
     climber.refit_moved_sets(view)
     assert {less.label, empty.label} <= view.own.keys()
     assert view.best_fit.effects == ()
