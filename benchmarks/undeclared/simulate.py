@@ -49,13 +49,14 @@ def fly_references(
     surroundings: PlantSurroundings | None = None,
     battery: Battery | None = None,
     pilot: PlantPilot | None = None,
-    substeps: int = SUBSTEPS,
+    substeps: int | None = None,
 ) -> PlantRecord:
     """Return the record of all flights of ``reference``; the autopilot, if no pilot is given, is built from ``declared`` alone.
 
-    ``substeps``: Runge-Kutta steps per autopilot tick. A delay of the true vehicle is rounded to whole steps of the plant;
+    ``substeps``: Runge-Kutta steps per autopilot tick, by default ``SUBSTEPS``. A delay of the true vehicle is rounded to whole steps of the plant;
     before the first command arrives it holds.
     """
+    substeps = substeps or SUBSTEPS  # read at the call: tests set it
     num_samples, num_flights = reference.yaw.shape
     surroundings = surroundings or PlantSurroundings()
     plant, dt = make_plant(true, surroundings), 1.0 / CONTROL_RATE

@@ -10,7 +10,7 @@ import numpy as np
 
 from aerial_gym.config import read_yaml
 from aerial_gym.sim2real import close_loop
-from benchmarks.undeclared import PlantFailure, make_case, simulate
+from benchmarks.undeclared import PlantFailure, make_case
 
 HAS_PROSE = True
 
@@ -81,7 +81,6 @@ def robot_yaml_with_origins(item: str) -> str:
 
 def _close_loop(item: str, folder: Path) -> Path:
     """Fly a case and close the loop; return the folder of the results."""
-    simulate.SUBSTEPS = 2  # steps of 1.25 ms move no flight by 1e-7 mm
     files = make_case(folder / "case", **FLIGHTS | CASES[item])
     close_loop(files.robot, files.train, files.test, folder / "out", **OPTIONS.get(item, {}))
     return folder / "out"

@@ -64,6 +64,12 @@ class SweepMotion:
             attitude = Rotation.from_rotvec(turn) * attitude
         return place, Rotation.from_rotvec(share * self.turns[substep]) * attitude
 
+    def tile(self, times: int) -> "SweepMotion":
+        """Return the motions of all bodies, then all of them again, so many times."""
+        attitude = Rotation.from_quat(np.tile(self.attitude.as_quat(), (times, 1)))
+        shifts, turns = (np.tile(part, (1, times, 1)) for part in (self.shifts, self.turns))
+        return SweepMotion(np.tile(self.start, (times, 1)), attitude, shifts, turns)
+
     def translate(self, by: Array) -> "SweepMotion":
         return SweepMotion(self.start + by, self.attitude, self.shifts, self.turns)
 
@@ -161,14 +167,15 @@ def heights(
     hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, robot: SweepMotion, other: SweepMotion, n: Array
 ) -> Array:
     """Return the height of the robot above the plane that supports the part along n, at all times, (K TIMES, N)."""
-    result = []
+    times, result = np.linspace(0.0, 1.0, TIMES).repeat(len(n)), []
+    robot, other, own = robot.tile(TIMES), other.tile(TIMES), np.tile(n, (TIMES, 1))
     for j in range(len(robot.shifts)):
-        for s in np.linspace(0.0, 1.0, TIMES):
-            (x, q), (y, p) = robot.pose(j, s), other.pose(j, s)
-            world = p.apply(n)
-            low = -hull_reach(hull, -q.inv().apply(world))
-            result.append(np.einsum("nd,nd->n", world, x - y) + low - part_reach(part, n))
-    return np.asarray(result)
+        (x, q), (y, p) = robot.pose(j, times), other.pose(j, times)
+        world = p.apply(own)
+        low = -hull_reach(hull, -q.inv().apply(world))
+        height = np.einsum("nd,nd->n", world, x - y) + low - part_reach(part, own)
+        result.append(height.reshape(TIMES, len(n)))
+    return np.concatenate(result)
 
 
 def clear_passes(

@@ -249,7 +249,7 @@ def test_it_converges_to_the_motion_of_rk4_with_order_2() -> None:
         {"added_mass": added, "buoyancy": {"force": 30.0, "x": 0.0, "y": 0.02, "z": 0.1}}, seed=3, gravity=G
     )
     start = tumble_state(4, seed=4)
-    exact = fly(model, start, 0.5, 0.00125, "rk4")
+    exact = fly(model, start, 0.5, 0.0025, "rk4")
     errors = [float((fly(model, start, 0.5, dt).ang_vel - exact.ang_vel).norm()) for dt in (0.02, 0.01, 0.005)]
     for coarse, fine in pairwise(errors):
         assert log2(coarse / fine) == pytest.approx(2.0, abs=0.1)

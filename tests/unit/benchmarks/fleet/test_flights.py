@@ -33,7 +33,7 @@ def test_a_drift_grows_to_its_final_size_and_a_step_has_it_at_once() -> None:
     assert parameters_of_cause(drift, "moderate", 0.0) == {}
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("coarser_plant")
 def test_a_weak_rotor_turns_faster_since_its_onset(tmp_path: Path) -> None:
     fleet = replace(SMALL, out=tmp_path, flights=3, size="large")
     plan = replace(plan_fleet(SMALL)[0], cause="weak_motor", kind="step", onset=3)

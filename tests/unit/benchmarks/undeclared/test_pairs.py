@@ -25,7 +25,7 @@ def test_references_take_turns_above_each_other_and_are_consistent() -> None:
             np.testing.assert_allclose(getattr(reference, rate)[5:-5], slope, atol=0.02 * scale)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("coarser_plant")
 def test_logs_of_a_pair_share_a_clock_unless_it_is_hidden(tmp_path: Path) -> None:
     files = make_pair_case(tmp_path / "a", "clocks apart", seed=5, duration_s=1.0, rate_hz=100)
     assert len(files.train) == 8
