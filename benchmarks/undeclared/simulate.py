@@ -53,8 +53,8 @@ def fly_references(
 ) -> PlantRecord:
     """Return the record of all flights of ``reference``; the autopilot, if no pilot is given, is built from ``declared`` alone.
 
-    ``substeps``: Runge-Kutta steps per autopilot tick, by default ``SUBSTEPS``. A delay of the true vehicle is rounded to whole steps of the plant;
-    before the first command arrives it holds.
+    ``substeps``: Runge-Kutta steps per autopilot tick, by default ``SUBSTEPS``. A delay of the true vehicle is rounded to whole
+    steps of the plant; before the first command arrives it holds.
     """
     substeps = substeps or SUBSTEPS  # read at the call: tests set it
     num_samples, num_flights = reference.yaw.shape

@@ -1,5 +1,6 @@
 """The quick golden results, compared with their reference files in processes of their own; ``make golden`` compares all."""
 
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -13,6 +14,7 @@ from benchmarks.undeclared.vehicle import DECLARED
 from tests.golden.__main__ import REFERENCE, TOPICS
 from tests.golden.cases import CASES, FLIGHTS
 from tests.golden.compare import compact, differences, is_machine_bound, read
+from tests.golden.worker import SETTINGS
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,7 +23,9 @@ def test_quick_results_are_those_of_the_reference() -> None:
     """The reference of the interface holds what classes inherit from gymnasium 0.29, so it counts with that version alone."""
     topics = TOPICS if version("gymnasium").startswith("0.29") else [name for name in TOPICS if name != "interface"]
     command = [sys.executable, "-m", "tests.golden", *topics, "--quick", "--jobs", "1"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, encoding="utf-8", check=False)
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | SETTINGS, capture_output=True, encoding="utf-8", check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
 
 

@@ -12,6 +12,8 @@ from aerial_gym.cli.record import FlightRecorder
 from aerial_gym.math.quaternion import quat_rotate
 from tests.unit.sim2real.logs.foxglove_files import read_and_check
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 pytest.importorskip("mcap")
 
 

@@ -29,6 +29,8 @@ from aerial_gym.sensors.mounts import Carrier
 from aerial_gym.sensors.scan import column_group_ages
 from tests.builders import simulation
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 HINGE, END, RADIUS = 0.1, 0.5, 0.05
 DOWN, LEFT = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 """Axes about which a positive angle takes the arm down, or to the left."""

@@ -20,6 +20,8 @@ from aerial_gym.sensors.mounts import Carrier
 from tests.builders import simulation
 from tests.physics.sensor_rig import LEVEL, make_wall, shoot
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 COMMON = {
     "summary": "test", "width": 36, "height": 28, "min_range": 0.0, "max_range": 20.0, "optical_flow": True,
     "source": "chosen for the test",

@@ -25,6 +25,8 @@ from tests.physics.test_ray_caster import pixel_rays, rotation
 from tests.repetitions import rare_values
 from tests.unit.env_manager.test_batch_independence import assert_same
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 E = 2
 RADIUS = 0.3
 COMMON = {"summary": "test", "min_range": 0.0, "max_range": 20.0, "source": "chosen for the test"}

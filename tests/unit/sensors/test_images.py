@@ -18,6 +18,8 @@ from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_imag
 from aerial_gym.sensors.images import POISON, NearestInCells, arrays_type, sensor_images
 from aerial_gym.sensors.mounts import Carrier
 
+pytestmark = pytest.mark.usefixtures("few_rays")
+
 SIZE = {"width": 8, "height": 6, "hfov_deg": 60.0, "min_range": 0.0, "max_range": 5.0, "source": "chosen for the test"}
 STEREO = StereoCfg(
     summary="every image that there is", baseline=-0.1, points="sensor", normals="world", face_ids=True, optical_flow=True,

@@ -254,7 +254,7 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
 def test_batches_on_two_threads_are_predicted_as_on_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit, whatever was predicted before, and each batch on a thread of its own."""
     monkeypatch.setattr("aerial_gym.sim2real.predict.rows.batches.MOST_ROWS", 1)
-    flights = load_tables(tmp_path, [flight(seed, seconds=3.0 + seed) for seed in range(2)])
+    flights = load_tables(tmp_path, [flight(seed, seconds=2.1 + seed) for seed in range(2)])
     names, predict = set[str](), FlightBatch.predict
 
     def predict_on_known_thread(batch: FlightBatch, *arguments: object) -> list[Columns]:
