@@ -1,6 +1,6 @@
 """The check of the clocks of two vehicles' logs: the time at which one feels the wake of the other. Letters: T rows."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -77,10 +77,11 @@ def log_likelihood_gains(seen: Sequence[tuple[Flight, Array, Array]]) -> Array:
     """
     force = np.concatenate([part - part.mean(axis=0) for _, _, part in seen])
     projections, sizes = np.zeros((2, OFFSETS.size, WIDTHS.size))
+    wakes = [_wakes_of_flight(flight, time) for flight, time, _ in seen]
     for index, offset in enumerate(OFFSETS):
-        for flight, time, part in seen:
+        for wakes_at, (_, _, part) in zip(wakes, seen, strict=True):
             projections[index], sizes[index] = np.add(
-                (projections[index], sizes[index]), _wake_sums(part, _wakes_at_offset(flight, time, offset)[0])
+                (projections[index], sizes[index]), _wake_sums(part, wakes_at(offset)[0])
             )
     sizes = np.maximum(sizes, 1e-9)
     down, up = (np.maximum(sign * projections, 0.0) ** 2 / sizes for sign in (1.0, -1.0))  # fall of the sum of squares
@@ -89,20 +90,26 @@ def log_likelihood_gains(seen: Sequence[tuple[Flight, Array, Array]]) -> Array:
     return 0.5 * share * force.size * np.maximum(down.max(axis=1) - float(up.max()), 0.0) / left
 
 
-def _wakes_at_offset(flight: Flight, time: Array, offset: float) -> tuple[Array, Flags]:
-    """Return Gaussian wakes of unit force at a clock offset, (T, 3, widths), and the rows with a known other vehicle, (T,)."""
+def _wakes_of_flight(flight: Flight, time: Array) -> Callable[[float], tuple[Array, Flags]]:
+    """Return the function from a clock offset [s] to Gaussian wakes of unit force, (T, 3, widths), and the rows with a known
+    other vehicle, (T,)."""
     rows = rows_at_times(flight, time)
     assert flight.pair is not None
     assert flight.position is not None
     assert flight.other_position is not None
+    others, own = flight.other_position.T, flight.position[rows]
     down = Rotation.from_quat(flight.attitude[rows]).apply([0.0, 0.0, -1.0], inverse=True)
-    at = time + (1.0 if flight.pair.vehicle else -1.0) * offset  # the other log is the second one for the first vehicle
-    other = np.stack([np.interp(at, flight.time, one, np.nan, np.nan) for one in flight.other_position.T], axis=1)
-    away = other - flight.position[rows]
-    acts = (away[:, 2] > 0.0)[:, None]  # False where the other vehicle is unknown
-    square = np.where(acts, (away[:, :2] ** 2).sum(axis=1)[:, None], 0.0)
-    wakes = (acts * np.exp(-0.5 * square / WIDTHS**2))[:, None] * down[:, :, None]
-    return wakes, ~np.isnan(other).any(axis=1)
+    sign = 1.0 if flight.pair.vehicle else -1.0  # the other log is the second one for the first vehicle
+
+    def wakes_at(offset: float) -> tuple[Array, Flags]:
+        other = np.stack([np.interp(time + sign * offset, flight.time, one, np.nan, np.nan) for one in others], axis=1)
+        away = other - own
+        acts = (away[:, 2] > 0.0)[:, None]  # False where the other vehicle is unknown
+        square = np.where(acts, (away[:, :2] ** 2).sum(axis=1)[:, None], 0.0)
+        wakes = (acts * np.exp(-0.5 * square / WIDTHS**2))[:, None] * down[:, :, None]
+        return wakes, ~np.isnan(other).any(axis=1)
+
+    return wakes_at
 
 
 def _wake_sums(part: Array, wakes: Array) -> Array:
@@ -113,19 +120,20 @@ def _wake_sums(part: Array, wakes: Array) -> Array:
 
 def equal_offsets(seen: Sequence[tuple[Flight, Array, Array]], best: float) -> Array:
     """Return the offsets [s] whose wake fits as well as that of the best one, on the rows known with both."""
-    own = [_wakes_at_offset(flight, time, best) for flight, time, _ in seen]
-    results = list[float]()
+    functions = [_wakes_of_flight(flight, time) for flight, time, _ in seen]
+    shares = [float(share_of_independent_rows(part).mean()) for _, _, part in seen]
+    own, results = [wakes_at(best) for wakes_at in functions], list[float]()
     for offset in OFFSETS[::2]:
         sums, power, rows, share = np.zeros((2, 2, WIDTHS.size)), 0.0, 0, list[float]()
-        for (flight, time, part), (wakes, known) in zip(seen, own, strict=True):
-            other, also = _wakes_at_offset(flight, time, float(offset))
+        for (_, _, part), wakes_at, (wakes, known), own_share in zip(seen, functions, own, shares, strict=True):
+            other, also = wakes_at(float(offset))
             both = known & also
             if both.sum() < LEAST_ROWS:
                 continue
             sums += np.stack([_wake_sums(part[both], each[both]) for each in (wakes, other)])
             power += float(((part[both] - part[both].mean(axis=0)) ** 2).sum())
             rows += 3 * int(both.sum())
-            share.append(float(share_of_independent_rows(part).mean()))
+            share.append(own_share)
         fall = (np.maximum(sums[:, 0], 0.0) ** 2 / np.maximum(sums[:, 1], 1e-9)).max(axis=1)
         if rows and 0.5 * np.mean(share) * rows * (fall[0] - fall[1]) < INTERVAL * (power - fall[0]):
             results.append(float(offset))
