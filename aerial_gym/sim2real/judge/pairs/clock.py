@@ -79,9 +79,9 @@ def log_likelihood_gains(seen: Sequence[tuple[Flight, Array, Array]]) -> Array:
     projections, sizes = np.zeros((2, OFFSETS.size, WIDTHS.size))
     wakes = [_wakes_of_flight(flight, time) for flight, time, _ in seen]
     for index, offset in enumerate(OFFSETS):
-        for wakes_at, (_, _, part) in zip(wakes, seen, strict=True):
+        for wakes_by_offset, (_, _, part) in zip(wakes, seen, strict=True):
             projections[index], sizes[index] = np.add(
-                (projections[index], sizes[index]), _wake_sums(part, wakes_at(offset)[0])
+                (projections[index], sizes[index]), _wake_sums(part, wakes_by_offset(offset)[0])
             )
     sizes = np.maximum(sizes, 1e-9)
     down, up = (np.maximum(sign * projections, 0.0) ** 2 / sizes for sign in (1.0, -1.0))  # fall of the sum of squares
@@ -97,19 +97,21 @@ def _wakes_of_flight(flight: Flight, time: Array) -> Callable[[float], tuple[Arr
     assert flight.pair is not None
     assert flight.position is not None
     assert flight.other_position is not None
-    others, own = flight.other_position.T, flight.position[rows]
+    other_position, own = flight.other_position.T, flight.position[rows]
     down = Rotation.from_quat(flight.attitude[rows]).apply([0.0, 0.0, -1.0], inverse=True)
     sign = 1.0 if flight.pair.vehicle else -1.0  # the other log is the second one for the first vehicle
 
-    def wakes_at(offset: float) -> tuple[Array, Flags]:
-        other = np.stack([np.interp(time + sign * offset, flight.time, one, np.nan, np.nan) for one in others], axis=1)
+    def wakes_by_offset(offset: float) -> tuple[Array, Flags]:
+        other = np.stack(
+            [np.interp(time + sign * offset, flight.time, one, np.nan, np.nan) for one in other_position], axis=1
+        )
         away = other - own
         acts = (away[:, 2] > 0.0)[:, None]  # False where the other vehicle is unknown
         square = np.where(acts, (away[:, :2] ** 2).sum(axis=1)[:, None], 0.0)
         wakes = (acts * np.exp(-0.5 * square / WIDTHS**2))[:, None] * down[:, :, None]
         return wakes, ~np.isnan(other).any(axis=1)
 
-    return wakes_at
+    return wakes_by_offset
 
 
 def _wake_sums(part: Array, wakes: Array) -> Array:
@@ -122,18 +124,20 @@ def equal_offsets(seen: Sequence[tuple[Flight, Array, Array]], best: float) -> A
     """Return the offsets [s] whose wake fits as well as that of the best one, on the rows known with both."""
     functions = [_wakes_of_flight(flight, time) for flight, time, _ in seen]
     shares = [float(share_of_independent_rows(part).mean()) for _, _, part in seen]
-    own, results = [wakes_at(best) for wakes_at in functions], list[float]()
+    own, results = [wakes_by_offset(best) for wakes_by_offset in functions], list[float]()
     for offset in OFFSETS[::2]:
         sums, power, rows, share = np.zeros((2, 2, WIDTHS.size)), 0.0, 0, list[float]()
-        for (_, _, part), wakes_at, (wakes, known), own_share in zip(seen, functions, own, shares, strict=True):
-            other, also = wakes_at(float(offset))
+        for (_, _, part), wakes_by_offset, (wakes, known), share_of_rows in zip(
+            seen, functions, own, shares, strict=True
+        ):
+            other, also = wakes_by_offset(float(offset))
             both = known & also
             if both.sum() < LEAST_ROWS:
                 continue
             sums += np.stack([_wake_sums(part[both], each[both]) for each in (wakes, other)])
             power += float(((part[both] - part[both].mean(axis=0)) ** 2).sum())
             rows += 3 * int(both.sum())
-            share.append(own_share)
+            share.append(share_of_rows)
         fall = (np.maximum(sums[:, 0], 0.0) ** 2 / np.maximum(sums[:, 1], 1e-9)).max(axis=1)
         if rows and 0.5 * np.mean(share) * rows * (fall[0] - fall[1]) < INTERVAL * (power - fall[0]):
             results.append(float(offset))
