@@ -203,7 +203,7 @@ def test_a_captured_step_of_vehicles_that_sense_each_other_is_the_eager_step_and
         })  # fmt: skip
     for key, value in result[1].items():
         assert torch.equal(result[2][key], value), key
-        close = (result[0][key].float() - value.float()).abs() <= 1e-2 + 1e-3 * value.abs()
+        close = (result[0][key].float() - value.float()).abs() <= 1e-2 + 1e-3 * value.float().abs()
         assert close.float().mean() > 0.98, key  # a pixel at an edge may see the one or the other side
 
 
