@@ -195,12 +195,15 @@ def print_summary(summary: "FleetSummary", out: Path, *, as_json: bool) -> None:
         print(f"close-loop on vehicle {vehicle}, {text}")
     for text in texts_of_differences(summary.cohorts):
         print(text)
-    counts = f"{summary.vehicles} vehicles; logs: {summary.new} new, {summary.known} known"
+    word = "vehicle" if summary.vehicles == 1 else "vehicles"
+    counts = f"{summary.vehicles} {word} with usable flights; logs: {summary.new} new, {summary.known} known"
     refused, unread = sum(summary.refused.values()), len(summary.unread)
     parts = [(refused, "refused"), (summary.copies, "with known content"), (unread, "not delivered by the store")]
     print(", ".join([counts, *(f"{count} {state}" for count, state in parts if count)]))
     for reason, count in summary.refused.most_common(3):
         print(f"  refused {count}: {reason}")
+    if hidden := summary.refused.most_common()[3:]:
+        print(f"  refused {sum(count for _, count in hidden)} for other reasons: column reason of table flights")
     for path, reason in list(summary.unread.items())[:3]:
         print(one_line(f"  not delivered, tried again by the next run: {path} ({reason})"))
-    print(f"next: aerial-gym fleet view --out {out}")
+    print(f"next: aerial-gym fleet view --tables {out}")

@@ -163,7 +163,9 @@ class PassOne:
         }  # fmt: skip
         if result is None:
             known = ", ".join(self._fleet.robots)
-            return LogRows(flight=flight | {"reason": f"no robot file for vehicle {vehicle!r}. Known robots: {known}"})
+            way = f"give {vehicle}.yaml in --robots (aerial-gym robot from-log drafts one) or a rule in --rules"
+            reason = f"no robot file for vehicle {vehicle!r}: {way}. Known robots: {known}"
+            return LogRows(flight=flight | {"reason": reason})
         if result is _KNOWN:
             return LogRows(flight=flight | {"status": "known"})
         if hasattr(result, "reason"):

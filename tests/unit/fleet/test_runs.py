@@ -140,7 +140,9 @@ def test_log_without_robot_file_is_tried_again(tmp_path: Path) -> None:
     both["hashes"] = {"vehicle_0": robot.hashes["quad"], "other": robot.hashes["quad"]}
     write_fleet(tmp_path / "logs", vehicles=2, flights=2, bad=False)
     summary = run(tmp_path / "logs", tmp_path / "out", fleet=type(robot)(**both))
-    assert list(summary.refused) == ["no robot file for vehicle 'vehicle_1'. Known robots: vehicle_0, other"]
+    (reason,) = summary.refused
+    assert reason.startswith("no robot file for vehicle 'vehicle_1': give vehicle_1.yaml in --robots")
+    assert reason.endswith("Known robots: vehicle_0, other")
     assert run(tmp_path / "logs", tmp_path / "out").new == 2
     assert {row["status"] for row in rows(tmp_path / "out", "flights")} == {"ok"}
 

@@ -229,7 +229,7 @@ def test_summary_states_the_changes_first(tmp_path: Path, capsys: pytest.Capture
     print_summary(summary, tmp_path / "out", as_json=False)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "vehicle vehicle_1, rotor 1: changed since flight 5"
-    assert lines[1:3] == ["4 vehicles; logs: 33 new, 0 known, 1 refused", "  refused 1: is no log"]
+    assert lines[1:3] == ["4 vehicles with usable flights; logs: 33 new, 0 known, 1 refused", "  refused 1: is no log"]
     print_summary(summary, tmp_path / "out", as_json=True)
     content = json.loads(capsys.readouterr().out)
     assert (content["new"], content["refused"], len(content["alerts"])) == (33, {"is no log": 1}, 1)
