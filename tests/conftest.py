@@ -4,7 +4,6 @@ with the fixture ``optimised``, and a run of slow tests only, run the kernels of
 into sums, so that rounding differs."""
 
 import gc
-import logging
 import os
 import sys
 import tomllib
@@ -32,10 +31,8 @@ import torch  # noqa: E402
 import warp as wp  # noqa: E402
 
 from aerial_gym.assets import ENVIRONMENTS, FAMILIES  # noqa: E402
-from aerial_gym.config.controller import ControllerCfg  # noqa: E402
-from aerial_gym.config.robot import RobotCfg  # noqa: E402
-from aerial_gym.control import CONTROL_LAWS, CONTROLLERS, loop_check  # noqa: E402
-from aerial_gym.env_manager import SIMS, vehicle_group  # noqa: E402
+from aerial_gym.control import CONTROL_LAWS, CONTROLLERS  # noqa: E402
+from aerial_gym.env_manager import SIMS  # noqa: E402
 from aerial_gym.interop import launches  # noqa: E402
 from aerial_gym.physics import BACKENDS, EFFECTS, ROTOR_MAPS, warp_backend  # noqa: E402
 from aerial_gym.physics.fused.kernel import make_kernel  # noqa: E402
@@ -128,29 +125,6 @@ def make_kernel_quickly(*args: Any, differentiable: bool, **kwargs: Any) -> wp.K
         kernel.module.options["optimization_level"] = level_of_adjoints
     return kernel
 
-
-_calm_loops: set[str] = set()
-"""Closed loops whose check in this process had nothing to say."""
-
-
-def check_closed_loop_once(robot: RobotCfg, controller: ControllerCfg, **loop: Any) -> None:
-    """Check each closed loop of the package's own parts once; one with a message or an error is checked again."""
-    own = all(set(registry.names()) == names for registry, names in _PARTS_OF_LOOPS)
-    key = repr((robot, controller, loop)) if own and not loop_check._log.isEnabledFor(logging.INFO) else ""
-    if key in _calm_loops:
-        return
-    messages: list[logging.LogRecord] = []
-    loop_check._log.addFilter(listen := lambda record: messages.append(record) is None)
-    try:
-        loop_check.check_closed_loop(robot, controller, **loop)
-    finally:
-        loop_check._log.removeFilter(listen)
-    if key and not messages:
-        _calm_loops.add(key)
-
-
-_PARTS_OF_LOOPS = [(registry, set(registry.names())) for registry in (CONTROL_LAWS, EFFECTS, ROTOR_MAPS)]
-vehicle_group.check_closed_loop = check_closed_loop_once
 
 load = wp.Module.load
 wp.Module.load = load_quickly
