@@ -129,9 +129,7 @@ class ChangeScan:
             places: Columns of h hypotheses of equal size, (h, P).
         """
         own, width = self.product[flights], self.root.size
-        first = (
-            np.tensordot(patterns, own[:, places.ravel()], axes=1) * self.root
-        )  # rows of K, so that no copy is needed
+        first = np.tensordot(patterns, own[:, places.ravel()], axes=1) * self.root  # rows of K: no copy
         second = np.tensordot(patterns**2, own[:, places[:, :, None], places[:, None, :]], axes=1)
         side = solve_lower(self.lower, first.reshape(-1, width).T).T.reshape(-1, *places.shape, width)
         right = np.tensordot(patterns, self.gradient[flights][:, places], axes=1) - side @ self.white
